@@ -74,7 +74,8 @@ class Kinematics:
 
 @njit(cache=True, nogil=True)
 def _plan(points, rapid, feed, line, sent, pause, max_rate, max_accel, deviation, carry, blocks):  # type: ignore[no-untyped-def]
-    """Moves -> blocks (n, 7). carry: unit vector (3), nominal speed^2, last line and bytes sent of the block before.
+    """Plan moves -> blocks (n, 7). carry: unit vector (3), nominal speed^2, last line and bytes sent of the block
+    before.
 
     sent : cumulative bytes on the wire by move, or empty
     """
@@ -147,7 +148,9 @@ def _plan(points, rapid, feed, line, sent, pause, max_rate, max_accel, deviation
 
 @njit(cache=True, nogil=True)
 def _entry2(blocks, k, window):  # type: ignore[no-untyped-def]
-    """Greatest squared entry speed of block k that still allows every limit in its window, and a stop at its end."""
+    """Return the greatest squared entry speed of block k that still allows every limit in its window, and a stop at its
+    end.
+    """
     best = 1e30
     gained = 0.0
     for j in range(k, min(k + window, len(blocks))):
@@ -231,7 +234,7 @@ class DurationModel:
         return done
 
     def list_waiting_s(self) -> Array:
-        """Ends of the blocks that `add_batch` has not told of, if the program ended here."""
+        """Return the ends of the blocks that `add_batch` has not given yet, if the program ended here."""
         return self._to_the_end()[1]
 
     @property
@@ -247,5 +250,5 @@ class DurationModel:
 
 
 def is_block(batch: Moves) -> np.ndarray:
-    """(n,) which moves of a batch make the planner do something: all but those that go nowhere."""
+    """Return (n,) which moves of a batch make the planner do something: all but those that go nowhere."""
     return (np.diff(batch.points_mm, axis=0) != 0.0).any(axis=1) | (batch.pause_s >= 0.0)

@@ -39,12 +39,12 @@ class Path:
 
 
 def rapid(*points_mm: ArrayLike) -> Path:
-    """Straight rapids to one point after the other."""
+    """Return straight rapids to one point after the other."""
     return Path(motion=Motion.RAPID, points_mm=np.array(points_mm, dtype=np.float64))
 
 
 def cut(points_mm: ArrayLike, feed_mm_per_min: float) -> Path:
-    """Feed moves along (n, 3) points."""
+    """Return feed moves along (n, 3) points."""
     return Path(
         motion=Motion.CUT,
         points_mm=np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3),

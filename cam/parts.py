@@ -47,7 +47,7 @@ class PartLimits:
         return not (math.isinf(self.most_bytes) and math.isinf(self.most_s))
 
     def points_at_once(self) -> int:
-        """So few that a program near its limit cannot outgrow it between two looks at it."""
+        """Return so few points that a program near its limit cannot outgrow it between two looks at it."""
         room = 0.01 * self.most_bytes / _BYTES_PER_POINT
         return int(min(max(room, _FEWEST_POINTS), _FEW_POINTS))
 
@@ -72,34 +72,34 @@ class PassFrame:
 def programs(
     paths: Iterable[Path], post: Dialect, frame: PassFrame, limits: PartLimits | None = None
 ) -> Iterator[Iterator[bytes]]:
-    """The text of each program, in pieces; one is to be read to its end before the next is asked for."""
+    """Yield the text of each program, in pieces; one must be read to its end before the next is asked for."""
     limits = limits or PartLimits()
     source = _Slices(paths, limits)
     part = 0
     while part == 0 or source.has_more:
         part += 1
-        yield _program(source, post, frame, limits, part)
+        yield _write_program(source, post, frame, limits, part)
 
 
-def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
+def _write_program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
     writer, meter = post.writer(), _Meter(limits)
     remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
     setup, trace = (frame.setup, frame.trace) if part == 1 else (frame.setup.without_warm_up(), ())
     number = 100 * frame.number + part
     first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=number, setup=setup, trace=trace)
-    meter.wrote(first)
+    meter.count_text(first)
     yield first
     for path in _way_back(source, frame):
         for text in writer.write(path):
-            meter.wrote(text)
+            meter.count_text(text)
             yield text
     for path in source:
         for text in writer.write(path):
-            meter.wrote(text)
+            meter.count_text(text)
             yield text
         if not limits.any:
             continue
-        meter.moved(path, source.length_mm)
+        meter.count_path(path, source.length_mm)
         source.points_at_once = meter.points_at_once()
         place = source.place
         aloft = path.motion is Motion.RAPID and place[2] >= frame.safe_z_mm - 1e-9
@@ -116,7 +116,7 @@ def _outside(place: Array, frame: PassFrame) -> bool:
 
 
 def _way_back(source: _Slices, frame: PassFrame) -> Iterator[Path]:
-    """To where the tool stood: aloft, or down onto the path that was cut last and along it to its end."""
+    """Yield paths to where the tool stood: aloft, or down onto the path cut last and along it to its end."""
     recent = source.recent()
     if recent is None:
         if not source.begins_aloft:
@@ -147,15 +147,15 @@ class _Meter:
         self._most_bytes = limits.most_bytes * (1 - _SPARE_SHARE) - _SPARE_BYTES
         self._bytes, self._seconds, self._points = 0, 0.0, 0
 
-    def wrote(self, text: bytes) -> None:
+    def count_text(self, text: bytes) -> None:
         self._bytes += len(text)
 
-    def moved(self, path: Path, length_mm: float) -> None:
+    def count_path(self, path: Path, length_mm: float) -> None:
         self._points += len(path.points_mm)
         self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
 
     def points_at_once(self) -> int:
-        """A quarter of what still fits until the program may end, going by what it has taken so far."""
+        """Return a quarter of what still fits until the program may end, going by what it has taken so far."""
         fits = self._points * (AT_LIFT / max(self.share, 1e-9) - 1)
         return int(min(max(fits / 4, self._limits.points_at_once()), _MOST_POINTS))
 
@@ -170,7 +170,7 @@ class _Slices:
     def __init__(self, paths: Iterable[Path], limits: PartLimits) -> None:
         self._limited = limits.any
         self.points_at_once = limits.points_at_once()
-        self._slices = self._cut_up(paths) if self._limited else iter(paths)
+        self._slices = self._slice(paths) if self._limited else iter(paths)
         self._next = next(self._slices, None)
         self._recent: deque[tuple[Path, float]] = deque()  # each with the length of all before its first point
         self._way_mm = 0.0
@@ -190,17 +190,19 @@ class _Slices:
         while (path := self._next) is not None:
             self._next = next(self._slices, None)
             if self._limited:
-                self._passed(path)
+                self._record(path)
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
-        """The last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in one."""
+        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in
+        one.
+        """
         feed = self._recent[-1][0].feed_mm_per_min if self._recent else None
         if feed is None:
             return None
         return np.concatenate([path.points_mm for path, _ in self._recent]), feed
 
-    def _cut_up(self, paths: Iterable[Path]) -> Iterator[Path]:
+    def _slice(self, paths: Iterable[Path]) -> Iterator[Path]:
         for path in paths:
             first = 0
             while first < len(path.points_mm):
@@ -212,8 +214,8 @@ class _Slices:
                 )
                 first = end
 
-    def _passed(self, path: Path) -> None:
-        """Moves on to the end of a path, and keeps of the cuts what an entry in their midst would need."""
+    def _record(self, path: Path) -> None:
+        """Move on to the end of a path, and keep of the cuts what an entry in their midst would need."""
         points = path.points_mm
         reach_mm = 0.0 if np.isnan(self.place[2]) else math.dist(self.place, points[0])
         self.length_mm = reach_mm + _length_mm(points)

@@ -113,7 +113,7 @@ def ball_pass(
     material: Material = PMMA,
     link: Link = "u-turn",
 ) -> PassSpec:
-    """A pass whose speeds come from the material's start values."""
+    """Return a pass whose speeds come from the material's start values."""
     start = material.start_values(radius_mm)
     return PassSpec(
         name=name,
@@ -129,7 +129,7 @@ def ball_pass(
 
 
 def paper_passes(material: Material = PMMA, *, link: Link = "u-turn") -> tuple[PassSpec, ...]:
-    """The paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
+    """Return the paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
 
     What each leaves and its step-down are ours. A normal engagement is what the pass before left, on a slope
     divided by its cosine: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get layers of their own.
@@ -166,7 +166,7 @@ def paper_passes(material: Material = PMMA, *, link: Link = "u-turn") -> tuple[P
 
 
 def draft_passes(material: Material = PMMA) -> tuple[PassSpec, ...]:
-    """Two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
+    """Return two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
     return (
         ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5, material=material),
         ball_pass("finish", radius_mm=3.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4, material=material),

@@ -58,7 +58,8 @@ def generate_program(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     on_progress: Progress | None = None,
 ) -> Iterator[bytes]:
-    """The pass as one program: text in pieces of about a megabyte; memory does not grow with the program's length.
+    """Return the pass as one program: text in pieces of about a megabyte; memory does not grow with the program's
+    length.
 
     Raises CutterTooLargeError, StockTooThinError, SafeHeightError or PassValueError before the first piece.
     """
@@ -92,7 +93,7 @@ def generate_parts(
     trace: tuple[Path, ...] = (),
     on_progress: Progress | None = None,
 ) -> Iterator[Iterator[bytes]]:
-    """The pass as one program after the other, each within the limits; read each to its end before the next.
+    """Return the pass as one program after the other, each within the limits; read each to its end before the next.
 
     step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
@@ -127,7 +128,7 @@ def generate_parts(
 
 
 def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
-    """The aperture grown by one radius: no track leaves it."""
+    """Return the aperture grown by one radius: no track leaves it."""
     ring = spec.radius_mm
     return ShapedRegion(
         low_mm=(-ring, -ring), high_mm=(stock.width_mm + ring, stock.height_mm + ring), radius_mm=spec.radius_mm
@@ -135,7 +136,7 @@ def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
 
 
 def _gather_chunks(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """The same bytes in pieces of at least CHUNK_BYTES, the last one excepted."""
+    """Yield the same bytes in pieces of at least CHUNK_BYTES, the last one excepted."""
     held: list[bytes] = []
     size = 0
     for piece in pieces:
@@ -149,7 +150,7 @@ def _gather_chunks(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def remarks(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
-    """What the operator should see at the top of the file."""
+    """Return what the operator should see at the top of the file."""
     n = number
     block = f"{n(stock.width_mm + 2 * stock.margin_mm)} x {n(stock.height_mm + 2 * stock.margin_mm)}"
     return (
@@ -170,7 +171,7 @@ def pass_paths(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     on_progress: Progress | None = None,
 ) -> Iterator[Path]:
-    """Moves of one pass, from safe height back to safe height: layers where the stock asks for them, then the surface.
+    """Yield moves of one pass between safe heights: layers where the stock asks for them, then the surface.
 
     The first move is a rapid at safe height: whoever writes the program brings the tool up there before it.
     """
@@ -235,7 +236,7 @@ def _check_job(
     safe_z_mm: float,
     slope_error_rad: float,
 ) -> None:
-    """Everything that can be known before the first move."""
+    """Check everything that can be known before the first move."""
     if not slope_error_rad > 0:
         raise PassValueError(name="slope_error_rad", value=slope_error_rad, allowed="above 0")
     for name in ("width_mm", "height_mm"):
@@ -261,7 +262,7 @@ def _check_job(
 
 
 def _layer_share(field: Field, rows: Rows, plan: LayerPlan) -> float:
-    """Part of the work that the layers are, by rows."""
+    """Return the part of the work that the layers are, by rows."""
     layers = len(plan.layers) * field.rows.y_mm.size
     return layers / (layers + rows.y_mm.size * plan.exact_rows)
 
@@ -288,7 +289,7 @@ def _all_layers(
 def _polylines(
     heightfield: Heightfield, surface: ToolSurface, rows: Rows, rule: VertexRule, spec: PassSpec, report: Progress
 ) -> Iterator[Array]:
-    """The exact surface: pieces of one path, or rows each by itself."""
+    """Yield the exact surface: pieces of one path, or rows each by itself."""
     if spec.strategy == "contour":
         yield from contour_path(heightfield, surface, spec, rule, on_progress=report)
         return
@@ -305,7 +306,7 @@ def _polylines(
 def _polyline_paths(
     polylines: Iterator[Array], met: StockTouch, above: Layer | None, spec: PassSpec, *, safe_z_mm: float
 ) -> Iterator[Path]:
-    """One unbroken path, or rows each entered and left by itself."""
+    """Yield one unbroken path, or rows each entered and left by itself."""
 
     def meets(tips_mm: Array) -> Array:
         heights = met.under(tips_mm) + met.slack_mm

@@ -97,7 +97,9 @@ class ErrorMemory(NamedTuple):
 
 
 def shape_heights(paths: Iterable[Path], rounding: Rounding, region: ShapedRegion) -> Iterator[Path]:
-    """The same cuts with every vertex on the raster and errors that a finish takes off; rapids as in `on_raster`."""
+    """Yield the same cuts with every vertex on the raster and errors that a finish takes off; rapids as in
+    `on_raster`.
+    """
     return on_raster(paths, rounding, partial(_place, ErrorMemory.over(region, rounding), rounding))
 
 
@@ -109,8 +111,8 @@ def _place(memory: ErrorMemory, rounding: Rounding, line: Array, start: Array) -
 
 
 def _divide(line: Array, shortest_mm: float) -> Array:
-    """The line (n, 3) in moves of LONGEST_MM at most, without points nearer to one another than the raster can state:
-    between two such the aim may jump, and the height of a place that is rounded past both be anything.
+    """Divide the line (n, 3) into moves of LONGEST_MM at most, no points nearer to one another than the raster can
+    state: between two such the aim may jump, and the height of a place that is rounded past both be anything.
     """
     kept = np.zeros(len(line), dtype=np.bool_)
     _keep_apart(line, shortest_mm, kept)
@@ -154,7 +156,9 @@ def _error_owed(m, x, y, ux, uy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _error_left(m, error, x, y, ux, uy):  # type: ignore[no-untyped-def]
-    """What a track's error counts for after what it and its neighbours cut off one another; it is the last here."""
+    """Return what a track's error counts for after what it and its neighbours cut off one another; it is the last
+    here.
+    """
     cell = m.beside / _CELLS_ASIDE
     left = error
     for side in (-1.0, 1.0):
@@ -206,7 +210,7 @@ def _place_nearest(line, xy_mm, z_mm, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _follow(m, line, start, xy_mm, aside_mm, out):  # type: ignore[no-untyped-def]
-    """Vertices of line (n, 3) after its first point, which stands at start, into out (n, 4); returns their number.
+    """Write vertices of line (n, 3) after its first point, which stands at start, into out (n, 4); return their number.
 
     Piece by piece, so that a track that turns back finds in the memory what it has done before.
     """

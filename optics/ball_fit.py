@@ -18,7 +18,7 @@ from scipy.ndimage import binary_dilation
 
 from optics.heightfield import Heightfield
 from optics.spline import Array, slope_weights, spline_jet, spline_weights
-from optics.threads import over_rows
+from optics.threads import run_on_rows
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
@@ -48,13 +48,13 @@ def _suspect(c: Array, per_xx: float, per_yy: float, per_xy: float, limit: float
 
 @njit(cache=True, nogil=True, inline="always")
 def _bend_weights(f: float) -> tuple[float, float, float, float]:
-    """Second derivatives of `spline_weights` by the fraction f of the cell."""
+    """Return second derivatives of `spline_weights` by the fraction f of the cell."""
     return 1.0 - f, 3.0 * f - 2.0, 1.0 - 3.0 * f, f
 
 
 @njit(cache=True, nogil=True)
 def _tightest(zx: float, zy: float, zxx: float, zxy: float, zyy: float) -> tuple[float, float, float, float]:
-    """Greatest principal curvature k, positive in a hollow, and m with k = mxx zxx + mxy zxy + myy zyy."""
+    """Return the greatest principal curvature k, positive in a hollow, and m with k = mxx zxx + mxy zxy + myy zyy."""
     gxx, gxy, gyy = 1.0 + zx * zx, zx * zy, 1.0 + zy * zy
     square = 1.0 + zx * zx + zy * zy
     root = math.sqrt(square)
@@ -111,7 +111,8 @@ def _sweep(
 
 
 def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> Heightfield:
-    """The lens, its top where it was, with concave curvature of 1 / radius_mm at the most; itself where that is so.
+    """Return the lens, its top where it was, with concave curvature of 1 / radius_mm at the most; itself where that is
+    so.
 
     sweeps : over the points that still violate it. A lens may come back before it fits, nearer to it than it was
 
@@ -129,7 +130,7 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
         marked = np.flatnonzero(tiles.any(axis=1))
         for odd in (0, 1):  # two rows of either change no coefficient in common
             which = marked[marked % 2 == odd]
-            over_rows(_sweep, which.size, which, coefs, inv_dy, inv_dx, limit, tiles, tight)
+            run_on_rows(_sweep, which.size, which, coefs, inv_dy, inv_dx, limit, tiles, tight)
         if fresh and not tight.any():
             break
         done += 1
@@ -140,12 +141,14 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
 
 
 def ball_fits(lens: Heightfield, radius_mm: float) -> bool:
-    """Whether a ball of that radius fits every hollow, by curvature."""
+    """Return whether a ball of that radius fits every hollow, by curvature."""
     return fit_ball(lens, radius_mm, sweeps=1) is lens
 
 
 def _suspects(coefs: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask) -> Mask:
-    """Tiles of points where the curvature may exceed the limit; all along the rim, whose bounds would take more."""
+    """Return tiles of points where the curvature may exceed the limit; all along the rim, whose bounds would take
+    more.
+    """
     marked = np.zeros_like(tiles)
     marked[0], marked[-1], marked[:, 0], marked[:, -1] = True, True, True, True
     _suspect(coefs, inv_dx**2, inv_dy**2, inv_dx * inv_dy, limit, marked)
@@ -157,7 +160,7 @@ def _and_neighbours(tiles: Mask) -> Mask:
 
 
 def _at_nodes(coefs: Array) -> Array:
-    """(ny, nx) heights of nodes, of the (ny, nx) coefficients that belong to them; both rims' cubics go on."""
+    """Return (ny, nx) heights of nodes, of the (ny, nx) coefficients that belong to them; both rims' cubics go on."""
     for _ in range(2):
         first = 4.0 * coefs[0] - 6.0 * coefs[1] + 4.0 * coefs[2] - coefs[3]
         last = 4.0 * coefs[-1] - 6.0 * coefs[-2] + 4.0 * coefs[-3] - coefs[-4]

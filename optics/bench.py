@@ -48,7 +48,7 @@ class Bench:
         shift_mm: tuple[float, float] = (0.0, 0.0),
         **others: Any,
     ) -> Bench:
-        """A screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
+        """Return a screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
         wide, high = screen_mm or (width_mm, height_mm)
         screen = Screen(
             width_mm=wide,
@@ -66,7 +66,7 @@ class Bench:
         )
 
     def beam(self, *, aside: tuple[float, float] = (0.0, 0.0)) -> Beam:
-        """One beam of the light: the middle one, or one at `aside`, in units of the source's radius."""
+        """Return one beam of the light: the middle one, or one at `aside`, in units of the source's radius."""
         light = self.light
         centre_x, centre_y = self.width_mm / 2, self.height_mm / 2
         index, face = (1.0, 0.0) if self.mirror else (self.refractive_index, -self.thickness_mm)
@@ -102,7 +102,7 @@ class Bench:
         return beam._replace(offset=meet(beam, centre_x, centre_y, 0.0)[3])
 
     def bundle(self, beams: int) -> list[Beam]:
-        """The light as that many beams of equal strength; one where the source has no size."""
+        """Return the light as that many beams of equal strength; one where the source has no size."""
         if not self.light.extended or beams <= 1:
             return [self.beam()]
         return [self.beam(aside=(float(x), float(y))) for x, y in disc_points(beams)]
@@ -125,7 +125,8 @@ class Bench:
         return not special and self.outline_mm is None and self.branch == "direct"
 
     def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
-        """Path, less its constant, that spreads the aperture about evenly over the screen; at points of it (broadcast).
+        """Return the path, less its constant, that spreads the aperture about evenly over the screen; at points of it
+        (broadcast).
 
         The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
         k = 1 - aperture / screen, or 1 + aperture / screen on the inverted branch. The path's gradient is that over
@@ -140,7 +141,7 @@ class Bench:
         return np.asarray((kx * x**2 + ky * y**2 + 2 * (ax * x + ay * y)) / (ray + middle))
 
     def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
-        """Work-frame x (nx,) and y (ny,) of the screen's pixels."""
+        """Return work-frame x (nx,) and y (ny,) of the screen's pixels."""
         s = self.screen
         return (
             s.left_mm + (np.arange(nx) + 0.5) * s.width_mm / nx,

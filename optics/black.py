@@ -35,7 +35,7 @@ STEEPEST = 0.7  # slope that leaves room under total reflection (0.905 for 1.49)
 
 
 def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
-    """Share of the light that ends on black pixels whatever the method, of valleys with a ball's radius.
+    """Return the share of the light that ends on black pixels whatever the method, of valleys with a ball's radius.
 
     target (ny, nx), mean 1. The picture's own light on its black pixels counts too. To be added is what the lens grid
     loses: 0.5-1 % of the light for a logo at two vertices a pixel, a third of that at eight.
@@ -58,7 +58,7 @@ def valley_leak(bench: Bench, radius_mm: float) -> float:
 
 
 def _flat_spread(bench: Bench) -> float:
-    """How many times as large as the aperture its patch of light is behind a flat surface, near the axis."""
+    """Return how many times as large as the aperture its patch of light is behind a flat surface, near the axis."""
     if bench.light.kind != "point":
         return 1.0
     glass_mm = 0.0 if bench.mirror else bench.thickness_mm / bench.refractive_index
@@ -66,12 +66,12 @@ def _flat_spread(bench: Bench) -> float:
 
 
 def fine_detail(target: Array) -> float:
-    """Share of the light that a blur over 3 x 3 pixels would move: 0 for a soft picture, 1 for separate dots."""
+    """Return share of the light that a blur over 3 x 3 pixels would move: 0 for a soft picture, 1 for separate dots."""
     return float(np.abs(target - uniform_filter(target, 3, mode="nearest")).mean() / (2 * target.mean()))
 
 
-def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[Advice, ...]:
-    """Sentences for a picture that is hard for this set-up: what to expect, what to change; none for most pictures."""
+def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[Advice, ...]:
+    """Return advice for a picture that is hard for this set-up: what to expect, what to change; none for most."""
     found = []
     leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
@@ -118,7 +118,8 @@ def _advise_branch(target: Array, bench: Bench, radius_mm: float) -> str:
 
 
 def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
-    """The inverted branch where black areas gain by it, a sketch of it converges, no steeper than that, and it fits.
+    """Return the inverted branch where black areas gain by it, a sketch of it converges, no steeper than that, and it
+    fits.
 
     At a throw of three times the width (logo, 256 pixels, ball of 2 mm) 1.7 instead of 2.7 % of the light ends in
     black, for a relief of 25 instead of 8 mm; nearer, slopes come too close to total reflection.
@@ -136,7 +137,7 @@ def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: fl
 
 
 def _sketch_slopes(target: Array, bench: Bench) -> tuple[float, float]:
-    """(steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
+    """Return (steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
     ny, nx = (min(n, _SKETCH_PIXELS) for n in target.shape)
     path = solve_transport(box_averaged(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)
     if not path.converged:

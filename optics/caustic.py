@@ -45,7 +45,7 @@ def simulate_caustic(
     tubes_per_cell: int = 4,
     beams: int = BEAMS,
 ) -> Caustic:
-    """Irradiance that the light of the bench makes on its screen by way of the heightfield.
+    """Return the irradiance that the light of the bench makes on its screen by way of the heightfield.
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell; fewer than 4 flatter the score
@@ -69,7 +69,8 @@ def share_by_way_of(
     tubes_per_cell: int = 4,
     beams: int = BEAMS,
 ) -> Array:
-    """(ny, nx) share of each pixel's light that comes by way of those cells of the heightfield; 0 where it is dark.
+    """Return (ny, nx) share of each pixel's light that comes by way of those cells of the heightfield; 0 where it is
+    dark.
 
     cells : (rows, columns) share of each cell that counts
     """
@@ -84,7 +85,8 @@ def share_by_way_of(
 def _trace_light(
     heightfield: Heightfield, bench: Bench, cover: Array, *, pixels: tuple[int, int], tubes_per_cell: int, beams: int
 ) -> tuple[Array, float, float]:
-    """Light (ny, nx) on the screen, and how much met the lens and how much of it was reflected; as `_add_beam` has it.
+    """Return light (ny, nx) on the screen, and how much met the lens and how much of it was reflected; as `_add_beam`
+    has it.
 
     cover : share of each cell that is lens
     """
@@ -122,7 +124,7 @@ def _add_beam(
 
 
 def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
-    """The bench's screen of (ny, nx) pixels as kernels take it."""
+    """Return the bench's screen of (ny, nx) pixels as kernels take it."""
     screen = bench.screen
     return Aim(
         throw=bench.throw_mm,
@@ -134,7 +136,7 @@ def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
 
 
 def cells_covered(heightfield: Heightfield, bench: Bench) -> Array:
-    """Share of each cell of the heightfield within the outline; (1, 1) of 1 where there is none."""
+    """Return the share of each cell of the heightfield within the outline; (1, 1) of 1 where there is none."""
     if bench.outline_mm is None:
         return np.ones((1, 1))
     corner = np.array([heightfield.x_mm[0], heightfield.y_mm[0]])

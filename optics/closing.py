@@ -6,14 +6,16 @@ import numpy as np
 from numba import njit
 
 from optics.spline import Array
-from optics.threads import over_rows
+from optics.threads import run_on_rows
 
 _LEVEL = 0.1  # of the band: a rise of the rim that does no harm
 
 
 @njit(cache=True, nogil=True)
 def _lower_envelopes(row_lo: int, row_hi: int, f: Array, curvature: float, out: Array) -> None:
-    """out[r, i] = min_k f[r, k] + curvature (i - k)^2 / 2: lower envelope of equal parabolas, linear time per row."""
+    """Compute out[r, i] = min_k f[r, k] + curvature (i - k)^2 / 2: lower envelope of equal parabolas, in linear
+    time.
+    """
     n = f.shape[1]
     at = np.empty(n, np.int64)
     start = np.empty(n + 1)
@@ -39,11 +41,11 @@ def _lower_envelopes(row_lo: int, row_hi: int, f: Array, curvature: float, out: 
 
 
 def _erode(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
-    """min over y of f(y) + |x - y|^2 / (2 radius): separable in x and y."""
+    """Return min over y of f(y) + |x - y|^2 / (2 radius): separable in x and y."""
     for spacing in (dx_mm, dy_mm):
         f = np.ascontiguousarray(f)
         out = np.empty_like(f)
-        over_rows(_lower_envelopes, f.shape[0], f, spacing**2 / radius_mm, out)
+        run_on_rows(_lower_envelopes, f.shape[0], f, spacing**2 / radius_mm, out)
         f = out.T
     return f
 
@@ -54,7 +56,7 @@ def _close(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
 
 
 def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
-    """How many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level.
+    """Return how many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level.
 
     A rim of slope s is raised by s^2 radius / 2 where the surface ends with it: level is where that is next to nothing
     beside the closing's band.
@@ -72,7 +74,7 @@ def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> in
 
 
 def close_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
-    """Heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
+    """Return heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
 
     Along each axis the closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a
     photograph 6 dB; so a filling d counts as d^2 / (d + band): nearly nothing below that band, all of it but the band

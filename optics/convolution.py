@@ -9,7 +9,7 @@ from optics.spline import Array
 
 
 def convolve_same(picture: Array, kernel: Array) -> Array:
-    """The middle of the full convolution, in the picture's shape; zero beyond the picture."""
+    """Return the middle of the full convolution, in the picture's shape; zero beyond the picture."""
     full = [a + b - 1 for a, b in zip(picture.shape, kernel.shape, strict=True)]
     fast = [fft.next_fast_len(n, real=True) for n in full]
     spectrum = fft.rfftn(picture, fast) * fft.rfftn(kernel, fast)

@@ -95,7 +95,7 @@ def correct_lens(
     *,
     first: OpticalPath | None = None,
 ) -> Corrected:
-    """The lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections.
+    """Return the lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections.
 
     first : the target's own solution, where it is known; balls of all sizes have the same
     """
@@ -103,8 +103,8 @@ def correct_lens(
     path = first or solve_transport(
         target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
     )
-    raw = _surface(path, settings)
-    latest = best = unaided = _seen(path, raw, target, settings)
+    raw = _build_lens(path, settings)
+    latest = best = unaided = _evaluate(path, raw, target, settings)
     history = [_record(0, latest)]
     aim = target
     passes = settings.corrections + (_MORE_FOR_FINISH if settings.finish is not None and settings.corrections else 0)
@@ -115,7 +115,7 @@ def correct_lens(
         aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
         try:
-            latest = _seen(path, _surface(path, settings), target, settings)
+            latest = _evaluate(path, _build_lens(path, settings), target, settings)
         except NoSurfaceError:  # the passes so far are worth more
             break
         history.append(_record(number, latest))
@@ -125,8 +125,10 @@ def correct_lens(
     return Corrected(best=best, first=unaided, raw=raw, history=history)
 
 
-def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
-    """The lens at its vertices, its top a skim below Z0; where there is a finish, as it has to be milled for that."""
+def _build_lens(path: OpticalPath, settings: LensSettings) -> Heightfield:
+    """Return the lens at its vertices, top a skim below Z0; where there is a finish, as it has to be milled for
+    that.
+    """
     ny, nx = path.path_mm.shape
     x_mm = np.linspace(0.0, settings.bench.width_mm, settings.vertices(nx))
     y_mm = np.linspace(0.0, settings.bench.height_mm, settings.vertices(ny))
@@ -138,7 +140,7 @@ def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
 
 
 def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
-    """The lens with its valleys filled until the ball fits; itself where it does already.
+    """Return the lens with its valleys filled until the ball fits; the lens itself where it fits already.
 
     Closing fills them as the ball would leave them, on the grid not quite; the fit does the rest.
     """
@@ -150,7 +152,7 @@ def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
     return fit_ball(replace(raw, z_mm=z - z.max() - settings.skim_mm), ball_mm)
 
 
-def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
+def _simulate_light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     return simulate_caustic(
         surface_in_light(lens, settings.finish),
         settings.bench,
@@ -160,18 +162,18 @@ def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     )
 
 
-def _seen(path: OpticalPath, raw: Heightfield, target: Array, settings: LensSettings) -> Pass:
+def _evaluate(path: OpticalPath, raw: Heightfield, target: Array, settings: LensSettings) -> Pass:
     lens = _fill_valleys(raw, settings)
-    caustic = _light(lens, target, settings)
+    caustic = _simulate_light(lens, target, settings)
     return Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
 def measure_closing_cost(done: Corrected, target: Array, settings: LensSettings) -> ClosingCost | None:
-    """None where nothing was filled."""
+    """Return what closing costs; None where nothing was filled."""
     if not done.is_shaped:
         return None
     best, first = done.best.score, done.first.score
-    without = score_caustic(_light(done.raw, target, settings).irradiance, target)
+    without = score_caustic(_simulate_light(done.raw, target, settings).irradiance, target)
     return ClosingCost(
         radius_mm=settings.closing_radius_mm,
         psnr_db_without=best.psnr_db + without.psnr_db - first.psnr_db,

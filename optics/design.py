@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from optics.advice import Advice
 from optics.ball_fit import fit_ball
-from optics.black import advice
+from optics.black import find_advice
 from optics.corrections import ClosingCost, Corrected, Pass, Progress, correct_lens, measure_closing_cost
 from optics.heightfield import Heightfield
 from optics.polish import PolishRecord, polish_lens
@@ -49,20 +49,22 @@ class LensDesign:
 def design_lens(
     target: Array, settings: LensSettings, *, on_progress: Progress | None = None, passes: Corrected | None = None
 ) -> LensDesign:
-    """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method.
+    """Return the lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method.
 
     passes : those of the transport method, where they are there already
     """
     report = on_progress or (lambda stage, share: None)
     if settings.method == "transport":
-        design = _by_transport(target, settings, report, passes)
+        design = _design_by_transport(target, settings, report, passes)
     else:
-        design = _by_the_paper(target, settings, report)
-    hard = advice(target, settings.bench, settings.closing_radius_mm, vertices_per_pixel=settings.vertices_per_pixel)
+        design = _design_by_paper(target, settings, report)
+    hard = find_advice(
+        target, settings.bench, settings.closing_radius_mm, vertices_per_pixel=settings.vertices_per_pixel
+    )
     return replace(design, warnings=(*hard, *design.warnings))
 
 
-def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
+def _design_by_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
     from optics.paper.surface import paper_lens  # what it stands on is slow to import
 
     started = time.perf_counter()
@@ -78,7 +80,9 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
     )
 
 
-def _by_transport(target: Array, settings: LensSettings, report: Progress, passes: Corrected | None) -> LensDesign:
+def _design_by_transport(
+    target: Array, settings: LensSettings, report: Progress, passes: Corrected | None
+) -> LensDesign:
     started = time.perf_counter()
     done = passes or correct_lens(target, settings, report)
     cost = measure_closing_cost(done, target, settings)

@@ -63,22 +63,24 @@ class Finish:
         return _BEYOND * self.reach_mm
 
     def transfer(self, k_rad_per_mm: Array) -> Array:
-        """H(k): the part of a mark's height that is left."""
+        """Return H(k): the part of a mark's height that is left."""
         return np.asarray(np.exp(-((np.asarray(k_rad_per_mm) / self.k0_rad_per_mm) ** self.order)))
 
     def kept(self, k_rad_per_mm: Array) -> Array:
-        """The part of a surface's wave that is left: H(k), and 1 for form."""
+        """Return the part of a surface's wave that is left: H(k), and 1 for form."""
         form = np.exp(-((np.asarray(k_rad_per_mm) * self.pad_mm / math.pi) ** 2))
         return np.asarray(form + (1.0 - form) * self.transfer(k_rad_per_mm))
 
     def multipliers(self, shape: tuple[int, int], spacing_mm: tuple[float, float]) -> Array:
-        """`kept` of each wave of a cosine transform (type 1) of a grid (ny, nx); spacing of rows and columns."""
+        """Return `kept` of each wave of a cosine transform (type 1) of a grid (ny, nx); spacing of rows and columns."""
         down, across = (math.pi * np.arange(n) / ((n - 1) * d) for n, d in zip(shape, spacing_mm, strict=True))
         return self.kept(np.hypot(down[:, None], across[None, :]))
 
 
 def level(heights_mm: Array, multipliers: Array) -> Array:
-    """Heights (ny, nx) after a finish, mirrored at their ends; linear, and its own transpose but for the rims."""
+    """Return heights (ny, nx) after a finish, mirrored at their ends; linear, and its own transpose but for the
+    rims.
+    """
     spectrum = fft.dctn(heights_mm, type=1, workers=thread_count())
     spectrum *= multipliers
     return np.asarray(fft.idctn(spectrum, type=1, workers=thread_count(), overwrite_x=True))
@@ -87,7 +89,7 @@ def level(heights_mm: Array, multipliers: Array) -> Array:
 def finish_surface(
     lens: Heightfield, finish: Finish, *, departure_mm: Array | None = None, finer: int = 1, beyond_cells: int = 0
 ) -> Heightfield:
-    """The lens after the finish, its highest vertex where it was, on a grid `finer` times as fine.
+    """Return the lens after the finish, its highest vertex where it was, on a grid `finer` times as fine.
 
     departure_mm : (ny, nx) of what is milled from the lens, on that grid and beyond_cells of its cells around it
     """
@@ -112,12 +114,12 @@ def finish_surface(
 
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
-    """What light will meet of a perfectly milled lens: finished, where it will be."""
+    """Return what light will meet of a perfectly milled lens: finished, where it will be."""
     return lens if finish is None else finish_surface(lens, finish)
 
 
 def foresee_finish(lens: Heightfield, finish: Finish) -> Heightfield:
-    """The surface to mill so that the finish leaves the lens, as far as it can; its highest vertex where it was.
+    """Return the surface to mill so that the finish leaves the lens, as far as it can; its highest vertex where it was.
 
     Marks are made higher by what the finish takes off, H / (H^2 + eps) of what the lens would lack: what hardly
     anything is left of is given up, or the milled surface would be all ripples.
@@ -129,6 +131,6 @@ def foresee_finish(lens: Heightfield, finish: Finish) -> Heightfield:
 
 
 def _quick_margin(count: int, least: int) -> int:
-    """At least so many more on either side, so that the transform of all is quick."""
+    """Return a margin of at least so many on either side for which the transform of all is quick."""
     periods = ((margin, 2 * (count + 2 * margin - 1)) for margin in itertools.count(least))
     return next(margin for margin, period in periods if fft.next_fast_len(period, real=True) == period)

@@ -19,7 +19,8 @@ _FLOOR = 0.01  # of the mean: no place of a lens is without light
 
 
 def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
-    """What blurs into the target (ny, nx), of mean 1, as far as light allows; brighter at its edges, as beyond is dark.
+    """Return what blurs into the target (ny, nx), of mean 1, as far as light allows; brighter at its edges, as beyond
+    is dark.
 
     blur_px : standard deviations along the rows and the columns of the picture: y, x
     """
@@ -32,7 +33,7 @@ def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
 
 
 def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
-    """Each point over a box with these standard deviations; nothing comes from beyond the edges.
+    """Spread each point over a box with these standard deviations; nothing comes from beyond the edges.
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
@@ -43,7 +44,7 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
 
 
 def _box(sigma: float) -> tuple[int, float, float]:
-    """Pixels to either side that get the same; how much these get, and the ones beyond them."""
+    """Return the pixels to either side that get the same; how much these get, and the ones beyond them."""
     half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
     small, large = 2 * half + 1, 2 * half + 3
     share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
@@ -52,7 +53,7 @@ def _box(sigma: float) -> tuple[int, float, float]:
 
 @njit(cache=True, nogil=True)
 def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
-    """As `_spread_down`, along the rows."""
+    """Spread along the rows as `_spread_down` spreads down the columns."""
     ny, nx = picture.shape
     out, line = np.empty((ny, nx)), np.zeros(nx + 2 * half + 2)
     for j in range(ny):
@@ -66,7 +67,7 @@ def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _spread_down(picture, half, inner, ends):  # type: ignore[no-untyped-def]
-    """inner times the sum from half above to half below, ends times the pixel beyond on either side."""
+    """Return inner times the sum from half above to half below, plus ends times the pixel beyond on either side."""
     ny, nx = picture.shape
     out, total, dark = np.empty((ny, nx)), np.zeros(nx), np.zeros(nx)
     for j in range(min(half, ny)):

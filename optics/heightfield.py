@@ -43,7 +43,9 @@ class Heightfield:
 
     @classmethod
     def on_aperture(cls, z_mm: Array, *, width_mm: float, height_mm: float) -> Heightfield:
-        """Heights (ny, nx) spread evenly from rim to rim of an aperture whose lower left corner is the origin."""
+        """Return heights (ny, nx) spread evenly from rim to rim of an aperture whose lower left corner is the
+        origin.
+        """
         ny, nx = z_mm.shape
         return cls(x_mm=np.linspace(0.0, width_mm, nx), y_mm=np.linspace(0.0, height_mm, ny), z_mm=z_mm)
 
@@ -69,11 +71,13 @@ class Heightfield:
         return float(np.ptp(self.z_mm))
 
     def spline_with_run_out(self, by_mm: float) -> BicubicSpline:
-        """The spline and, around the aperture, the surface on which all passes run out: the one definition of both."""
+        """Return the spline and, around the aperture, the surface on which all passes run out: the one definition of
+        both.
+        """
         return self.spline().extended(by_mm, rim_mm=self.rim_mm)
 
     def spline(self) -> BicubicSpline:
-        """The not-a-knot bicubic spline through the vertices."""
+        """Return the not-a-knot bicubic spline through the vertices."""
         return self._spline
 
     @cached_property

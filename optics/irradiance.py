@@ -13,7 +13,7 @@ ViewedFrom = Literal["lens", "behind"]
 
 
 def flip_between_picture_and_work_frame(pixels: Array, viewed_from: ViewedFrom) -> Array:
-    """Rows and columns of a picture (row 0 on top) in the order of the work frame (row 0 at the lowest y), or back.
+    """Return rows and columns of a picture (row 0 on top) in the order of the work frame (row 0 lowest), or back.
 
     The one place that flips. Light travels +Z. A person behind a translucent screen looks down -Z and sees +X to the
     right: only the rows turn round. A person on the lens's side, who looks along +Z at a wall with +Y up, has +X to
@@ -24,7 +24,7 @@ def flip_between_picture_and_work_frame(pixels: Array, viewed_from: ViewedFrom) 
 
 
 def target_irradiance(linear: Array, *, viewed_from: ViewedFrom) -> Array:
-    """Target irradiance (ny, nx) in the work frame, mean 1, from a linear-light picture (ny, nx), row 0 on top.
+    """Return target irradiance (ny, nx) in the work frame, mean 1, from a linear-light picture (ny, nx), row 0 on top.
 
     Each value is the *average* over its pixel, not a sample at its centre: the mapping gives each pixel exactly that
     share of the light. Black pixels stay black.
@@ -41,5 +41,5 @@ def target_irradiance(linear: Array, *, viewed_from: ViewedFrom) -> Array:
 
 
 def picture_from_irradiance(irradiance: Array, *, viewed_from: ViewedFrom) -> Array:
-    """What the viewer sees, row 0 on top, of an irradiance in the work frame."""
+    """Return what the viewer sees, row 0 on top, of an irradiance in the work frame."""
     return flip_between_picture_and_work_frame(irradiance, viewed_from)

@@ -21,7 +21,7 @@ class Memory:
             self.pairs.append((step, change, curvature))
 
     def direction(self, gradient: Array, inverse: Callable[[Array], Array]) -> Array:
-        """Minus the inverse Hessian times the gradient.
+        """Return minus the inverse Hessian times the gradient.
 
         `inverse` stands for it where nothing is known yet, but for a factor, which the last pair tells.
         """

@@ -77,7 +77,7 @@ class Beam(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _tangent_before_face(run: float, away: float, depth: float, index: float) -> float:
-    """Tangent of the angle outside, of the ray that goes `run` sideways over `away` in air and `depth` in glass.
+    """Return tangent of the angle outside, of the ray that goes `run` sideways over `away` in air and `depth` in glass.
 
     run = away w + depth w / sqrt(n^2 + (n^2 - 1) w^2): concave in w, so that Newton's method climbs to the root.
     """
@@ -96,7 +96,9 @@ def _tangent_before_face(run: float, away: float, depth: float, index: float) ->
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
-    """(dx, dy, dz, phase, face_x, face_y) of the beam where it meets (x, y, z); the direction is a unit vector."""
+    """Return (dx, dy, dz, phase, face_x, face_y) of the beam where it meets (x, y, z); the direction is a unit
+    vector.
+    """
     if not beam.is_point:
         way = (z - beam.face) / beam.z
         phase = beam.refractive_index * (beam.x * (x - beam.centre_x) + beam.y * (y - beam.centre_y) + beam.z * z)
@@ -124,7 +126,7 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def strength_on_face(beam: Beam, x: float, y: float) -> float:
-    """Light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on.
+    """Return light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on.
 
     NaN where x or y is not finite: of such a place no cell of the profile can be named.
     """
@@ -151,7 +153,7 @@ def strength_on_face(beam: Beam, x: float, y: float) -> float:
 def leave(
     dx: float, dy: float, dz: float, zx: float, zy: float, index: float, is_mirror: bool
 ) -> tuple[float, float, float]:
-    """Unit direction behind a surface of slope (zx, zy) met along (dx, dy, dz); NaN: light does not get out.
+    """Return the unit direction behind a surface of slope (zx, zy) met along (dx, dy, dz); NaN: light does not get out.
 
     With N the upward unit normal and cos = d . N: refracted n d + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N, mirrored
     d - 2 cos N. Light that would leave downward counts as not getting out.
@@ -175,7 +177,7 @@ def leave(
 
 
 def disc_points(count: int) -> Array:
-    """(count, 2) points that share a disc of radius 1 evenly: a sunflower's seeds; one point is the middle."""
+    """Return (count, 2) points that share a disc of radius 1 evenly: a sunflower's seeds; one point is the middle."""
     if count == 1:
         return np.zeros((1, 2))
     k = np.arange(count) + 0.5

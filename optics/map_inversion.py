@@ -19,7 +19,9 @@ from optics.spline import Array
 def _inverse_bilinear(
     ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float, slack: float
 ) -> tuple[float, float, bool]:
-    """(u, v, found) of the origin in the quad a (0,0), b (1,0), c (1,1), d (0,1), all given relative to the point."""
+    """Return (u, v, found) of the origin in the quad a (0,0), b (1,0), c (1,1), d (0,1), all given relative to the
+    point.
+    """
     ex, ey = bx - ax, by - ay
     fx, fy = dx - ax, dy - ay
     gx, gy = ax - bx + cx - dx, ay - by + cy - dy
@@ -124,7 +126,7 @@ def _queue_open_around(j: int, i: int, u: Array, waiting: NDArray[np.bool_], rin
 
 @njit(cache=True, nogil=True)
 def _mean_around(j: int, i: int, u: Array, v: Array) -> tuple[float, float]:
-    """Means of u and v over the known vertices beside (j, i)."""
+    """Return means of u and v over the known vertices beside (j, i)."""
     count, sum_u, sum_v = 0, 0.0, 0.0
     for jj in range(max(j - 1, 0), min(j + 2, u.shape[0])):
         for ii in range(max(i - 1, 0), min(i + 2, u.shape[1])):
@@ -136,7 +138,8 @@ def _mean_around(j: int, i: int, u: Array, v: Array) -> tuple[float, float]:
 
 
 def screen_positions(lens_x: Array, lens_y: Array, x_mm: Array, y_mm: Array) -> tuple[Array, Array]:
-    """Fractional grid indices (u along columns, v along rows), each (ny, nx), of the vertices (x_mm[i], y_mm[j]).
+    """Return fractional grid indices (u along columns, v along rows), each (ny, nx), of the vertices (x_mm[i],
+    y_mm[j]).
 
     lens_x, lens_y (my, mx)  : positions of the moved grid's nodes; its quads cover the aperture
     x_mm (nx,), y_mm (ny,)   : evenly spaced vertex positions

@@ -22,13 +22,15 @@ class CausticScore:
 
 
 def psnr_db(irradiance: Array, target: Array) -> float:
-    """Of a simulated irradiance (ny, nx) against a target in the same frame and units; peak = the brightest pixel."""
+    """Return the PSNR of irradiance (ny, nx) against a target in the same frame and units; peak = the brightest
+    pixel.
+    """
     peak, mse = float(target.max()), float(np.mean((irradiance - target) ** 2))
     return float(10 * np.log10(peak**2 / max(mse, 1e-300)))
 
 
 def score_caustic(irradiance: Array, target: Array) -> CausticScore:
-    """Scores of a simulated irradiance (ny, nx) against a target of mean 1 in the same frame and units."""
+    """Return scores of a simulated irradiance (ny, nx) against a target of mean 1 in the same frame and units."""
     peak = float(target.max())
     smaller = min(target.shape)
     window = min(11, smaller - 1 + smaller % 2)  # sigma 1.5 truncated at 3.5: 11 pixels; tiny pictures have less
@@ -50,7 +52,8 @@ def score_caustic(irradiance: Array, target: Array) -> CausticScore:
 
 
 def smallest_detail_mm(irradiance: Array, target: Array, pixel_mm: float) -> float:
-    """Half the period of the finest pattern of the target (ny, nx) that keeps half of its contrast; one pixel at best.
+    """Return half the period of the finest pattern of the target (ny, nx) that keeps half of its contrast; one pixel at
+    best.
 
     Contrast by frequency is the part of the picture that follows the target, sum I T* / sum |T|^2 over a ring of the
     spectrum (Hann window), so that grain which has nothing to do with the target counts neither way.

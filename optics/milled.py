@@ -40,7 +40,8 @@ def simulate_milled(
     beams: int = BEAMS,
     on_progress: Callable[[float], None] | None = None,
 ) -> Caustic:
-    """Irradiance that the light of the bench makes on its screen by way of the facets part(0) .. part(parts - 1).
+    """Return irradiance that the light of the bench makes on its screen by way of the facets part(0) .. part(parts -
+    1).
 
     part        : (n, 4, 5) corners in order around, each x, y, z [mm] and slopes in x and y
     heightfield : the lens meant, for the aperture and its outline
@@ -75,7 +76,7 @@ def simulate_milled(
 
 @njit(cache=True, nogil=True)
 def _cut(corners, count, axis, sign, limit, out):  # type: ignore[no-untyped-def]
-    """The part of a convex polygon (count, 5) with sign * coordinate <= sign * limit; its number of corners."""
+    """Return the part of a convex polygon (count, 5) with sign * coordinate <= sign * limit; its number of corners."""
     kept = 0
     for k in range(count):
         n = k + 1 if k + 1 < count else 0
@@ -95,7 +96,7 @@ def _cut(corners, count, axis, sign, limit, out):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _within(corners, count, width, height, spare):  # type: ignore[no-untyped-def]
-    """A polygon cut to the aperture, in place; its number of corners."""
+    """Return a polygon cut to the aperture, in place; its number of corners."""
     inside = True
     for k in range(count):
         x, y = corners[k, 0], corners[k, 1]

@@ -43,7 +43,7 @@ class Deviations:
 
 
 def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int]) -> Deviations:
-    """Of facets (n, 4, 5) each; those beyond the aperture do not count."""
+    """Return the deviations of facets (n, 4, 5); those beyond the aperture do not count."""
     spline, aim, beam = heightfield.spline(), aim_at(bench, pixels), bench.beam()
     sums, area = np.zeros(4), 0.0
     for facets in samples:
@@ -69,13 +69,13 @@ def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench,
 
 
 def _areas(facets: Array) -> Array:
-    """(n,) in plan."""
+    """Return (n,) in plan."""
     x, y = facets[:, :, 0], facets[:, :, 1]
     return np.abs((x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])) / 2
 
 
 def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heightfield, bench: Bench) -> Array:
-    """The design's light (ny, nx) as a surface like the samples would show it: a second instead of a minute.
+    """Return the design's light (ny, nx) as a surface like the samples would show it: a second instead of a minute.
 
     samples : (n, 4, 5) facets each, of some squares of the milled surface. How far they throw light from where the lens
     does makes the kernel that the picture is blurred by, the same everywhere; what they would make of even light is its
@@ -99,7 +99,7 @@ def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heig
 
 
 def _kernel(samples: Sequence[Array], thrown: Sequence[Array], far: int) -> Array:
-    """(2 far + 1, 2 far + 1) weights of sum 1: where the light of one point of the picture goes."""
+    """Return (2 far + 1, 2 far + 1) weights of sum 1: where the light of one point of the picture goes."""
     acc = np.zeros((2 * far + 1, 2 * far + 2))
     for facets, way in zip(samples, thrown, strict=True):
         _paint_thrown(facets, way + (far + 0.5), acc)
@@ -108,7 +108,9 @@ def _kernel(samples: Sequence[Array], thrown: Sequence[Array], far: int) -> Arra
 
 
 def _grain(samples: Sequence[Array], thrown: Sequence[Array], far: int, aim: Aim, shape: tuple[int, int]) -> Array:
-    """(ny, nx) relative deviation that the samples make of even light, mirrored over and over to fill the picture."""
+    """Return (ny, nx) relative deviation that the samples make of even light, mirrored over and over to fill the
+    picture.
+    """
     tiles = []
     for facets, way in zip(samples, thrown, strict=True):
         at = np.stack([facets[:, :, 0] * aim.per_mm_x, facets[:, :, 1] * aim.per_mm_y])
@@ -131,7 +133,7 @@ def _grain(samples: Sequence[Array], thrown: Sequence[Array], far: int, aim: Aim
 
 @njit(cache=True, nogil=True)
 def _thrown(corners: Array, jets: Array, beam: Beam, aim: Aim) -> Array:
-    """(2, n): how far [pixels] the light at each corner arrives from where the lens there would send it."""
+    """Return (2, n): how far [pixels] the light at each corner arrives from where the lens there would send it."""
     out = np.empty((2, corners.shape[0]))
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
@@ -145,7 +147,7 @@ def _thrown(corners: Array, jets: Array, beam: Beam, aim: Aim) -> Array:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _paint_thrown(facets: Array, at: Array, acc: Array) -> None:
-    """Each facet's area on the lens as light, spread over the polygon at[:, f] (2, n, 4) [pixels]."""
+    """Spread each facet's area on the lens as light over the polygon at[:, f] (2, n, 4) [pixels]."""
     for f in range(facets.shape[0]):
         light = abs(polygon_area(facets[f, :, 0], facets[f, :, 1], 4))
         spread_polygon(acc, at[0, f].copy(), at[1, f].copy(), 4, light)

@@ -34,7 +34,7 @@ class RimCurves:
 
 
 def rim_curves(bench: Bench) -> RimCurves:
-    """The rim of the outline's convex hull; without an outline, of the aperture."""
+    """Return the rim of the outline's convex hull; without an outline, of the aperture."""
     width, height = bench.width_mm, bench.height_mm
     if bench.outline_mm is None:
         return _curves_of(np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]), bench)
@@ -53,7 +53,9 @@ def _curves_of(corners: Array, bench: Bench) -> RimCurves:
 
 
 def _extremes(corners: Array, size: float) -> Array:
-    """Least and greatest second coordinate (2, m) of a closed polygon (k, 2) over even positions of the first."""
+    """Return the least and greatest second coordinate (2, m) of a closed polygon (k, 2) over even positions of the
+    first.
+    """
     at = np.linspace(0.0, size, _SAMPLES)
     low, high = np.full(_SAMPLES, np.inf), np.full(_SAMPLES, -np.inf)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -68,7 +70,7 @@ def _extremes(corners: Array, size: float) -> Array:
 
 
 def is_inside(outline_mm: Array, x_mm: Array, y_mm: Array) -> Array:
-    """(my, mx) whether the points (x_mm[i], y_mm[j]) are in the polygon (k, 2): edges to their left are odd."""
+    """Return (my, mx) whether the points (x_mm[i], y_mm[j]) are in the polygon (k, 2): edges to their left are odd."""
     inside = np.zeros((y_mm.size, x_mm.size), dtype=bool)
     corners = np.asarray(outline_mm, dtype=np.float64)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -79,7 +81,8 @@ def is_inside(outline_mm: Array, x_mm: Array, y_mm: Array) -> Array:
 
 
 def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm: float) -> Array:
-    """Heights (my, mx) that, outside the outline, are smooth and nowhere above the greatest inside it and around.
+    """Return heights (my, mx) that, outside the outline, are smooth and nowhere above the greatest inside it and
+    around.
 
     What the map does not reach is cut away; were it the highest, the lens would lie deeper than it was designed for.
     The margin is there because the spline inside feels it.
@@ -95,13 +98,13 @@ def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm
 
 
 def _hull(bench: Bench) -> Array:
-    """Corners (k, 2) of the convex hull of the bench's outline."""
+    """Return corners (k, 2) of the convex hull of the bench's outline."""
     corners = np.asarray(bench.outline_mm, dtype=np.float64)
     return np.asarray(corners[ConvexHull(corners).vertices])
 
 
 def share_notched(bench: Bench) -> float:
-    """Of the outline's convex hull, what the outline leaves out: 0 of a lens that the frame fits all around."""
+    """Return the share of the outline's convex hull that the outline leaves out: 0 where the frame fits all around."""
     if bench.outline_mm is None:
         return 0.0
     share = 1.0 - _area(np.asarray(bench.outline_mm)) / _area(_hull(bench))
@@ -114,7 +117,7 @@ def _area(corners: Array) -> float:
 
 
 def dim_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
-    """The beam with what the frame surrounds but the outline does not made dim: the finer the grid, the dimmer.
+    """Return the beam with what the frame surrounds but the outline does not made dim: the finer the grid, the dimmer.
 
     Only for outlines that are not convex. Light that is as good as absent may be sent anywhere, which leaves
     the solver without a hold, so a few per cent stay; the corrections see the true outline and make up for them.

@@ -116,7 +116,7 @@ class _Preconditioner:
 
 
 def _box_power(w: Array, width: float) -> Array:
-    """Fourth power of what averaging over `width` vertices leaves of a wave of w radians a vertex."""
+    """Return the fourth power of what averaging over `width` vertices leaves of a wave of w radians a vertex."""
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sin(width * w / 2) / (width * np.sin(w / 2))
     return np.asarray(np.where(w == 0, 1.0, left) ** 4)
@@ -131,7 +131,7 @@ def polish_lens(
     ball_mm: float = 0.0,
     on_progress: Callable[[float], None] | None = None,
 ) -> tuple[Heightfield, PolishRecord]:
-    """The lens (its top where it was) after that many steps of the descent at most, and what they did.
+    """Return the lens (its top where it was) after at most that many steps of descent, and a record of them.
 
     target  : (ny, nx), work frame, mean 1
     ball_mm : radius of the ball that must fit afterwards as well; 0 where none has to
@@ -174,13 +174,13 @@ def polish_lens(
 
 
 def _fit_ball(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
-    """The lens with heights z, its top where it was, in whose hollows the ball fits."""
+    """Return the lens with heights z, its top where it was, in whose hollows the ball fits."""
     moved = replace(lens, z_mm=z - (z.max() - lens.z_mm.max()))
     return fit_ball(moved, ball_mm) if ball_mm > 0 else moved
 
 
 def _step(error: _Error, point: _Point, memory: Memory, inverse: _Preconditioner) -> _Point | None:
-    """The next point, with enough of a decrease; None where no length along the direction gives it."""
+    """Return the next point, with enough of a decrease; None where no length along the direction gives it."""
     length = 1.0 if memory.pairs else _FIRST_LENGTH
     direction = memory.direction(point.gradient, inverse)
     slope = float((point.gradient * direction).sum())

@@ -73,12 +73,14 @@ def _lightness(linear: Array) -> Array:
 
 
 def _odd(size: float, most: int) -> int:
-    """The nearest odd number of pixels, 3 at the least, no more than the picture has."""
+    """Return the nearest odd number of pixels, 3 at the least, no more than the picture has."""
     return max(3, 2 * (min(round(size), most) // 2) + 1)
 
 
 def _smooth_between_edges(lightness: Array, size: int) -> Array:
-    """The guided filter of a picture by itself: in each window a straight line, flat where the variance is small."""
+    """Return the guided filter of a picture by itself: in each window a straight line, flat where the variance is
+    small.
+    """
     mean = uniform_filter(lightness, size, mode="nearest")
     variance = np.maximum(uniform_filter(lightness**2, size, mode="nearest") - mean**2, 0.0)
     slope = variance / (variance + _EDGE**2)
@@ -87,7 +89,7 @@ def _smooth_between_edges(lightness: Array, size: int) -> Array:
 
 
 def _stretch_tones(base: Array, weight: Array) -> Array:
-    """The base with more range for tones where there is structure; order of tones, black and white stay."""
+    """Return the base with more range for tones where there is structure; order of tones, black and white stay."""
     counts, edges = np.histogram(base, _TONES, (0.0, 1.0), weights=weight)
     slope = gaussian_filter1d(counts, _TONE_BLUR, mode="reflect")
     if not slope.mean() > 0:
@@ -98,14 +100,14 @@ def _stretch_tones(base: Array, weight: Array) -> Array:
 
 
 def _bend_ends(lightness: Array) -> Array:
-    """Any lightness as one from 0 to 1: unchanged but near the ends, where it goes on ever more slowly."""
+    """Map any lightness into 0 to 1: unchanged but near the ends, which are approached ever more slowly."""
     below = _KNEE * np.exp(np.minimum(lightness, _KNEE) / _KNEE - 1.0)
     above = 1.0 - _KNEE * np.exp((1.0 - np.maximum(lightness, 1.0 - _KNEE)) / _KNEE - 1.0)
     return np.where(lightness < _KNEE, below, np.where(lightness > 1.0 - _KNEE, above, lightness))
 
 
 def _lift_black(picture: Array, black: float) -> Array:
-    """No pixel darker than that share of the mean, which grows with what is lifted."""
+    """Raise pixels darker than that share of the mean, which grows with what is raised."""
     lifted = picture
     for _ in range(_BLACK_ROUNDS if black > 0 else 0):
         lifted = np.maximum(picture, min(black, 1.0) * lifted.mean())

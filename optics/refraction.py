@@ -12,7 +12,7 @@ from optics.spline import Array
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def tangent_per_slope(slope_squared: float, refractive_index: float) -> float:
-    """Sideways way per unit of height and per unit of slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
+    """Return the way aside per unit of height and slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 
     With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law),
     here divided by cos: m = k / (n (1 + s^2) - k), k = n - sqrt(1 - (n^2 - 1) s^2).
@@ -23,7 +23,8 @@ def tangent_per_slope(slope_squared: float, refractive_index: float) -> float:
 
 
 def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float) -> Array:
-    """Surface gradient (..., 2) that sends vertical light sideways by shift_mm (..., 2) over a drop of drop_mm (...).
+    """Return surface gradient (..., 2) that sends vertical light sideways by shift_mm (..., 2) over a drop of drop_mm
+    (...).
 
     grad h = shift / k,  k = eta sqrt(|shift|^2 + drop^2) - drop   (paper, eqs. 8-9)
     """
@@ -32,5 +33,5 @@ def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float)
 
 
 def critical_slope(refractive_index: float) -> float:
-    """Steepest slope that still lets vertical light out: tan of the angle of total reflection."""
+    """Return the steepest slope that still lets vertical light out: tan of the angle of total reflection."""
     return 1.0 / math.sqrt(refractive_index**2 - 1.0)

@@ -36,11 +36,11 @@ class LensSettings:
     creases: bool = False
 
     def on_bench(self, **changes: Any) -> LensSettings:
-        """The same decisions for a set-up that differs."""
+        """Return the same decisions for a set-up that differs."""
         return replace(self, bench=replace(self.bench, **changes))
 
     def vertices(self, pixels: int) -> int:
-        """Heightfield vertices along a side of that many pixels."""
+        """Return heightfield vertices along a side of that many pixels."""
         return (2 if self.creases else 1) * self.vertices_per_pixel * pixels + 1
 
     @property

@@ -14,14 +14,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from optics.threads import over_rows
+from optics.threads import run_on_rows
 
 Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
 def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
-    """Coefficients (n + 2, m) of cubic splines down the columns lo .. hi - 1 of nodes (n, m), n >= 4, not-a-knot.
+    """Compute coefficients (n + 2, m) of cubic splines down columns lo .. hi - 1 of nodes (n, m), n >= 4, not-a-knot.
 
     The third-derivative continuity at the second node, together with (c[i-1] + 4 c[i] + c[i+1]) / 6 = f[i], gives
     c[1] = f[1] - (f[0] - 2 f[1] + f[2]) / 6 in closed form; what is left is one tridiagonal system (Thomas).
@@ -47,22 +47,22 @@ def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
 
 
 def _fit_all_columns(nodes: Array) -> Array:
-    """(n + 2, m): `_fit_columns` of all columns."""
+    """Return (n + 2, m): `_fit_columns` of all columns."""
     coefs = np.empty((nodes.shape[0] + 2, nodes.shape[1]))
-    over_rows(_fit_columns, nodes.shape[1], nodes, coefs)
+    run_on_rows(_fit_columns, nodes.shape[1], nodes, coefs)
     return coefs
 
 
 @njit(cache=True, nogil=True, inline="always")
 def spline_weights(f: float) -> tuple[float, float, float, float]:
-    """Uniform cubic B-spline weights of the four coefficients around a point at fraction f of its cell."""
+    """Return uniform cubic B-spline weights of the four coefficients around a point at fraction f of its cell."""
     g = 1.0 - f
     return g * g * g / 6.0, (4.0 - 6.0 * f * f + 3.0 * f**3) / 6.0, (4.0 - 6.0 * g * g + 3.0 * g**3) / 6.0, f**3 / 6.0
 
 
 @njit(cache=True, nogil=True, inline="always")
 def slope_weights(f: float) -> tuple[float, float, float, float]:
-    """Derivatives of `spline_weights` by the fraction f of the cell."""
+    """Return derivatives of `spline_weights` by the fraction f of the cell."""
     g = 1.0 - f
     return -0.5 * g * g, 1.5 * f * f - 2.0 * f, 2.0 * g - 1.5 * g * g, 0.5 * f * f
 
@@ -71,7 +71,9 @@ def slope_weights(f: float) -> tuple[float, float, float, float]:
 def spline_jet(
     coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: float, y: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Value and derivatives (z, zx, zy, zxx, zxy, zyy) at (x, y); beyond the grid the last cell's cubic goes on."""
+    """Return the value and derivatives (z, zx, zy, zxx, zxy, zyy) at (x, y); beyond the grid the last cell's cubic goes
+    on.
+    """
     ny, nx = coefs.shape
     u = (x - x0) * inv_dx
     v = (y - y0) * inv_dy
@@ -147,7 +149,7 @@ class BicubicSpline:
 
     @classmethod
     def through(cls, z_mm: Array, *, x0_mm: float, y0_mm: float, dx_mm: float, dy_mm: float) -> BicubicSpline:
-        """The interpolating not-a-knot spline through nodes z_mm (ny, nx), both at least 4."""
+        """Return the interpolating not-a-knot spline through nodes z_mm (ny, nx), both at least 4."""
         if min(z_mm.shape) < 4:
             raise ValueError(f"a bicubic spline needs at least 4 x 4 nodes, not {z_mm.shape[1]} x {z_mm.shape[0]}")
         down = _fit_all_columns(np.array(z_mm, dtype=np.float64, order="C"))  # copies, all of one type: writable
@@ -161,24 +163,24 @@ class BicubicSpline:
         return self.coefs, self.x0_mm, self.y0_mm, 1.0 / self.dx_mm, 1.0 / self.dy_mm
 
     def jets(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
-        """(6, ...) values and derivatives z, zx, zy, zxx, zxy, zyy at the broadcast points."""
+        """Return (6, ...) values and derivatives z, zx, zy, zxx, zxy, zyy at the broadcast points."""
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
         points = x.flatten(), y.flatten()  # copies, all of one type: writable
-        over_rows(_jets, x.size, *self.kernel_arguments, *points, out)
+        run_on_rows(_jets, x.size, *self.kernel_arguments, *points, out)
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
         return self.jets(x_mm, y_mm)[0]
 
     def concave_curvature(self, x_mm: Array, y_mm: Array) -> Array:
-        """(ny, nx) greatest principal curvature, positive in a hollow, at columns x_mm and rows y_mm [1/mm]."""
+        """Return (ny, nx) greatest principal curvature, positive in a hollow, at columns x_mm and rows y_mm [1/mm]."""
         out = np.empty((y_mm.size, x_mm.size))
-        over_rows(_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
+        run_on_rows(_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
     def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3, rim_mm: float = 0.0) -> BicubicSpline:
-        """The same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
+        """Return the same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
 
         New coefficients continue the slope across the rim, which dies out as exp(-d / fade_mm) instead of running up or
         down without bound; what the rim's curvature adds to it dies out within a few cells, or a crease that runs out
@@ -200,7 +202,7 @@ class BicubicSpline:
 
 
 def _continue_rows(coefs: Array, rows: int, spacing: float, fade: float, droop: float, rim: float) -> Array:
-    """`rows` more rows before the first and after the last; C2 whatever they are.
+    """Return coefficients with `rows` more rows before the first and after the last; C2 whatever they are.
 
     The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,
     which belongs to half a cell beyond the rim, and s the slope at the rim itself, per cell.
@@ -219,7 +221,7 @@ def _continue_rows(coefs: Array, rows: int, spacing: float, fade: float, droop: 
 
 
 def _level_corners(coefs: Array, pad_y: int, pad_x: int) -> None:
-    """Corner blocks of the run-out as the sum of the two strips that meet there, in place.
+    """Set the corner blocks of the run-out to the sum of the two strips that meet there, in place.
 
     Continuing the strips once more would multiply the twist at the rim's corners into towers of millimetres.
     """

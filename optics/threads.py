@@ -28,8 +28,8 @@ def thread_count() -> int:
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, _MOST_THREADS)
 
 
-def over_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[Any]:
-    """kernel(row_lo, row_hi, *arguments) on strips that together are 0..rows; their results in order."""
+def run_on_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[Any]:
+    """Run kernel(row_lo, row_hi, *arguments) on strips that together are 0..rows; return their results in order."""
     largest = max((one.size for one in arguments if isinstance(one, np.ndarray)), default=_WORTH_THREADS)
     strips = max(1, min(thread_count(), rows)) if largest >= _WORTH_THREADS else 1
     bounds = [rows * s // strips for s in range(strips + 1)]

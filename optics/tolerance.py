@@ -84,18 +84,18 @@ class Tolerances:
 
 
 def without_size(bench: Bench) -> Bench:
-    """The same light from the middle of its source alone."""
+    """Return the same light from the middle of its source alone."""
     return replace(bench, light=replace(bench.light, size_deg=0.0, size_mm=0.0))
 
 
 def sharp_light(heightfield: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
-    """What light without size makes in focus, in pixels half as wide as those of a picture of that shape."""
+    """Return what light without size makes in focus, in pixels half as wide as those of a picture of that shape."""
     ny, nx = shape
     return simulate_caustic(heightfield, without_size(bench), pixels=(_FINE * ny, _FINE * nx))
 
 
 def in_pixels(sharp: Array) -> Array:
-    """`sharp_light` in pixels of the picture."""
+    """Return `sharp_light` in pixels of the picture."""
     ny, nx = (side // _FINE for side in sharp.shape)
     return np.asarray(sharp.reshape(ny, _FINE, nx, _FINE).mean(axis=(1, 3)))
 
@@ -108,7 +108,7 @@ def lens_tolerances(
     sharp: Array | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Tolerances:
-    """Tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 17 simulations.
+    """Return tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 17 simulations.
 
     sharp : irradiance of `sharp_light`, where it is known
     """
@@ -117,11 +117,11 @@ def lens_tolerances(
         sharp = sharp_light(heightfield, bench, (target.shape[0], target.shape[1])).irradiance
     view = _View(heightfield, bench, target, sharp, report)
     middle = view.middle
-    focus = tuple(middle if share == 0.0 else view.focus_point(share) for share in FOCUS_SHARES)
+    focus = tuple(middle if share == 0.0 else view.compute_focus_point(share) for share in FOCUS_SHARES)
     near = view.depth_of_focus([p for p in focus if p.offset_mm < 0][::-1], middle)
     far = view.depth_of_focus([p for p in focus if p.offset_mm > 0], middle)
-    tilts = tuple(view.tilt_point(tilt) for tilt in TILTS_DEG)
-    sources = tuple(view.blur_point(size, sharp) for size in SOURCES_DEG)
+    tilts = tuple(view.compute_tilt_point(tilt) for tilt in TILTS_DEG)
+    sources = tuple(view.compute_blur_point(size, sharp) for size in SOURCES_DEG)
     blur = blur_mm(heightfield, bench, source_rad(heightfield, bench))
     return Tolerances(
         psnr_db=middle.psnr_db,
@@ -135,7 +135,9 @@ def lens_tolerances(
 
 
 def source_rad(heightfield: Heightfield, bench: Bench) -> float:
-    """Angular diameter of the bench's light, in air, as the lens sees it: glass is as long as thickness / n of air."""
+    """Return angular diameter of the bench's light, in air, as the lens sees it: glass is as long as thickness / n of
+    air.
+    """
     light = bench.light
     if light.kind == "sun":
         return math.radians(light.size_deg)
@@ -147,7 +149,7 @@ def source_rad(heightfield: Heightfield, bench: Bench) -> float:
 
 
 def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
-    """Diameter of the disc that a source of that angular diameter makes of a point on the wall: size x way.
+    """Return the diameter of the disc that a source of that angular diameter makes of a point on the wall: size x way.
 
     Through a thin wedge light turns by as much as it turned before it: the flat face divides angles by n, the surface
     multiplies them by n. So the index drops out, near the axis. The way is that from the surface's mean height.
@@ -168,9 +170,9 @@ class _View:
         self._done = 0
         light = in_pixels(sharp) if self._blur_mm == 0 else self._spread(sharp, self._blur_mm)
         self.middle = FocusPoint(offset_mm=0.0, psnr_db=psnr_db(light, target), irradiance=light)
-        self._missed = _error(light, target) - _error(self._light(self._bench, _TUBES), target)
+        self._missed = _error(light, target) - _error(self._simulate(self._bench, _TUBES), target)
 
-    def _light(self, bench: Bench, tubes: int) -> Array:
+    def _simulate(self, bench: Bench, tubes: int) -> Array:
         fine = 1 if self._blur_mm == 0 else _FINE
         ny, nx = self._target.shape
         light = simulate_caustic(self._lens, bench, pixels=(fine * ny, fine * nx), tubes_per_cell=tubes).irradiance
@@ -178,27 +180,27 @@ class _View:
         self._report(self._done / (len(FOCUS_SHARES) + 2 + 2 * len(TILTS_DEG)))
         return light if self._blur_mm == 0 else self._spread(light, self._blur_mm)
 
-    def _seen(self, bench: Bench, tubes: int) -> tuple[float, Array]:
-        light = self._light(bench, tubes)
+    def _evaluate(self, bench: Bench, tubes: int) -> tuple[float, Array]:
+        light = self._simulate(bench, tubes)
         error = _error(light, self._target)
         if tubes == _TUBES:
             error = max(error + self._missed, error / 2)
         return self._psnr_db(error), light
 
     def _spread(self, sharp: Array, diameter_mm: float) -> Array:
-        """What a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
+        """Return what a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
         (ny, nx), screen = self._target.shape, self._bench.screen
         fine_x, fine_y = _FINE * nx / screen.width_mm, _FINE * ny / screen.height_mm
         return in_pixels(convolve_same(sharp, disc_kernel(diameter_mm * fine_x, diameter_mm * fine_y)))
 
-    def focus_point(self, share: float) -> FocusPoint:
+    def compute_focus_point(self, share: float) -> FocusPoint:
         offset = share * self._bench.throw_mm
         moved = replace(self._bench, throw_mm=self._bench.throw_mm + offset)
-        psnr, light = self._seen(moved, _TUBES if abs(share) <= _NEAR else _TUBES_COARSE)
+        psnr, light = self._evaluate(moved, _TUBES if abs(share) <= _NEAR else _TUBES_COARSE)
         return FocusPoint(offset_mm=offset, psnr_db=psnr, irradiance=light)
 
     def depth_of_focus(self, side: Sequence[FocusPoint], middle: FocusPoint) -> float:
-        """Offset on one side, from points that move away from focus, where FOCUS_LOSS_DB are lost.
+        """Return the offset on one side, from points that move away from focus, where FOCUS_LOSS_DB are lost.
 
         The mean square error that defocus adds grows as a power of the offset. One more simulation, where the points
         say that the loss is, settles it.
@@ -207,9 +209,9 @@ class _View:
         allowed = least * (10 ** (FOCUS_LOSS_DB / 10) - 1)
         added = [(abs(p.offset_mm), self._error_of(p.psnr_db) - least) for p in side]
         sign = math.copysign(1.0, side[0].offset_mm)
-        first = self._where(added, allowed)
-        psnr, _ = self._seen(replace(self._bench, throw_mm=self._bench.throw_mm + sign * first), _TUBES)
-        found = self._where([*added, (first, self._error_of(psnr) - least)], allowed)
+        first = self._find_offset(added, allowed)
+        psnr, _ = self._evaluate(replace(self._bench, throw_mm=self._bench.throw_mm + sign * first), _TUBES)
+        found = self._find_offset([*added, (first, self._error_of(psnr) - least)], allowed)
         return sign * found
 
     def _error_of(self, psnr: float) -> float:
@@ -218,8 +220,8 @@ class _View:
     def _psnr_db(self, error: float) -> float:
         return 10 * math.log10(float(self._target.max()) ** 2 / max(error, 1e-300))
 
-    def _where(self, added: list[tuple[float, float]], allowed: float) -> float:
-        """Offset at which the added error is `allowed`: a power law through the two points next to it."""
+    def _find_offset(self, added: list[tuple[float, float]], allowed: float) -> float:
+        """Return the offset at which the added error is `allowed`: a power law through the two points next to it."""
         points = sorted((offset, error) for offset, error in added if error > 0)
         widest = _WIDEST * self._bench.throw_mm
         if not points:
@@ -232,19 +234,21 @@ class _View:
         power = math.log(high / low) / math.log(b / a) if high > low and b > a else 2.0
         return min(a * (allowed / low) ** (1 / max(power, 0.25)), widest)
 
-    def tilt_point(self, tilt_deg: float) -> TiltPoint:
-        """The shift is the mean over rays, and then what is best for the picture: light aslant also distorts it."""
+    def compute_tilt_point(self, tilt_deg: float) -> TiltPoint:
+        """Simulate a tilt. The shift is the mean over rays, then what is best for the picture: light aslant distorts
+        it.
+        """
         light, screen, (ny, nx) = self._bench.light, self._bench.screen, self._target.shape
         tilt_x, tilt_y = light.tilt_rad
         tilted = replace(self._bench, light=replace(light, tilt_rad=(tilt_x + math.radians(tilt_deg), tilt_y)))
         by_x, by_y = picture_shift_mm(self._lens, self._bench, tilted)
-        _, seen = self._seen(_move_bench(tilted, by_x, by_y), _TUBES_COARSE)
+        _, seen = self._evaluate(_move_bench(tilted, by_x, by_y), _TUBES_COARSE)
         more_x, more_y = _shift_to(self._aims, seen)
         by_x, by_y = by_x + more_x * screen.width_mm / nx, by_y + more_y * screen.height_mm / ny
-        psnr, seen = self._seen(_move_bench(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
+        psnr, seen = self._evaluate(_move_bench(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
         return TiltPoint(tilt_deg=tilt_deg, shift_mm=(by_x, by_y), psnr_db=psnr, irradiance=seen)
 
-    def blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
+    def compute_blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
         diameter = blur_mm(self._lens, self._bench, math.radians(size_deg))
         light = self._spread(sharp, diameter)
         return BlurPoint(
@@ -268,7 +272,7 @@ def _move_bench(bench: Bench, by_x: float, by_y: float) -> Bench:
 
 
 def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
-    """What a disc (an ellipse of those diameters in pixels) makes of a picture of even pixels: weights of sum 1.
+    """Return what a disc (an ellipse of those diameters in pixels) makes of a picture of even pixels: weights of sum 1.
 
     Each point of the disc shifts the picture by a part of a pixel, and so shares it among four.
     """
@@ -284,7 +288,7 @@ def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
 
 
 def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
-    """(x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
+    """Return (x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
     return _shift_to(_blur_pictures(target), seen)
 
 
@@ -293,7 +297,7 @@ def _blur_pictures(target: Array) -> list[Array]:
 
 
 def _shift_to(aims: Sequence[Array], seen: Array) -> tuple[float, float]:
-    """`residual_shift_px` to a target that is blurred already."""
+    """Return `residual_shift_px` to a target that is blurred already."""
     found = np.zeros(2)
     for sigma, aim in zip(_BLURS, aims, strict=True):
         given = gaussian_filter(seen, sigma)
@@ -306,7 +310,7 @@ def _shift_to(aims: Sequence[Array], seen: Array) -> tuple[float, float]:
 
 
 def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> tuple[float, float]:
-    """How far the picture moves as a whole from one bench to the other: the mean over rays through the lens."""
+    """Return how far the picture moves as a whole from one bench to the other: the mean over rays through the lens."""
     spline = heightfield.spline()
     along = (np.arange(_RAYS) + 0.5) / _RAYS
     x, y = np.meshgrid(
@@ -320,7 +324,7 @@ def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> 
 
 @njit(cache=True, nogil=True)
 def _arrivals(jets: Array, x: Array, y: Array, beam: Beam, throw: float) -> Array:
-    """(2, n) where rays through surface points arrive on the plane of the screen [mm]; NaN: reflected."""
+    """Return (2, n) where rays through surface points arrive on the plane of the screen [mm]; NaN: reflected."""
     out = np.empty((2, x.size))
     for k in range(x.size):
         dx, dy, dz, _, _, _ = meet(beam, x[k], y[k], jets[0, k])

@@ -25,7 +25,7 @@ from optics.map_inversion import screen_positions
 from optics.path.anderson import Anderson
 from optics.path.grid_levels import box_averaged, level_shapes, prolong
 from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
-from optics.path.total_reflection import far_and_even, refuse_wide_turns
+from optics.path.total_reflection import move_far_away, refuse_wide_turns
 from optics.path.transport_level import Misses, TransportLevel
 from optics.spline import Array
 from optics.transport_map import TransportMap
@@ -67,7 +67,7 @@ class OpticalPath:
     blur_pixels: float = 0.0
 
     def transport_map(self) -> TransportMap:
-        """Pixel corners and the lens points that light them."""
+        """Return pixel corners and the lens points that light them."""
         ny, nx = self.path_mm.shape
         px, py = Preimages(self.bench, self.path_mm.shape).corners(self.path_mm)
         s = self.bench.screen
@@ -77,7 +77,7 @@ class OpticalPath:
         return TransportMap(screen_mm=np.stack([qx, qy], axis=-1), lens_mm=np.stack([px, py], axis=-1))
 
     def heights_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """(ny, nx) of the surface over x (nx,), y (ny,): the map inverted, then heights in closed form."""
+        """Return (ny, nx) of the surface over x (nx,), y (ny,): the map inverted, then heights in closed form."""
         corners = self.transport_map().lens_mm
         u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
         return heights_mm(self.path_mm, u, v, x_mm, y_mm, self.bench)
@@ -93,7 +93,7 @@ def solve_transport(
     most_iterations: int = 300,
     on_progress: Callable[[float], None] | None = None,
 ) -> OpticalPath:
-    """Optical path whose refraction gives each pixel its share of the light.
+    """Return the optical path whose refraction gives each pixel its share of the light.
 
     target      : (ny, nx) irradiance in the work frame, mean 1 (any mean is scaled)
     skim_mm     : depth of the lens's highest point under Z0
@@ -128,7 +128,7 @@ def _solve_levels(
     most_iterations: int,
     report: Callable[[float], None],
 ) -> OpticalPath:
-    """From coarse to fine, or on the finest grid alone from a start."""
+    """Solve from coarse to fine, or on the finest grid alone from a start."""
     records: list[LevelRecord] = []
     shapes = level_shapes(g.shape) if start is None else [g.shape]
     c = flat_path_mm(bench, shapes[0], skim_mm=skim_mm) if start is None else start.path_mm
@@ -192,5 +192,5 @@ def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
     How far it must go hardly depends on the throw, so a coarse solution for a far screen tells it.
     """
     coarse = box_averaged(g, level_shapes(g.shape)[0])
-    moved = solve_transport(coarse, far_and_even(bench), skim_mm=0.0, tolerance=1e-2).transport_map()
+    moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()
     refuse_wide_turns(moved.lens_mm, moved.screen_mm, bench)

@@ -27,7 +27,7 @@ class TransportMap:
             points.setflags(write=False)
 
     def collect_areas_mm2(self) -> Array:
-        """(ny, nx) area of the lens that lights each pixel: half the cross product of the quad's diagonals."""
+        """Return (ny, nx) area of the lens that lights each pixel: half the cross product of the quad's diagonals."""
         p = self.lens_mm
         rising = p[1:, 1:] - p[:-1, :-1]
         falling = p[1:, :-1] - p[:-1, 1:]

@@ -41,12 +41,12 @@ class FailedError(ServiceError):
 
 
 def printable(text: str) -> str:
-    """The text on one line, control characters shown as '?': names and values may come from anywhere."""
+    """Return the text on one line, control characters shown as '?': names and values may come from anywhere."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def sentence_of_os_error(error: OSError, *, doing: str) -> str:
-    """One line about a failed file operation, in words rather than errno names."""
+    """Return one line about a failed file operation, in words rather than errno names."""
     where = f" {error.filename}" if error.filename else ""
     reasons = {
         errno.ENOSPC: "no space left on the disk",

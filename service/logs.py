@@ -49,7 +49,7 @@ def _json(shared: Processors) -> tuple[Processors, structlog.typing.Processor]:
 
 
 def _people(shared: Processors) -> tuple[Processors, structlog.typing.Processor]:
-    """The time of day, the level, what happened: no colours, which a pager would show as signs."""
+    """Return the time of day, the level, what happened: no colours, which a pager would show as signs."""
     stamp = structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False)
     plain = structlog.dev.plain_traceback
     return [*shared, stamp], structlog.dev.ConsoleRenderer(colors=False, exception_formatter=plain)

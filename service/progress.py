@@ -18,17 +18,17 @@ Fraction = Callable[[float], None]
 class Reporter(Protocol):
     """Told when a stage starts, how far it is (0 to 1), and when it has ended. Stages may overlap."""
 
-    def started(self, stage: str) -> None: ...
-    def reached(self, stage: str, share: float) -> None: ...
-    def ended(self, stage: str, seconds: float) -> None: ...
+    def start_stage(self, stage: str) -> None: ...
+    def report_share(self, stage: str, share: float) -> None: ...
+    def end_stage(self, stage: str, seconds: float) -> None: ...
 
 
 class QuietReporter:
     """Says nothing."""
 
-    def started(self, stage: str) -> None: ...
-    def reached(self, stage: str, share: float) -> None: ...
-    def ended(self, stage: str, seconds: float) -> None: ...
+    def start_stage(self, stage: str) -> None: ...
+    def report_share(self, stage: str, share: float) -> None: ...
+    def end_stage(self, stage: str, seconds: float) -> None: ...
 
 
 class PlainReporter:
@@ -37,12 +37,12 @@ class PlainReporter:
     def __init__(self, out: TextIO) -> None:
         self._out = out
 
-    def started(self, stage: str) -> None:
+    def start_stage(self, stage: str) -> None:
         print(f"{stage} ...", file=self._out, flush=True)
 
-    def reached(self, stage: str, share: float) -> None: ...
+    def report_share(self, stage: str, share: float) -> None: ...
 
-    def ended(self, stage: str, seconds: float) -> None:
+    def end_stage(self, stage: str, seconds: float) -> None:
         print(f"{stage}: {seconds:.1f} s", file=self._out, flush=True)
 
 
@@ -61,15 +61,15 @@ class TerminalReporter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._progress.stop()
 
-    def started(self, stage: str) -> None:
+    def start_stage(self, stage: str) -> None:
         self._tasks[stage] = self._progress.add_task(stage, total=1.0)
 
-    def reached(self, stage: str, share: float) -> None:
+    def report_share(self, stage: str, share: float) -> None:
         if stage in self._tasks:
             self._progress.update(self._tasks[stage], completed=min(1.0, max(0.0, share)))
 
-    def ended(self, stage: str, seconds: float) -> None:
-        self.reached(stage, 1.0)
+    def end_stage(self, stage: str, seconds: float) -> None:
+        self.report_share(stage, 1.0)
 
 
 class Stopwatch:
@@ -83,16 +83,16 @@ class Stopwatch:
     def stage(self, name: str) -> Iterator[Fraction]:
         """Run a stage; yields the function that takes its share done."""
         begun = time.perf_counter()
-        self._reporter.started(name)
-        yield lambda share: self._reporter.reached(name, share)
+        self._reporter.start_stage(name)
+        yield lambda share: self._reporter.report_share(name, share)
         seconds = time.perf_counter() - begun
         self.timings_s[name] = round(seconds, 3)
-        self._reporter.ended(name, seconds)
+        self._reporter.end_stage(name, seconds)
 
 
 @contextmanager
 def report_progress(quiet: bool) -> Iterator[Reporter]:
-    """What suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
+    """Yield what suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
     if quiet:
         yield QuietReporter()
     elif sys.stdout.isatty():

@@ -106,7 +106,7 @@ class ServerSettings(BaseSettings):
         return self.data / "agents"
 
     def environment(self) -> dict[str, str]:
-        """The environment of a child process that shall have the same settings as this one."""
+        """Return the environment of a child process that shall have the same settings as this one."""
         own = {
             f"{PREFIX}{name.upper()}": _as_text(value)
             for name, value in self.model_dump(mode="json", exclude_none=True).items()
@@ -116,7 +116,7 @@ class ServerSettings(BaseSettings):
 
     @classmethod
     def load(cls, **given: object) -> Self:
-        """From the environment, `given` (those not None) on top. InputError names the variable at fault.
+        """Load from the environment, `given` (those not None) on top. InputError names the variable at fault.
 
         What should not be in the environment may be in files: $CAUSTICMILL_SECRETS/causticmill_<name>.
         """

@@ -9,7 +9,7 @@ MISSING = "\N{EN DASH}"
 
 
 def number(value: Any, digits: int = 3, unit: str = "") -> str:
-    """Rounded to `digits` decimals without trailing zeros; a dash where there is none."""
+    """Round to `digits` decimals without trailing zeros; a dash where there is none."""
     if value is None or isinstance(value, str):
         return MISSING if value is None else value
     text = f"{value:.{digits}f}"
@@ -19,12 +19,12 @@ def number(value: Any, digits: int = 3, unit: str = "") -> str:
 
 
 def whole(value: Any) -> str:
-    """1234567 -> 1 234 567, with spaces that do not break."""
+    """Write 1234567 as 1 234 567, with spaces that do not break."""
     return MISSING if value is None else f"{round(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def duration(seconds: Any) -> str:
-    """40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h: as the operator page says it."""
+    """Write 40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h: as the operator page says it."""
     if seconds is None:
         return MISSING
     if (whole_s := _round_half_up(float(seconds))) < 60:
@@ -42,17 +42,17 @@ def _pair(big: int, big_unit: str, small: int, small_unit: str) -> str:
 
 
 def _round_half_up(value: float) -> int:
-    """Halves up."""
+    """Round halves up."""
     return floor(value + 0.5)
 
 
 def ball(radius_mm: float) -> str:
-    """A ball's size: by its radius as in the spec, by its diameter as on its box."""
+    """Return a ball's size: by its radius as in the spec, by its diameter as on its box."""
     return f"R {radius_mm:g} (Ø {2 * radius_mm:g} mm)"
 
 
 def size(count: Any) -> str:
-    """Bytes in the largest unit that keeps the figure above 1."""
+    """Return bytes in the largest unit that keeps the figure above 1."""
     if count is None:
         return MISSING
     value = float(count)
@@ -68,7 +68,7 @@ RECOGNISABLE_DB = 21.0
 
 
 def psnr_in_words(psnr_db: float) -> str:
-    """What a PSNR in dB over the target's peak means to an eye."""
+    """Return what a PSNR in dB over the target's peak means to an eye."""
     for at_least, words in (
         (60.0, "no eye can tell it from the target"),
         (40.0, "very close to the target"),
@@ -82,7 +82,7 @@ def psnr_in_words(psnr_db: float) -> str:
 
 
 def word_misplaced(share: float) -> str:
-    """A share of the light that falls on the wrong place, as one part in so many."""
+    """Return a share of the light that falls on the wrong place, as one part in so many."""
     if share < 1e-4:
         return "all light falls where it should"
     if share > 1 / 3:

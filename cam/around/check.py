@@ -231,9 +231,9 @@ class _FlatRun:
         return drops.depth_mm[1:], drops.cell[1:]
 
     def stock(self) -> StockGrid:
-        """What is left after all moves."""
+        """Return what is left after all moves."""
         if self._ball is not None:
-            self._ball.rest()
+            self._ball.cut_at_rest()
             return self._ball.stock()
         grid = self._before
         return StockGrid(x0_mm=grid.x0_mm, y0_mm=grid.y0_mm, cell_mm=grid.cell_mm, top_mm=self._flat.top_mm)
@@ -275,7 +275,7 @@ class _FlatRun:
 
 
 def _inside(corners: Array, grid: StockGrid) -> np.ndarray:
-    """(ny, nx) cells whose centres lie within a closed outline: edges to their left are odd."""
+    """Return (ny, nx) cells whose centres lie within a closed outline: edges to their left are odd."""
     inside = np.zeros(grid.top_mm.shape, dtype=np.bool_)
     x, y = grid.x_mm, grid.y_mm
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -287,14 +287,14 @@ def _inside(corners: Array, grid: StockGrid) -> np.ndarray:
 
 
 def _along(loop_mm: Array, places_mm: Array) -> Array:
-    """(n, 2) points of a closed way at lengths from its beginning."""
+    """Return (n, 2) points of a closed way at lengths from its beginning."""
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(loop_mm, axis=0).T))])
     around = places_mm % run[-1]
     return np.column_stack([np.interp(around, run, loop_mm[:, axis]) for axis in (0, 1)])
 
 
 def _heights(grid: StockGrid, points: Array) -> Array:
-    """(n,) height of the cells that the points lie in."""
+    """Return (n,) height of the cells that the points lie in."""
     ny, nx = grid.top_mm.shape
     columns = np.clip(((points[:, 0] - grid.x0_mm) / grid.cell_mm).astype(int), 0, nx - 1)
     rows = np.clip(((points[:, 1] - grid.y0_mm) / grid.cell_mm).astype(int), 0, ny - 1)
@@ -306,7 +306,7 @@ def _length_mm(loop_mm: Array) -> float:
 
 
 def _tabs(cut_out: CutOut, after: StockGrid, loop_mm: Array, thickness_mm: float) -> tuple[Tab, ...]:
-    """The tabs by the lowest cell along each one's whole width."""
+    """Return the tabs by the lowest cell along each one's whole width."""
     found = []
     for centre in cut_out.tab_centres_mm(_length_mm(loop_mm)):
         half_mm = max(0.0, cut_out.tab_width_mm / 2 - after.cell_mm)
@@ -317,7 +317,7 @@ def _tabs(cut_out: CutOut, after: StockGrid, loop_mm: Array, thickness_mm: float
 
 
 def _left_in_slot(cut_out: CutOut, after: StockGrid, loop_mm: Array) -> float:
-    """The highest stock on the middle line of the slot, feet of tabs left out."""
+    """Return the highest stock on the middle line of the slot, feet of tabs left out."""
     length_mm = _length_mm(loop_mm)
     places = np.arange(0.0, length_mm, after.cell_mm)
     free = np.ones(places.shape, dtype=np.bool_)

@@ -25,7 +25,7 @@ _ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
 
 
 def cut_out_paths(cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: float, safe_z_mm: float) -> Iterator[Path]:
-    """Moves of the tip from safe height back to safe height.
+    """Yield the moves of the tip from safe height back to safe height.
 
     loop_mm (n, 2) : closed way of the axis, as `outline.offset_loop` gives it; top_mm: of the stock along it
     """
@@ -50,7 +50,7 @@ def cut_out_paths(cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: floa
 
 
 def highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
-    """The highest stock that a cutter may meet on its way."""
+    """Return the height of the highest stock that a cutter may meet on its way."""
     highest = [
         top.highest_mm(
             *(min(a[0], b[0]) - radius_mm, max(a[0], b[0]) + radius_mm),
@@ -82,7 +82,7 @@ class _ClosedWay:
             )
 
     def points(self, begin_mm: float, end_mm: float, *, ramp_mm: float, from_mm: float, to_mm: float) -> Array:
-        """(n, 3) from one length to another, the begin left out: sinking first, then level, never into a tab."""
+        """Return (n, 3) from one length to another, the begin left out: sinking first, then level, never into a tab."""
         turns = np.arange(int(end_mm // self.length_mm) + 1) * self.length_mm
         corners = (self._run[:-1] + turns[:, None]).ravel()
         tabs = (self._tab_places(to_mm) + turns[:, None]).ravel()
@@ -95,7 +95,7 @@ class _ClosedWay:
         return points[1:]
 
     def _tab_places(self, level_mm: float) -> Array:
-        """Where the height bends: ends of plateaus, and feet of flanks on a level."""
+        """Return where the height bends: ends of plateaus, and feet of flanks on a level."""
         foot_mm = max(0.0, self._tab_mm - level_mm) / FLANK_SLOPE
         beside = [-self._half_mm - foot_mm, -self._half_mm, self._half_mm, self._half_mm + foot_mm]
         return np.asarray((self._centres[:, None] + beside).ravel() % self.length_mm)
@@ -110,7 +110,7 @@ class _ClosedWay:
 
 
 def _with_feeds(points: Array, cut_out: CutOut) -> Iterator[Path]:
-    """Level pieces at the feed, the others at the plunge feed. The first piece is a ramp."""
+    """Yield the level pieces at the feed, the others at the plunge feed. The first piece is a ramp."""
     slanted = np.concatenate([[True], np.abs(np.diff(points[:, 2])) > 1e-9])
     begins = np.flatnonzero(np.concatenate([[True], slanted[1:] != slanted[:-1]]))
     for begin, end in pairwise([*begins, len(points)]):

@@ -19,7 +19,7 @@ from cam.rows.entries import RAPID_CLEARANCE_MM, leave
 
 
 def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
-    """Moves of the tip from safe height back to safe height; the last layer lies at Z0."""
+    """Yield the moves of the tip from safe height back to safe height; the last layer lies at Z0."""
     over_mm = facing.above_mm + RAPID_CLEARANCE_MM
     if safe_z_mm < over_mm:
         raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=over_mm)

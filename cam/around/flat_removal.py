@@ -64,7 +64,7 @@ class FlatRemoval:
     """The stock that is left under one flat end mill. Not a value: it changes with every batch of moves."""
 
     def __init__(self, stock: StockGrid, *, radius_mm: float, rim_mm: float = 0.0) -> None:
-        """rim_mm: by how much a way that is gone along once more may lie beside itself, by its digits."""
+        """Make it of stock. rim_mm: how far a repeated way may lie beside itself, by its digits."""
         self._stock, self._radius_mm, self._rim_mm = stock, radius_mm, rim_mm
         self.top_mm = stock.top_mm.copy()
 

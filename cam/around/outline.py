@@ -23,12 +23,12 @@ _STRAIGHT = 1e-9
 
 
 def aperture_corners(stock: Stock) -> Array:
-    """(4, 2) corners of the aperture, counter-clockwise."""
+    """Return (4, 2) corners of the aperture, counter-clockwise."""
     return np.array([[0.0, 0.0], [stock.width_mm, 0.0], [stock.width_mm, stock.height_mm], [0.0, stock.height_mm]])
 
 
 def block_corners(stock: Stock) -> Array:
-    """(4, 2) corners of the block, counter-clockwise."""
+    """Return (4, 2) corners of the block, counter-clockwise."""
     low, right, back = -stock.margin_mm, stock.width_mm + stock.margin_mm, stock.height_mm + stock.margin_mm
     return np.array([[low, low], [right, low], [right, back], [low, back]])
 
@@ -36,7 +36,7 @@ def block_corners(stock: Stock) -> Array:
 def trace_paths(
     stock: Stock, outline_mm: Sequence[Sequence[float]], *, safe_z_mm: float, feed_mm_per_min: float
 ) -> tuple[Path, ...]:
-    """Around the block, then around the lens, all at the safe height.
+    """Return the paths around the block, then around the lens, all at the safe height.
 
     outline_mm : corners of a lens that is no rectangle; empty for the aperture
     """
@@ -49,7 +49,7 @@ def trace_paths(
 
 
 def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = ALLOWANCE_MM) -> Array:
-    """The way of a cutter's axis around a closed outline, climbing: clockwise, the first point again at the end.
+    """Return the way of a cutter's axis around a closed outline, climbing: clockwise, the first point again at the end.
 
     corners_mm (k, 2) : counter-clockwise
     allowance_mm      : kept from the outline beside the radius; more than a digit of the positions
@@ -68,7 +68,7 @@ def offset_loop(corners_mm: Array, radius_mm: float, *, allowance_mm: float = AL
 
 
 def _around_each_corner(corners: Array, away_mm: float) -> Array:
-    """Points beside every side and around every corner that points outward, counter-clockwise."""
+    """Return points beside every side and around every corner that points outward, counter-clockwise."""
     sides = np.roll(corners, -1, axis=0) - corners
     length = np.hypot(sides[:, 0], sides[:, 1])
     along = sides / length[:, None]
@@ -88,7 +88,7 @@ def _around_each_corner(corners: Array, away_mm: float) -> Array:
 
 
 def _without_straight_points(points: Array) -> Array:
-    """The same closed line without points that repeat or lie on the straight way between their neighbours."""
+    """Return the same closed line without points that repeat or lie on the straight way between their neighbours."""
     points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > _STRAIGHT]
     before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
     turn = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
@@ -97,7 +97,7 @@ def _without_straight_points(points: Array) -> Array:
 
 
 def _distances(points: Array, corners: Array) -> Array:
-    """(n,) distance of points (n, 2) from a closed outline (k, 2); 0 within it is not known."""
+    """Return (n,) distance of points (n, 2) from a closed outline (k, 2); 0 within it is not known."""
     found = np.full(len(points), np.inf)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         side = b - a
@@ -107,7 +107,8 @@ def _distances(points: Array, corners: Array) -> Array:
 
 
 def segment_distances(start: Array, end: Array, corners: Array) -> Array:
-    """(n,) how near straight ways from start to end, (n, 2) each, come to a closed outline (k, 2); 0 where they cross.
+    """Return (n,) how near straight ways from start to end, (n, 2) each, come to a closed outline (k, 2); 0 where they
+    cross.
 
     Of two segments that do not cross, the least distance is that of an end of one from the other.
     """
@@ -123,7 +124,7 @@ def segment_distances(start: Array, end: Array, corners: Array) -> Array:
 
 
 def _cross(p: Array, q: Array, a: Array, b: Array) -> np.ndarray:
-    """(n,) whether the segments p-q (n, 2) cross the segment a-b."""
+    """Return (n,) whether the segments p-q (n, 2) cross the segment a-b."""
 
     def side(base: Array, tip: Array, point: Array) -> Array:
         along, to = tip - base, point - base

@@ -83,11 +83,11 @@ class CutOut:
             raise PassValueError(name="through_mm", value=self.through_mm, allowed="0 or more")
 
     def tab_centres_mm(self, length_mm: float) -> tuple[float, ...]:
-        """Where along a closed way of this length the tabs stand: evenly, none at its begin."""
+        """Return where along a closed way of this length the tabs stand: evenly, none at its begin."""
         return tuple(length_mm * (k + 0.5) / self.tabs for k in range(self.tabs))
 
     def tab_foot_mm(self) -> float:
-        """Along the way of the cutter's axis, from the middle of a tab to where it is down again."""
+        """Return the way of the cutter's axis from the middle of a tab to where it is down again."""
         return self.tab_width_mm / 2 + self.radius_mm + (self.tab_height_mm + self.through_mm) / FLANK_SLOPE
 
 

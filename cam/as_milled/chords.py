@@ -83,7 +83,7 @@ def _box(tips, k, x0, y0, side, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sort(tips, joined, x0, y0, side, columns, start, member):  # type: ignore[no-untyped-def]
-    """Counting sort, in the order of the tracks within a box."""
+    """Sort by counting, in the order of the tracks within a box."""
     for k in range(1, joined.size):
         if joined[k]:
             start[_box(tips, k, x0, y0, side, columns) + 1] += 1
@@ -101,7 +101,7 @@ def _sort(tips, joined, x0, y0, side, columns, start, member):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def gather(c, k, nx, ny, reach, room, out):  # type: ignore[no-untyped-def]
-    """Chords other than k that cut within `reach` of where it does, about; their number, never more than `room`.
+    """Gather chords other than k that cut within about `reach` of where it does; return their number, at most `room`.
 
     nx, ny : of the surface's unit normal there. A ball that is larger by d touches the same place d (nx, ny) aside
     """

@@ -28,7 +28,7 @@ _SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
 
 @njit(cache=True, nogil=True)
 def slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-untyped-def]
-    """(px, py, zx, zy): where a ball with its centre above (x, y) touches the lens, about, from the guess p."""
+    """Return (px, py, zx, zy): where a ball with its centre above (x, y) touches the lens, about, from the guess p."""
     zx = zy = 0.0
     for _ in range(steps):
         _, zx, zy, _, _, _ = spline_jet(surface[0], surface[1], surface[2], surface[3], surface[4], px, py)
@@ -39,7 +39,9 @@ def slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
-    """How far the path rises out of the frame, per way ahead, from `reach` before chord k to as far behind it."""
+    """Return how far the path rises out of the frame, per way ahead, from `reach` before chord k to as far behind
+    it.
+    """
     first = k - 1
     while (
         c.joined[first]
@@ -72,7 +74,7 @@ def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore[no-untyped-def]
-    """(n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
+    """Return (n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
     surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
     reach   : how far a ball can be that hides something

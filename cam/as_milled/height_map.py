@@ -67,7 +67,7 @@ def map_departure(
     finer: int = 2,
     beyond_mm: float = 0.0,
 ) -> DepartureMap:
-    """Of one program or several, up to beyond_mm around the aperture; pitch_mm, error_mm as for `MilledSurface`."""
+    """Map one program or several, up to beyond_mm around the aperture; pitch_mm, error_mm as for `MilledSurface`."""
     dy, dx = heightfield.dy_mm / finer, heightfield.dx_mm / finer
     beyond = math.ceil(beyond_mm / min(dx, dy))
     ny, nx = ((axis.size - 1) * finer + 1 + 2 * beyond for axis in (heightfield.y_mm, heightfield.x_mm))
@@ -121,7 +121,9 @@ class _Blocks(NamedTuple):
 
 
 def _blocks_near(wanted: NDArray[np.bool_], places: _Places, first: int, margin_mm: float) -> _Blocks:
-    """Blocks up to margin_mm from places wanted (ny, nx), rows from `first` on, and a ring around them that is not."""
+    """Return the blocks up to margin_mm from places wanted (ny, nx), rows from `first` on, and an unwanted ring
+    around.
+    """
     rows, columns = np.nonzero(wanted)
     ring = math.ceil(margin_mm / _BLOCK_MM) + 1
     at = [
@@ -142,7 +144,7 @@ def _blocks_near(wanted: NDArray[np.bool_], places: _Places, first: int, margin_
 
 @njit(cache=True, nogil=True)
 def _find_next(wanted):  # type: ignore[no-untyped-def]
-    """(ny, nx + 1) the first column from each place on that is wanted, nx where there is none."""
+    """Return (ny, nx + 1) the first column from each place on that is wanted, nx where there is none."""
     ny, nx = wanted.shape
     out = np.empty((ny, nx + 1), dtype=np.int32)
     for j in range(ny):
@@ -154,7 +156,7 @@ def _find_next(wanted):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
-    """Where places lie in their halves of cells, from 0 to 1 in x and y (ny, nx, 2), rows from `first` on: by lot, the
+    """Draw places in their halves of cells, from 0 to 1 in x and y (ny, nx, 2), rows from `first` on: by lot, the
     same for the same place (a finaliser of hashes, after Mueller), in the lower quarter or in the upper one by turns.
     """
     for j in range(lots.shape[0]):
@@ -230,7 +232,7 @@ def _lower(tips, joined, radius, lens, reach, places, first, lots, blocks, onwar
 
 @njit(cache=True, nogil=True)
 def _draw_lens(lens, places, first, lots, out):  # type: ignore[no-untyped-def]
-    """Heights of the lens (ny, nx) at the places, rows from `first` on."""
+    """Fill in the heights of the lens (ny, nx) at the places, rows from `first` on."""
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
             x = places.x0 + (i + lots[j, i, 0]) * places.dx

@@ -19,7 +19,7 @@ _AT_ONCE = 20_000  # moves between two looks at how high the stock still is
 
 
 def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
-    """What the balls of these tracks leave of the stock, exact at the centres of its cells.
+    """Return what the balls of these tracks leave of the stock, exact at the centres of its cells.
 
     before : best little above the surface: then the balls have little to go over
     """
@@ -32,14 +32,14 @@ def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
                     batch = _batch(chain[first : first + _AT_ONCE + 1])
                     grid.refresh()
                     list(pool.map(grid.sweep, [batch] * _SHARES, range(_SHARES)))
-                    grid.passed(batch)
-                grid.rest()
+                    grid.finish_batch(batch)
+                grid.cut_at_rest()
                 stock = replace(before, top_mm=grid.top_mm)
     return stock
 
 
 def _chains(tracks: Tracks) -> list[Array]:
-    """The tips of each unbroken way."""
+    """Return the tips of each unbroken way."""
     begins = np.flatnonzero(~tracks.joined)
     return [chain for chain in np.split(tracks.tips_mm, begins[begins > 0]) if len(chain) > 1]
 

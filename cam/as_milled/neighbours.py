@@ -26,7 +26,7 @@ _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
 
 @njit(cache=True, nogil=True)
 def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
-    """frame (3, 3): n the given normal, b to the left of chord k, t ahead; (length, rise of the chord) are returned.
+    """Set frame (3, 3): n the given normal, b to the left of chord k, t ahead; return (length, rise of the chord).
 
     The chord's direction is (sqrt(1 - rise^2), 0, rise) in the frame.
     """
@@ -45,7 +45,7 @@ def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
-    """Whether another track runs across this one: then what it shows changes from place to place."""
+    """Return whether another track runs across this one: then what it shows changes from place to place."""
     crossed = False
     for m in range(count):
         crossed = crossed or abs(rivals[m, 4]) > _CROSSING * abs(rivals[m, 3])
@@ -54,8 +54,9 @@ def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
-    """rivals (count, FACTS): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie, names,
-    the square term of X along them, as it is and as what leads to where X is least, and its least part from b alone.
+    """Fill rivals (count, FACTS): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie,
+    names, the square term of X along them, as it is and as what leads to where X is least, and its least part from b
+    alone.
 
     The farthest of them ahead or behind is returned.
     """
@@ -84,16 +85,16 @@ def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True)
 def _exchange(rivals, first, m):  # type: ignore[no-untyped-def]
-    """Whoever bounds or hides one piece will do so with the next: it is asked first from now on."""
+    """Move whoever bounds or hides one piece to the front: it will do so with the next, so it is asked first."""
     for d in range(rivals.shape[1]):
         rivals[first, d], rivals[m, d] = rivals[m, d], rivals[first, d]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
-    """(low, high, ahead): the angles across that a ball shows within those; low >= high: none, and what hides the ball
-    hides even more of it with a larger tilt where `ahead` is positive, with a smaller one else. Rival `skip` does not
-    count.
+    """Return (low, high, ahead): the angles across that a ball shows within those; low >= high: none, and what hides
+    the ball hides even more of it with a larger tilt where `ahead` is positive, with a smaller one else. Rival `skip`
+    does not count.
 
     ball        : its centre (t, n) in the frame
     tilt, shear : where it is asked: tilt - shear f ahead of n

@@ -42,7 +42,7 @@ class Noise:
         return cls(sigma_mm=sigma_mm, rows_run=spec.direction if spec.strategy == "raster" else None, seed=seed)
 
     def errors_mm(self, tips_mm: Array, joined: NDArray[np.bool_]) -> Array:
-        """(n,) height errors of tips (n, 3) as programmed."""
+        """Return (n,) height errors of tips (n, 3) as programmed."""
         rng = np.random.default_rng(self.seed)
         if self.rows_run is None:
             out: Array = rng.standard_normal(joined.size)
@@ -53,7 +53,9 @@ class Noise:
 
 
 def _row_numbers(across_mm: Array, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(n,) of tips: each stretch of equal `across_mm` is a row; what lies between two rows goes with the one before."""
+    """Return row numbers (n,) of tips: each stretch of equal `across_mm` is a row; what lies between two goes with the
+    one before.
+    """
     along = np.zeros(across_mm.size, dtype=np.bool_)
     along[1:] = joined[1:] & (np.diff(across_mm) == 0.0)
     begins = along.copy()
@@ -65,7 +67,7 @@ def _row_numbers(across_mm: Array, joined: NDArray[np.bool_]) -> NDArray[np.int6
 
 @njit(cache=True, nogil=True)
 def _wander(tips: Array, joined: NDArray[np.bool_], wander: float, out: Array) -> None:
-    """Independent unit normals in, an Ornstein-Uhlenbeck walk of unit variance along each chain out."""
+    """Turn independent unit normals into an Ornstein-Uhlenbeck walk of unit variance along each chain, in place."""
     for k in range(joined.size):
         if joined[k]:
             way = math.hypot(tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1])

@@ -32,7 +32,7 @@ def row_tracks(
     decimals: int = DECIMALS,
     slope_error_rad: float = SLOPE_ERROR_RAD,
 ) -> Tracks:
-    """Rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
+    """Return rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
     lens = heightfield if direction == "x" else turn_lens(heightfield)
     stock = Stock(width_mm=lens.width_mm, height_mm=lens.height_mm, thickness_mm=1.0, margin_mm=0.0)
     spec = ball_pass("rows", radius_mm=radius_mm, pitch_mm=pitch_mm, stock_to_leave_mm=0.0, step_down_mm=radius_mm)
@@ -55,7 +55,7 @@ def _tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direc
 
 
 def find_touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
-    """Of a ball over the lens, as rows in that direction see it: x and y exchanged for rows along y."""
+    """Return the touched surface as rows in that direction see it: x and y exchanged for rows along y."""
     return ToolSurface.over(heightfield if direction == "x" else turn_lens(heightfield), radius_mm=radius_mm)
 
 
@@ -71,7 +71,7 @@ def sample_facets(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     surface: ToolSurface | None = None,
 ) -> tuple[Array, ...]:
-    """(n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
+    """Return (n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
 
     surface : `find_touched_surface` of this ball, if the caller has it already
     """
@@ -92,12 +92,12 @@ def sample_facets(
 
 
 def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DECIMALS) -> float:
-    """Standard deviation of the tips' heights: steps and decimals are even within +-1/2."""
+    """Return the standard deviation of the tips' heights: steps and decimals are even within +-1/2."""
     return math.hypot(z_noise_mm, step_mm / math.sqrt(12), 10.0**-decimals / math.sqrt(12))
 
 
 def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Iterator[Rows]:
-    """Rows of a pass where they make one of the samples."""
+    """Yield the rows of a pass where they make one of the samples."""
     spline = lens.spline()
     half = min(_SAMPLE_MM, _SAMPLE_PITCHES * pitch_mm, lens.width_mm / 4, lens.height_mm / 4) / 2
     for v in _PLACES:
@@ -116,7 +116,9 @@ def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Itera
 
 
 def _inner(facets: Array, rim_mm: float) -> Array:
-    """Without those near the sample's rim, where neighbours are missing; half of a small sample at least."""
+    """Return facets without those near the sample's rim, where neighbours are missing; half of a small sample at
+    least.
+    """
     if not len(facets):
         return facets
     middle = facets[:, :, :2].mean(axis=1)

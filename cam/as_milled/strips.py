@@ -48,7 +48,7 @@ class Strip(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
-    """(up, left) of chord k's direction from that of its neighbour with `rise`, times sign, and its length."""
+    """Return (up, left) of chord k's direction from that of its neighbour with `rise`, times sign, and its length."""
     tx, ty, tz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
     ahead = frame[0, 0] * tx + frame[0, 1] * ty + frame[0, 2] * tz
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
@@ -61,7 +61,7 @@ def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
-    """What a chord loses to the next one beyond a hill; 0 where that is too short: then its neighbours tell."""
+    """Return what a chord loses to the next one beyond a hill; 0 where that is too short: then its neighbours tell."""
     loss = -0.5 * radius * min(bend[0] - bend[1] * across, 0.0)
     return loss if loss < bend[2] else 0.0
 
@@ -74,7 +74,7 @@ def strip_of_chord(length, rise, radius, before, after):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True)
 def strip_of_corner(k, length, rise, radius, bend, most):  # type: ignore[no-untyped-def]
-    """The ball at the end of chord k; most: the tilt along the track up to which it may show, to either side."""
+    """Return the ball at the end of chord k; most: the tilt along the track up to which it may show, to either side."""
     up, first, last = bend[0], 0.0, 1.0
     if up > 0.0:
         first, last = min(max((-most - rise) / up, 0.0), 1.0), min(max((most - rise) / up, 0.0), 1.0)
@@ -98,7 +98,7 @@ def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[no-untyped-def]
-    """out (5,): x, y, z and slopes where the ball at that share of chord k shows `along` and `across`."""
+    """Compute out (5,): x, y, z and slopes where the ball at that share of chord k shows `along` and `across`."""
     down = math.sqrt(1.0 - along * along - across * across)
     vx = along * frame[0, 0] + across * frame[1, 0] - down * frame[2, 0]
     vy = along * frame[0, 1] + across * frame[1, 1] - down * frame[2, 1]
@@ -112,7 +112,7 @@ def _corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[
 
 @njit(cache=True, nogil=True)
 def _end_of_facet(tips, k, frame, radius, strip, u, across, out):  # type: ignore[no-untyped-def]
-    """out (5,): a facet's corner at u along the strip."""
+    """Compute out (5,): a facet's corner at u along the strip."""
     along = strip.rise * math.sqrt(1.0 - across * across)
     if strip.is_corner:
         along += (strip.first + u * strip.span) * max(strip.up - strip.left * across, 0.0)
@@ -129,7 +129,7 @@ def _end_of_facet(tips, k, frame, radius, strip, u, across, out):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type: ignore[no-untyped-def]
-    """out (4, 5): the strip from u0 to u1; low, high: its ends at both, (there, there)."""
+    """Compute out (4, 5): the strip from u0 to u1; low, high: its ends at both, (there, there)."""
     low0, low1, high0, high1 = low[0], low[1], high[0], high[1]
     if low0 > high0:
         low0 = high0 = 0.5 * (low0 + high0)
@@ -143,14 +143,14 @@ def _facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type: igno
 
 @njit(cache=True, nogil=True)
 def _straight(a, b, c):  # type: ignore[no-untyped-def]
-    """Ends of the line that is nearest to a parabola with values a, b, c in the middles of thirds; the same mean."""
+    """Return the ends of the line nearest to a parabola of values a, b, c in the middles of thirds; the same mean."""
     mean, half = (3.0 * a + 2.0 * b + 3.0 * c) / 8.0, 0.75 * (c - a)
     return mean - half, mean + half
 
 
 @njit(cache=True, nogil=True)
 def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
-    """(first, last): the parts, last not among them, in which a ball at a corner shows something.
+    """Return (first, last): the parts, last not among them, in which a ball at a corner shows something.
 
     What a ball shows is convex, so that no place beyond one that is hidden from there shows anything.
     """
@@ -187,7 +187,7 @@ def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farthest, out, filled):  # type: ignore[no-untyped-def]
-    """Facets of a strip into out from `filled` on, whose new value is returned; farthest: of the rivals."""
+    """Write facets of a strip into out from `filled` on; return its new value. farthest: of the rivals."""
     parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), MOST_PARTS)
     slack = WIDEST * abs(strip.left) * (farthest + strip.whole)
     first, last = 0, parts

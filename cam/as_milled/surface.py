@@ -22,7 +22,7 @@ _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
 
 
 def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
-    """How far from its contact a ball cuts anything that no neighbour cuts deeper.
+    """Return how far from its contact a ball cuts anything that no neighbour cuts deeper.
 
     error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around. (Half as
     far again changes the light of rows of a 4 mm ball, 0.03 mm apart and off by 1.5 um, by 60 dB, and takes twice as
@@ -53,7 +53,7 @@ class MilledSurface:
         pitch_mm: float,
         error_mm: float = 0.0,
     ) -> MilledSurface:
-        """Of one program or several: a point belongs to the ball that went deepest there.
+        """Make the surface of one program or several: a point belongs to the ball that went deepest there.
 
         pitch_mm : the widest distance between neighbouring tracks
         error_mm : standard deviation of the tips' heights
@@ -72,7 +72,7 @@ class MilledSurface:
         return math.ceil(self.chords.joined.size / CHORDS_PER_PART)
 
     def part(self, number: int) -> Array:
-        """(n, 4, 5) facets: corners in order around, each x, y, z [mm] and slopes in x and y."""
+        """Return (n, 4, 5) facets: corners in order around, each x, y, z [mm] and slopes in x and y."""
         first = number * CHORDS_PER_PART
         last = min(first + CHORDS_PER_PART, self.chords.joined.size)
         return np.asarray(facets_of(self.chords, first, last, self.lens, self.reach_mm, _LONGEST_MM, self.crossed_mm))

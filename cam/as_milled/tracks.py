@@ -39,7 +39,7 @@ class Tracks:
     def of_program(
         cls, batches: Iterable[MoveBatch], *, radius_mm: float, step_mm: float = 0.0, noise: Noise | None = None
     ) -> Tracks:
-        """The tracks of a program as `cam.reading.gcode.read_program` gives it.
+        """Return the tracks of a program as `cam.reading.gcode.read_program` gives it.
 
         step_mm : of every axis, 0 for none
         noise   : height errors of the machine; None for none
@@ -55,14 +55,14 @@ class Tracks:
         return tracks.made_by(step_mm=step_mm, noise=noise)
 
     def made_by(self, *, step_mm: float = 0.0, noise: Noise | None = None) -> Tracks:
-        """The same tracks as a machine with such steps and such noise runs them."""
+        """Return the same tracks as a machine with such steps and such noise runs them."""
         tips = np.round(self.tips_mm / step_mm) * step_mm if step_mm > 0 else self.tips_mm.copy()
         if noise is not None and noise.sigma_mm > 0:
             tips[:, 2] += noise.errors_mm(self.tips_mm, self.joined)
         return Tracks(radius_mm=self.radius_mm, tips_mm=tips, joined=self.joined)
 
     def divided(self, longest_mm: float) -> Tracks:
-        """The same tracks with no chord longer than that; a chord that does not move in plan is left out."""
+        """Return the same tracks with no chord longer than that; a chord that does not move in plan is left out."""
         count = _count(self.tips_mm, self.joined, longest_mm)
         tips, joined = np.empty((count, 3)), np.empty(count, dtype=np.bool_)
         _divide(self.tips_mm, self.joined, longest_mm, tips, joined)
@@ -70,7 +70,7 @@ class Tracks:
 
 
 def _cuts_of(batch: MoveBatch, open_end: bool) -> tuple[Array, NDArray[np.bool_], bool]:
-    """Tips of the cutting moves of a batch; open_end: the last tip of the batch before is the first of this one.
+    """Return the tips of the cutting moves of a batch; open_end: the last tip of the batch before is the first here.
 
     With the spindle off nothing is cut: that is a trace in the air.
     """

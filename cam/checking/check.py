@@ -115,7 +115,7 @@ class PassCheck:
         return not self.faults
 
     def as_report(self) -> dict[str, object]:
-        """Plain values for report.json; the file's name and hash are the caller's."""
+        """Return plain values for report.json; the file's name and hash are the caller's."""
         return {
             "ok": self.ok,
             "faults": list(self.faults),
@@ -246,7 +246,7 @@ class _Run:
 
     def finish(self, pending: _Pending) -> None:
         drops = deepest([share.result() for share in pending.drops])
-        self.whole.passed(pending.batch)
+        self.whole.finish_batch(pending.batch)
         self.rules.judge(pending.batch, drops, pending.overlaps.result(), self.whole)
         self.engagement.add(pending.batch, drops)
         self.collisions.add(pending.batch, drops, self.whole)
@@ -254,19 +254,19 @@ class _Run:
             other.result()
 
     def verdict(self, travel_mm: Sequence[float], report: Progress) -> PassCheck:
-        depth, cell = self.whole.rest()
+        depth, cell = self.whole.cut_at_rest()
         idle = self.rest is not None and not self.rest.core.any()
         if idle:
             self.rules.notes.append("the ball before has left nothing to this one: the program only lifts")
         self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole, may_idle=idle)
         for window in self.windows:
-            window.rest()
+            window.cut_at_rest()
         after = self.whole.stock()
         left = StockLeft.of(after, self.heightfield, self.spec)
         fine = [StockLeft.of(window.stock(), self.heightfield, self.spec) for window in self.windows]
         excess = find_excess(left, self.heightfield, self.spec, None if self.rest is None else self.rest.core)
         gouge_um = self._gouge_um(left, fine)
-        measures = None if self.quality is None else self.quality.measures(report)
+        measures = None if self.quality is None else self.quality.measure(report)
         gap_mm = self._row_gap(left) if measures is None else self._contour_gap(measures)
         self._judge_excess(excess)
         rules = self.rules
@@ -305,7 +305,7 @@ class _Run:
         )
 
     def _gouge_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
-        """Deepest cut below the lens: by contact, by the whole part's cells, and by the windows' cells."""
+        """Return the deepest cut below the lens: by contact, by the whole part's cells, and by the windows' cells."""
         deepest_mm = self.rules.gouge_mm
         for grid, result in [(self.whole, left), *zip(self.windows, fine, strict=True)]:
             touched = grid.cut_by_line > 0
@@ -321,7 +321,7 @@ class _Run:
         return 1000 * max(0.0, -lowest_mm)
 
     def _row_gap(self, left: StockLeft) -> float:
-        """Widest gap between rows where there was stock to take off; a fault when a row is missing."""
+        """Return the widest gap between rows where there was stock to take off; note a fault when a row is missing."""
         start = StockLeft.of(self.before, self.heightfield, self.spec)
         with np.errstate(invalid="ignore"):
             wanted = start.over_mm > 2 * left.cusp_mm + 0.001
@@ -332,7 +332,7 @@ class _Run:
         return gap_mm
 
     def _contour_gap(self, measures: PathMeasures) -> float:
-        """Widest gap between the tracks of a contour pass, on the whole aperture."""
+        """Return the widest gap between the tracks of a contour pass, on the whole aperture."""
         gap = measures.gap
         allowed_mm = CONTOUR_GAP_PITCHES * self.spec.pitch_mm + max(ROUNDING_MM, 1.5 * self.digit_mm)
         self._judge_gap(gap.width_mm, gap.x_mm, gap.y_mm, allowed_mm=allowed_mm)

@@ -24,7 +24,7 @@ _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  
 
 @njit(cache=True, nogil=True)
 def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
-    """Greatest height of the surface over the ball's underside found near tip (cx, cy): (overlap, x, y, with run-out).
+    """Return the greatest (overlap, x, y, with run-out) of the surface over the ball's underside near tip (cx, cy).
 
     Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the
     aperture are moved to its rim before they count, but for the last value. -inf where the ball reaches no such point.
@@ -85,7 +85,7 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
 def _overlaps(  # type: ignore[no-untyped-def]
     coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place, touch, rest
 ):
-    """depth (n,), place (n, 2), touch and rest (n,) of every move.
+    """Compute depth (n,), place (n, 2), touch and rest (n,) of every move.
 
     offset (2,): from tip to last contact, kept between calls
     """

@@ -28,7 +28,9 @@ _SAMPLES = 400  # of the lens along a side, before any work
 
 
 def shank_of(spec: PassSpec) -> tuple[float, float] | None:
-    """(reach from the axis, height above the tip): no stock may stand higher there; None where nothing is stated."""
+    """Return (reach from the axis, height above the tip): no stock may stand higher there; None where nothing is
+    stated.
+    """
     if spec.flute_length_mm is None:
         return None
     return max(spec.radius_mm, spec.shank_radius_mm or 0.0) - RUB_MM, spec.flute_length_mm
@@ -59,7 +61,8 @@ class Collisions:
 
 
 def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
-    """How far the finished lens itself would stand above the flutes beside the cutter, at worst; known before any work.
+    """Return how far the finished lens itself would stand above the flutes beside the cutter, at worst; known before
+    any work.
 
     The least that can happen: stock that is still to come off only stands higher. Below 0 it is clear by at least that.
     """
@@ -80,7 +83,7 @@ def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
 
 
 def _within(heights: Array, cells: float) -> Array:
-    """The highest within so many cells of each: a disc is as many runs along x as it has rows."""
+    """Return the highest within so many cells of each: a disc is as many runs along x as it has rows."""
     n = floor(cells)
     padded, rows = np.pad(heights, ((n, n), (0, 0)), mode="edge"), heights.shape[0]
     highest = np.full_like(heights, -np.inf)

@@ -55,11 +55,11 @@ class Coverage:
         self._nearest2 = np.full(shape, np.inf, dtype=np.float32)
 
     def add(self, batch: MoveBatch, counts: np.ndarray) -> None:
-        """counts (n,) bool: the moves that are tracks, near enough to the surface to make it."""
+        """Add moves. counts (n,) bool: those that are tracks, near enough to the surface to make it."""
         _pass_by(self._nearest2, self._jitter, *self._origin, batch.points_mm, counts, self._reach_mm)
 
     def widest_gap_mm(self, wanted: np.ndarray) -> tuple[float, float, float]:
-        """(gap, x, y) of the sample farthest from all tracks among the wanted cells (ny, nx) bool.
+        """Return (gap, x, y) of the sample farthest from all tracks among the wanted cells (ny, nx) bool.
 
         Beyond three pitches the gap is read from the cells without a track near them: good to two cells.
         """

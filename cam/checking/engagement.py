@@ -45,7 +45,7 @@ _SLOT_LENGTH, _SLOT_DEPTH, _FAST_LENGTH, _FAST_FEED, _FAST_LINE, _FAST_X, _FAST_
 
 @njit(cache=True, nogil=True)
 def _slot_section(depth, radius):  # type: ignore[no-untyped-def]
-    """Section of a full-width cut this deep: the segment of the ball's circle, with walls above the ball's middle."""
+    """Return the section of a full-width cut this deep: the segment of the ball's circle, walls above its middle."""
     if depth >= radius:
         return 0.5 * math.pi * radius**2 + 2.0 * radius * (depth - radius)
     rise = radius - depth

@@ -21,7 +21,7 @@ class Finding:
     y_mm: float = float("nan")
 
     def note(self, value: float, line: int, x_mm: float, y_mm: float, *, count: int = 1) -> None:
-        """One offending move, or the worst of `count` of them."""
+        """Note one offending move, or the worst of `count` of them."""
         if self.count == 0:
             self.first_line = line
         if self.count == 0 or value > self.worst:
@@ -29,7 +29,7 @@ class Finding:
         self.count += count
 
     def note_moves(self, guilty: np.ndarray, values: np.ndarray, lines: np.ndarray, places: np.ndarray) -> None:
-        """All offending moves of a batch: guilty (n,) bool, values (n,), lines (n,), places (n, 2 or 3)."""
+        """Note all offending moves of a batch: guilty (n,) bool, values (n,), lines (n,), places (n, 2 or 3)."""
         where = np.flatnonzero(guilty)
         if where.size == 0:
             return

@@ -21,7 +21,7 @@ _AXES = "xyz"
 
 @njit(cache=True, nogil=True)
 def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-def]
-    """Times the tool goes from the air into stock. clear: moves in the air. Returns (entries, still airborne)."""
+    """Count the entries from the air into stock. clear: moves in the air. Returns (entries, still airborne)."""
     entries = 0
     for k in range(clear.size):
         if clear[k]:
@@ -33,7 +33,8 @@ def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-de
 
 
 def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
-    """What a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5 %.
+    """Return what a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5
+    %.
 
     steepest : greatest slope |grad h| of the lens
     """
@@ -158,7 +159,9 @@ class MoveRules:
         self._spindle_left_on = bool(batch.spindle_on[-1]) and not batch.ended
 
     def judge_rest(self, drops: Drops, whole: RemovalGrid, *, may_idle: bool = False) -> None:
-        """What the ball still removes where it stops. may_idle: the program need not move, nothing was left to cut."""
+        """Judge what the ball still removes where it stops. may_idle: the program need not move, nothing was left to
+        cut.
+        """
         one = np.array([True])
         self._judge_drops(
             drops,
@@ -211,13 +214,13 @@ class MoveRules:
         self._outside.note_moves(beyond > 1e-6, beyond, batch.line, end)
 
     def note_gouge(self, depth_mm: float, line: int, place_mm: tuple[float, float]) -> None:
-        """A gouge seen in a cell rather than by contact; counts only when it is the worst."""
+        """Note a gouge seen in a cell rather than by contact; it counts only when it is the worst."""
         if depth_mm > self._gouge_allowed_mm and depth_mm > self._gouge.worst:
             self._gouge.note(depth_mm, line, *place_mm)
         self.gouge_mm = max(self.gouge_mm, depth_mm)
 
     def judge_bounds(self, travel_mm: Sequence[float]) -> None:
-        """The extent of all coordinates against what the axes can travel."""
+        """Judge the extent of all coordinates against what the axes can travel."""
         if not self.moves:
             return
         for axis, low, high, travel in zip(_AXES, self._low_corner, self._high_corner, travel_mm, strict=True):

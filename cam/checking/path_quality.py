@@ -53,7 +53,7 @@ class PathMeasures:
     gap: Gap
 
     def as_report(self) -> dict[str, float]:
-        """What report.json says of a contour pass beside `max_gap_mm`."""
+        """Return what report.json says of a contour pass beside `max_gap_mm`."""
         names = ("aligned_share", "length_ratio", "turns_over_60_per_m", "tight_turn_share")
         return {name: float(getattr(self, name)) for name in names}
 
@@ -77,7 +77,7 @@ class PathQuality:
         self.entries = self.rapids_inside = 0
 
     def add(self, batch: MoveBatch, overlaps: Overlaps) -> np.ndarray:
-        """Returns which moves of the batch lie on the surface, (n,) bool."""
+        """Add a batch; return which of its moves lie on the surface, (n,) bool."""
         if not len(batch):
             return np.zeros(0, dtype=np.bool_)
         on = self._on_surface(batch, overlaps)
@@ -91,8 +91,8 @@ class PathQuality:
         self._judge_turns(batch.points_mm, on)
         return on
 
-    def measures(self, on_progress: Progress | None = None) -> PathMeasures:
-        """Judges what is left and scans the aperture."""
+    def measure(self, on_progress: Progress | None = None) -> PathMeasures:
+        """Judge what is left and scan the aperture."""
         turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
         self._judged = self._tail_on.size
         length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
@@ -105,7 +105,7 @@ class PathQuality:
             aligned_share=aligned / sloped if sloped else 1.0,
             turns_over_60_per_m=1000 * sharp / length if length else 0.0,
             tight_turn_share=tight / length if length else 0.0,
-            gap=self._gaps.widest(on_progress),
+            gap=self._gaps.find_widest(on_progress),
         )
 
     def _on_surface(self, batch: MoveBatch, overlaps: Overlaps) -> np.ndarray:
@@ -143,9 +143,9 @@ class PathQuality:
 
 
 def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec: PassSpec) -> PathMeasures:
-    """The measures of a whole program, from `cam.reading.gcode.read_program`."""
+    """Return the measures of a whole program, from `cam.reading.gcode.read_program`."""
     quality = PathQuality(heightfield, spec)
     witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
     for batch in batches:
         quality.add(batch, witness.overlaps(batch))
-    return quality.measures()
+    return quality.measure()

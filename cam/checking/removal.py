@@ -55,8 +55,9 @@ class RemovalGrid:
         shares: int = 1,
         shank: tuple[float, float] | None = None,
     ) -> None:
-        """rapid_clearance_mm: a rapid straight down that ends nearer to stock takes some off; shares: sets of rows into
-        which the work may be split; shank: how near to the axis stock may not stand higher above the tip than what.
+        """Begin. rapid_clearance_mm: a rapid straight down that ends nearer to stock takes some off; shares: sets of
+        rows into which the work may be split; shank: how near to the axis stock may not stand higher above the tip than
+        what.
         """
         self.x0_mm, self.y0_mm, self.cell_mm = stock.x0_mm, stock.y0_mm, stock.cell_mm
         self.top_mm = stock.top_mm.copy()
@@ -73,7 +74,7 @@ class RemovalGrid:
         self.refresh()
 
     def _bounds(self, reach_mm: float) -> Array:
-        """Per tile the highest stock within reach + one tile of it: what the cutter could meet on a short move."""
+        """Return the highest stock per tile within reach + one tile: what the cutter could meet on a short move."""
         n = self._tile_cells
         ny, nx = self.top_mm.shape
         rows = np.maximum.reduceat(self.top_mm, np.arange(0, ny, n), axis=0)
@@ -100,15 +101,15 @@ class RemovalGrid:
         )
         return Drops(depth_mm=drops, cell=cells, tally=tally)
 
-    def passed(self, batch: MoveBatch) -> None:
-        """All shares of the batch are done."""
+    def finish_batch(self, batch: MoveBatch) -> None:
+        """Note the end of a batch: all its shares are done."""
         moved = np.flatnonzero((batch.points_mm[1:] != batch.points_mm[:-1]).any(axis=1))
         if moved.size:
             self._owner_line = int(batch.line[moved[-1]])
             self._last_point = batch.points_mm[moved[-1] + 1].copy()
 
-    def rest(self) -> tuple[float, int]:
-        """The ball stops where the last move ended: (drop, cell) of that, on the last move's account."""
+    def cut_at_rest(self) -> tuple[float, int]:
+        """Cut where the last move ended and the ball stops: (drop, cell) of that, on the last move's account."""
         if not np.isfinite(self._last_point).all():
             return 0.0, -1
         depth_mm, cell, _ = cap(
@@ -118,19 +119,19 @@ class RemovalGrid:
         return depth_mm, cell
 
     def cut(self, batch: MoveBatch) -> Drops:
-        """All shares of one batch, one after the other."""
+        """Cut one batch in all shares, one after the other."""
         self.refresh()
         parts = [self.sweep(batch, share) for share in range(self.shares)]
-        self.passed(batch)
+        self.finish_batch(batch)
         return deepest(parts)
 
     def place_mm(self, cell: int) -> tuple[float, float]:
-        """Centre of a cell given by its flat index."""
+        """Return the centre of a cell given by its flat index."""
         j, i = divmod(int(cell), self.top_mm.shape[1])
         return self.x0_mm + (i + 0.5) * self.cell_mm, self.y0_mm + (j + 0.5) * self.cell_mm
 
     def places_mm(self, cells: np.ndarray) -> tuple[Array, Array]:
-        """x and y of the centres of cells given by flat index."""
+        """Return x and y of the centres of cells given by flat index."""
         rows, columns = np.divmod(cells, self.top_mm.shape[1])
         return self.x0_mm + (columns + 0.5) * self.cell_mm, self.y0_mm + (rows + 0.5) * self.cell_mm
 
@@ -139,7 +140,7 @@ class RemovalGrid:
 
 
 def deepest(parts: list[Drops]) -> Drops:
-    """The greatest drop of each move over the shares, and their tallies together."""
+    """Return the greatest drop of each move over the shares, and their tallies together."""
     depth, cell, tally = parts[0].depth_mm, parts[0].cell, parts[0].tally.copy()
     for part in parts[1:]:
         cell = np.where(part.depth_mm > depth, part.cell, cell)

@@ -24,7 +24,7 @@ _NONE, _VERTICAL, _ALONG = 0.0, 1.0, 2.0
 
 @njit(cache=True, nogil=True)
 def cap(top, by_line, x0, y0, cell, high, cx, cy, cz, radius, first_row, row_step, line):  # type: ignore[no-untyped-def]
-    """The ball standing still with its tip at (cx, cy, cz).
+    """Cut with the ball standing still, its tip at (cx, cy, cz).
 
     Returns (greatest drop, flat cell index, height above the tip at which stock was cut).
     """
@@ -65,7 +65,7 @@ def cap(top, by_line, x0, y0, cell, high, cx, cy, cz, radius, first_row, row_ste
 
 @njit(cache=True, nogil=True)
 def _highest(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Upper bound of the stock within the ball's radius of the segment; see RemovalGrid._ceiling."""
+    """Return an upper bound of the stock within the ball's radius of the segment; see RemovalGrid._ceiling."""
     nty, ntx = ceiling.shape
     steps = int(math.hypot(bx - ax, by - ay) / tile) + 1
     high = -math.inf
@@ -79,7 +79,9 @@ def _highest(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # type: ignore[no-untyped-def]
-    """How far stock stands above the flutes within `reach` of the axis on its way from a to b: (height, flat cell)."""
+    """Return how far stock stands above the flutes within `reach` of the axis on its way from a to b: (height, flat
+    cell).
+    """
     ny, nx = top.shape
     worst = 0.0
     place = -1
@@ -120,7 +122,7 @@ def _strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # typ
 
 @njit(cache=True, nogil=True)
 def crown(top, tile_row, tile_column, first_row, row_step):  # type: ignore[no-untyped-def]
-    """The highest stock in one tile, in rows first_row, first_row + row_step, ... only."""
+    """Return the highest stock in one tile, in rows first_row, first_row + row_step, ... only."""
     ny, nx = top.shape
     high = -math.inf
     j0 = tile_row * TILE
@@ -132,7 +134,7 @@ def crown(top, tile_row, tile_column, first_row, row_step):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True)
 def crowns_of(top, first_row, row_step):  # type: ignore[no-untyped-def]
-    """The highest stock in each tile."""
+    """Return the highest stock in each tile."""
     ny, nx = top.shape
     crowns = np.empty((-(-ny // TILE), -(-nx // TILE)))
     for j in range(crowns.shape[0]):
@@ -143,7 +145,7 @@ def crowns_of(top, first_row, row_step):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _highest_crown(crowns, tiles, across):  # type: ignore[no-untyped-def]
-    """tiles: (row or column of tiles, from, to in it)."""
+    """Return the highest crown. tiles: (row or column of tiles, from, to in it)."""
     block, first, last = tiles
     high = -math.inf
     for t in range(first, last + 1):
@@ -161,7 +163,7 @@ def _lower(crowns, tiles, across, top, first_row, row_step):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _between(w_lo, w_hi, strip):  # type: ignore[no-untyped-def]
-    """Between which u lie the points with w_lo <= |w| <= w_hi whose lowest cut is on this move, or in the wedge before.
+    """Return between which u lie the points w_lo <= |w| <= w_hi cut lowest by this move, or in the wedge before.
 
     wedge : cosine and sine of the turn, tilt of the move before; _NO_WEDGE where none opens
     """
@@ -182,7 +184,7 @@ def _between(w_lo, w_hi, strip):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _bent(d_lo, d_hi, e_in, e_out, low, high, strip):  # type: ignore[no-untyped-def]
-    """From, to in u of the strip where it meets lines of cells from d_lo to d_hi beside the start; and the least |w|.
+    """Return from, to in u of the strip where it meets cell lines d_lo to d_hi beside the start; and the least |w|.
 
     The strip of a steep move is bent like the ball: with |w| nearly known, u is as well. w = (d - u e_out) / e_in.
     """

@@ -67,13 +67,15 @@ class TipRegion:
 
     @classmethod
     def plain(cls, width_mm: float, height_mm: float) -> TipRegion:
-        """A rectangle from the origin: the aperture itself."""
+        """Return a rectangle from the origin: the aperture itself."""
         ends = (np.zeros(2), np.full(2, width_mm), np.zeros(2), np.full(2, height_mm))
         return cls(left_mm=ends[0], right_mm=ends[1], bottom_mm=ends[2], top_mm=ends[3], start_mm=0.0, step_mm=1.0)
 
     @classmethod
     def over(cls, heightfield: Heightfield, *, ball_mm: float) -> TipRegion:
-        """Of a lens and a ball (its radius and what it leaves): tips stand ball * grad h / q downhill of contacts."""
+        """Return the region of a lens and a ball (its radius and what it leaves): tips stand ball * grad h / q
+        downhill.
+        """
         width, height = heightfield.width_mm, heightfield.height_mm
         spline = heightfield.spline()
         start = -ball_mm
@@ -116,14 +118,14 @@ class TrackGaps:
         self._counts: list[np.ndarray] = []
 
     def add(self, points_mm: Array, counts: np.ndarray) -> None:
-        """Moves from points_mm[k] to points_mm[k + 1], (n + 1, 2 or 3); counts (n,) bool: those that are tracks."""
+        """Add moves from points_mm[k] to points_mm[k + 1], (n + 1, 2 or 3); counts (n,) bool: those that are tracks."""
         if not counts.any():
             return
         self._points.append(np.rint(points_mm[:, :2] / MICRO).astype(np.int32))
         self._counts.append(np.append(counts, False))  # nothing joins one batch's end to the next one's start
 
-    def widest(self, on_progress: Progress | None = None) -> Gap:
-        """Scans all tiles on two threads."""
+    def find_widest(self, on_progress: Progress | None = None) -> Gap:
+        """Scan all tiles on two threads."""
         if not self._points:
             return Gap(width_mm=self._longest_mm, x_mm=0.0, y_mm=0.0, bare_share=1.0)
         self._points, self._counts = [np.concatenate(self._points)], [np.concatenate(self._counts)[:-1]]
@@ -131,7 +133,7 @@ class TrackGaps:
         best = int(found[:, 0].argmax())
         distance, x, y = found[best, :3]
         if distance > (REACH_PITCHES - 0.5) * self._pitch_mm:
-            distance, x, y = self._emptiest()
+            distance, x, y = self._find_emptiest()
         bare = float(found[:, 3].sum())
         inside = self._area_mm2() / self._pixel_mm**2
         return Gap(
@@ -163,8 +165,8 @@ class TrackGaps:
                 report(done / down)
         return found
 
-    def _emptiest(self) -> tuple[float, float, float]:
-        """(distance, x, y) of the place farthest from all tracks, where that is more than a few pitches.
+    def _find_emptiest(self) -> tuple[float, float, float]:
+        """Return (distance, x, y) of the place farthest from all tracks, where that is more than a few pitches.
 
         Of the cells that lie farthest from those with tracks some are tried, and the best is climbed from.
         """
@@ -188,6 +190,6 @@ class TrackGaps:
         return distance, x + dx, y + dy
 
     def _area_mm2(self) -> float:
-        """Of the region, from its sides' means."""
+        """Return the region's area, from its sides' means."""
         r = self._region
         return float((r.right_mm.mean() - r.left_mm.mean()) * (r.top_mm.mean() - r.bottom_mm.mean()))

@@ -21,7 +21,7 @@ _GOLDEN = 2.399963229728653
 
 @njit(cache=True, nogil=True, inline="always")
 def _between(table, start, step, at):  # type: ignore[no-untyped-def]
-    """Linear interpolation in a table with even steps; constant beyond its ends."""
+    """Interpolate linearly in a table with even steps; constant beyond its ends."""
     u = (at - start) / step
     last = table.size - 1
     if u <= 0.0:
@@ -34,7 +34,7 @@ def _between(table, start, step, at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def is_inside(rim, x, y):  # type: ignore[no-untyped-def]
-    """rim: (left, right, bottom, top, start, step) of a TipRegion; x, y [mm]."""
+    """Return whether (x, y) [mm] lies within rim: (left, right, bottom, top, start, step) of a TipRegion."""
     left, right, bottom, top, start, step = rim
     if x < _between(left, start, step, y) or x > _between(right, start, step, y):
         return False
@@ -108,7 +108,8 @@ def _paint_strip(bits, columns, rows, ax, ay, ex, ey, first, last, radius):  # t
 
 @njit(cache=True, nogil=True)
 def _overhang(ex, ey, fx, fy, radius):  # type: ignore[no-untyped-def]
-    """How far both strips must reach beyond a joint from direction e to f to close its outer wedge; -1: paint a disc.
+    """Return how far both strips must reach beyond a joint from direction e to f to close its outer wedge; -1: paint a
+    disc.
 
     It adds overhang^2 / 2 radius to the radius there, 0.1 % of it at most.
     """
@@ -178,7 +179,7 @@ def _paint_outside(bits, columns, rows, tile_x, tile_y, pixel, rim):  # type: ig
 
 @njit(cache=True, nogil=True, inline="always")
 def _apart(tracks, k, x, y):  # type: ignore[no-untyped-def]
-    """(dx, dy) from the nearest point of track k to (x, y)."""
+    """Return (dx, dy) from the nearest point of track k to (x, y)."""
     ax = tracks[k, 0]
     ay = tracks[k, 1]
     ex = tracks[k, 2] - ax
@@ -201,7 +202,7 @@ def _distance2(tracks, k, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def nearest(tracks, count, x, y):  # type: ignore[no-untyped-def]
-    """Distance to the nearest of the first `count` tracks (n, 4); inf without any."""
+    """Return the distance to the nearest of the first `count` tracks (n, 4); inf without any."""
     best = math.inf
     for k in range(count):
         best = min(best, _distance2(tracks, k, x, y))
@@ -210,7 +211,7 @@ def nearest(tracks, count, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def distance_to(points, counts, x, y):  # type: ignore[no-untyped-def]
-    """Distance [mm] from (x, y) to the nearest of all tracks; points as in `scan_tiles`."""
+    """Return the distance [mm] from (x, y) to the nearest of all tracks; points as in `scan_tiles`."""
     track = np.empty((1, 4))
     best = math.inf
     for k in range(counts.size):
@@ -224,7 +225,7 @@ def distance_to(points, counts, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _away(tracks, k, x, y):  # type: ignore[no-untyped-def]
-    """Unit vector from the nearest point of track k to (x, y)."""
+    """Return the unit vector from the nearest point of track k to (x, y)."""
     dx, dy = _apart(tracks, k, x, y)
     size = math.hypot(dx, dy)
     return (dx / size, dy / size) if size > 0.0 else (0.0, 0.0)
@@ -232,7 +233,7 @@ def _away(tracks, k, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _ridge(tracks, count, x, y):  # type: ignore[no-untyped-def]
-    """Direction that keeps the distances to the nearest track and to the one across equal; (0, 0) without such."""
+    """Return the direction that keeps distances to the nearest track and the one across equal; (0, 0) without such."""
     first = 0
     for k in range(1, count):
         if _distance2(tracks, k, x, y) < _distance2(tracks, first, x, y):
@@ -253,7 +254,7 @@ def _ridge(tracks, count, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def climb(tracks, count, near, x, y, pitch, tile_x, tile_y, pixel, rim):  # type: ignore[no-untyped-def]
-    """From (x, y) to the place farthest from all tracks around, half a pitch away at most: (distance, x, y).
+    """Climb from (x, y) to the place farthest from all tracks, half a pitch away at most: (distance, x, y).
 
     Steps in turning directions and along the ridge between two tracks, halved when none of them leads farther away.
     """
@@ -301,7 +302,7 @@ def _ones(word):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _bare(bits, columns, rows, places):  # type: ignore[no-untyped-def]
-    """Centres of pixels not painted into places (n, 2), evenly thinned out to fit: (pixels, places)."""
+    """Return centres of pixels not painted into places (n, 2), evenly thinned out to fit: (pixels, places)."""
     words = (columns + 63) >> 6
     tail = _ALL >> np.uint64(words * 64 - columns)
     total = 0
@@ -341,7 +342,7 @@ def _farthest(distances, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _local(points, chosen, tile_x, tile_y, pixel, tracks):  # type: ignore[no-untyped-def]
-    """The chosen tracks in pixels of the tile."""
+    """Convert the chosen tracks to pixels of the tile."""
     for n in range(chosen.size):
         k = chosen[n]
         tracks[n, 0] = (points[k, 0] * MICRO - tile_x) / pixel
@@ -352,7 +353,7 @@ def _local(points, chosen, tile_x, tile_y, pixel, tracks):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, shape, rim, found):  # type: ignore[no-untyped-def]
-    """found (tiles, 4): distance [mm], x, y of the farthest place of each tile, and how many pixels are bare.
+    """Fill found (tiles, 4): distance [mm], x, y of the farthest place of each tile, and how many pixels are bare.
 
     tiles       : numbers of the tiles to scan, row by row from (x0, y0); the tracks near tile t are
                   order[starts[t] : starts[t + 1]], track k from points[k] to points[k + 1] (whole millionths of 1 mm)
@@ -403,7 +404,7 @@ def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, sha
 
 @njit(cache=True, nogil=True)
 def _tiles_of(a, b, reach, origin, extent, count):  # type: ignore[no-untyped-def]
-    """First and last tile along one axis that a track from a to b comes near."""
+    """Return the first and last tile along one axis that a track from a to b comes near."""
     first = int(math.floor((min(a, b) - reach - origin) / extent))
     last = int(math.floor((max(a, b) + reach - origin) / extent))
     return max(first, 0), min(last, count - 1)
@@ -411,7 +412,7 @@ def _tiles_of(a, b, reach, origin, extent, count):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def sort_by_tile(points, counts, x0, y0, extent, across, down, reach):  # type: ignore[no-untyped-def]
-    """Tracks within reach of each tile: (starts (tiles + 1,), order), a counting sort."""
+    """Sort tracks by the tiles within reach: (starts (tiles + 1,), order), a counting sort."""
     starts = np.zeros(across * down + 1, dtype=np.int64)
     for turn in range(2):
         if turn == 1:

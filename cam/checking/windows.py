@@ -23,7 +23,7 @@ class Window:
 
 
 def place_windows(heightfield: Heightfield, spec: PassSpec, before: StockGrid) -> tuple[Window, ...]:
-    """Corners, one edge, the centre, and where the lens is most concave, most convex and steepest.
+    """Return corners, one edge, the centre, and where the lens is most concave, most convex and steepest.
 
     The stock before the pass is known at the whole part's cells only; a window starts from the highest of the
     nearest cells, so what it shows afterwards is the work of this pass or too high, never too low.
@@ -68,7 +68,7 @@ def _places(heightfield: Heightfield) -> list[tuple[str, float, float]]:
 
 
 def _shape(heightfield: Heightfield) -> tuple[Array, Array, Array]:
-    """(ny, nx) each: mean of the second derivatives, half the spread of their eigenvalues, slope squared."""
+    """Return (ny, nx) each: mean of the second derivatives, half the spread of their eigenvalues, slope squared."""
     zy, zx = np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm)
     zxy, zxx = np.gradient(zx, heightfield.dy_mm, heightfield.dx_mm)
     zyy = np.gradient(zy, heightfield.dy_mm, axis=0)

@@ -32,7 +32,9 @@ MOST_PARTS, WAITING = 64, 512
 
 
 def tips_along(ball: Ball, rule: VertexRule, xy: Array) -> Array:
-    """(m, 3) tips over the vertices (n, 2) of a path, which lie on the writing raster, and where its chords are cut."""
+    """Return (m, 3) tips over the vertices (n, 2) of a path, which lie on the writing raster, and where its chords are
+    cut.
+    """
     chords = np.hypot(*np.diff(xy, axis=0).T)
     out = np.empty((len(xy) + int(np.sum(chords // SHORTEST_LOW_MM)), 3))
     return out[: _cut_chords(ball, rule, xy, out)].copy()
@@ -40,7 +42,7 @@ def tips_along(ball: Ball, rule: VertexRule, xy: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _lie(b, x, y, px, py, tip):  # type: ignore[no-untyped-def]
-    """tip (7,): x, y, z, contact, gradient: the surface of tips has at (x, y) that of the lens at the contact."""
+    """Compute tip (7,): x, y, z, contact, gradient: the tips' surface has at (x, y) that of the lens at the contact."""
     px, py, z = touch(b, x, y, px, py)[:3]
     jet = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
     tip[0], tip[1], tip[2], tip[3], tip[4], tip[5], tip[6] = x, y, z, px, py, jet[1], jet[2]
@@ -48,7 +50,7 @@ def _lie(b, x, y, px, py, tip):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _share(error, allowed, power, length, shortest):  # type: ignore[no-untyped-def]
-    """Parts that an error falling with that power of their number needs, none shorter than the shortest."""
+    """Return the parts that an error falling with that power of their number needs, none shorter than the shortest."""
     if error <= allowed:
         return 1
     return min(math.ceil((error / allowed) ** power), math.floor(length / shortest))
@@ -56,7 +58,7 @@ def _share(error, allowed, power, length, shortest):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _parts(rule, a, m, b):  # type: ignore[no-untyped-def]
-    """How many parts the chord from tip a to tip b, with tip m over its middle, needs."""
+    """Return how many parts the chord from tip a to tip b, with tip m over its middle, needs."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
     chord = (b[2] - a[2]) / length
@@ -77,7 +79,7 @@ def _parts(rule, a, m, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _cut_chords(b, rule, xy, out):  # type: ignore[no-untyped-def]
-    """Vertices with heights into out (n, 3); returns n. Ends of chords wait on a stack, the nearest on top."""
+    """Write vertices with heights into out (n, 3); return n. Ends of chords wait on a stack, the nearest on top."""
     ends = np.empty((WAITING, 7))
     here, middle = np.empty(7), np.empty(7)
     _lie(b, xy[0, 0], xy[0, 1], xy[0, 0], xy[0, 1], here)

@@ -43,7 +43,7 @@ class Pixels(NamedTuple):
 
 
 def pixels_over(field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float) -> Pixels:
-    """All places that must be covered."""
+    """Return all places that must be covered."""
     cells = field.wanted
     j, i = (np.flatnonzero(cells.any(axis)) for axis in (1, 0))
     step = pitch_mm / PIXELS_PER_PITCH
@@ -66,7 +66,7 @@ def pixels_over(field: ContourField, *, width_mm: float, height_mm: float, pitch
 
 
 def find_uncovered(tracks: ContourLines, pixels: Pixels, *, pitch_mm: float) -> Array:
-    """(n, 2) centres of all blocks that count and have a pixel farther from every track than the reach."""
+    """Return (n, 2) centres of all blocks that count and have a pixel farther from every track than the reach."""
     reach = REACH_PITCHES * pitch_mm
     strips = math.ceil(pixels.ny / STRIP_ROWS)
     at = np.zeros(strips + 1, np.int64)
@@ -104,7 +104,9 @@ def _by_strip(xy, start, pixels, reach, at, listed, counting):  # type: ignore[n
 
 @njit(cache=True, nogil=True, inline="always")
 def _interval(ax, ay, ux, uy, length, reach, y):  # type: ignore[no-untyped-def]
-    """(from, to) in x of the capsule around a + [0, length] u, at the ordinate y; from > to where there is none."""
+    """Return (from, to) in x of the capsule around a + [0, length] u, at the ordinate y; from > to where there is
+    none.
+    """
     low, high = np.inf, -np.inf
     up = reach * reach - (y - ay) ** 2
     if up >= 0.0:
@@ -190,7 +192,7 @@ def _bare(covered, pixels, j0, out, counting):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _counts(pixels, x, y):  # type: ignore[no-untyped-def]
-    """Whether a block touches the aperture or lies in a wanted cell."""
+    """Return whether a block touches the aperture or lies in a wanted cell."""
     half = BLOCK / 2 * pixels.step
     if -half <= x <= pixels.width + half and -half <= y <= pixels.height + half:
         return True

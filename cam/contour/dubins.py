@@ -33,7 +33,7 @@ def _positive(angle):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def shortest(x0, y0, h0, x1, y1, h1, radius):  # type: ignore[no-untyped-def]
-    """(length, word, a, b, c): the three pieces in radii, in words of WORDS."""
+    """Return (length, word, a, b, c): the three pieces in radii, in words of WORDS."""
     dx, dy = (x1 - x0) / radius, (y1 - y0) / radius
     d = math.hypot(dx, dy)
     theta = math.atan2(dy, dx) if d > 0.0 else 0.0
@@ -87,7 +87,7 @@ def shortest(x0, y0, h0, x1, y1, h1, radius):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def draw(x, y, h, radius, word, a, b, c, out, count):  # type: ignore[no-untyped-def]
-    """Points of a curve, its begin left out, into out[count:]; returns the new count."""
+    """Draw points of a curve, its begin left out, into out[count:]; return the new count."""
     pieces = (a, b, c)
     for k in range(3):
         length = pieces[k]

@@ -113,7 +113,7 @@ class ContourField:
 
 
 def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
-    """(3, ny, nx) value and gradient."""
+    """Return (3, ny, nx) value and gradient."""
     out = np.empty((3, y.size, x.size))
     for j in range(y.size):
         out[:, j] = spline.jets(x, y[j])[:3]
@@ -121,7 +121,7 @@ def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
 
 
 def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Array:
-    """(2, n) where tips stand that touch the rim of the aperture, twice as dense as the nodes."""
+    """Return (2, n) where tips stand that touch the rim of the aperture, twice as dense as the nodes."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     x, y = (np.linspace(0.0, side, 2 * ceil(side / step) + 1) for side in (width_mm, height_mm))
     rim_x = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, width_mm)])
@@ -132,7 +132,7 @@ def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Ar
 
 
 def _mask_wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, rim: Array) -> Mask:
-    """The aperture and, around it, the places from which the ball touches it; and the nodes beside these.
+    """Return the aperture and, around it, the places from which the ball touches it; and the nodes beside these.
 
     So all corners of a cell are wanted that holds such a place. A corner of the lens may be so acute, seen from the
     tip, that no node lies in its end: the tips of the rim (2, n) are there in any case.
@@ -151,7 +151,7 @@ def _mask_wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, heig
 def _mask_traced(
     nodes: Mask, x: Array, y: Array, sides_mm: tuple[float, float], ring_mm: float, reach_mm: float
 ) -> Mask:
-    """Cells within the reach of a wanted one, none beyond the ring on which a tool may go."""
+    """Return cells within the reach of a wanted one, none beyond the ring on which a tool may go."""
     by = ceil(reach_mm / (x[1] - x[0]))
     near = ndimage.binary_dilation(nodes, np.ones((3, 3)), iterations=by)
     slack = 1e-6
@@ -163,7 +163,7 @@ def _mask_traced(
 
 
 def _density(needed: Array, usual: float, dip: float) -> Array:
-    """(ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps.
+    """Return (ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps.
 
     dip : length of a dip that is short, in steps of the grid
     """
@@ -176,7 +176,7 @@ def _density(needed: Array, usual: float, dip: float) -> Array:
 
 
 def _solve_field(heightfield: Heightfield, surface: ToolSurface) -> BicubicSpline:
-    """f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
+    """Return f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     spacing = max(max(width_mm, height_mm) / NODES, 0.05)
     nx, ny = (max(8, round(side / spacing)) + 1 for side in (width_mm, height_mm))
@@ -193,7 +193,7 @@ def _solve_field(heightfield: Heightfield, surface: ToolSurface) -> BicubicSplin
 
 
 def _beyond(f: Array, rows: int, axis: int) -> Array:
-    """f with rows more at both ends of an axis, as a continuation of the slope there."""
+    """Return f with more rows at both ends of an axis, as a continuation of the slope there."""
     f = np.moveaxis(f, axis, 0)
     far = np.arange(1, rows + 1)[:, None]
     before = f[0] + far[::-1] * (f[0] - f[1])
@@ -202,7 +202,7 @@ def _beyond(f: Array, rows: int, axis: int) -> Array:
 
 
 def _along(zx: Array, zy: Array, dx: float, dy: float) -> Array:
-    """f (ny, nx) with grad f along (zx, zy): least squares over the edges of the grid, each weighted.
+    """Return f (ny, nx) with grad f along (zx, zy): least squares over the edges of the grid, each weighted.
 
     A faint pull along y is all that an even surface feels; inside, where it meets others, it has no effect.
     """
@@ -227,10 +227,10 @@ def _along(zx: Array, zy: Array, dx: float, dy: float) -> Array:
 
 
 def _differences(n: int, spacing: float) -> sparse.dia_matrix:
-    """(n - 1, n) slopes between neighbours."""
+    """Return (n - 1, n) slopes between neighbours."""
     return sparse.diags([-1 / spacing, 1 / spacing], [0, 1], shape=(n - 1, n))
 
 
 def _on_edges(x: Array, y: Array) -> Array:
-    """Means over the edges along x, of x (ny, nx), then over those along y, of y (ny, nx)."""
+    """Return means over the edges along x, of x (ny, nx), then over those along y, of y (ny, nx)."""
     return np.concatenate([((x[:, :-1] + x[:, 1:]) / 2).ravel(), ((y[:-1] + y[1:]) / 2).ravel()])

@@ -37,7 +37,7 @@ class Levels(NamedTuple):
 
 
 def level_tree(lowest: float, highest: float, level_mm: float, classes: int) -> Levels:
-    """Lines over levels from lowest to highest and classes 0..classes - 1."""
+    """Build lines over levels from lowest to highest and classes 0..classes - 1."""
     spacing = level_mm / RATIO ** np.arange(classes)
     first = np.array([floor(lowest / s) - 2 for s in spacing])
     counts = np.array([ceil(highest / s) + 3 for s in spacing]) - first
@@ -70,7 +70,7 @@ def level_tree(lowest: float, highest: float, level_mm: float, classes: int) -> 
 
 @njit(cache=True, nogil=True, inline="always")
 def level_at(levels, line, density):  # type: ignore[no-untyped-def]
-    """Level of a line at a class that need not be whole."""
+    """Return the level of a line at a class that need not be whole."""
     last = levels.spacing.size - 1
     j = min(int(density), last - 1)
     t = density - j

@@ -38,7 +38,7 @@ def contour_path(
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> Iterator[Array]:
-    """Pieces (n, 3) of one unbroken polyline of tips; the first begins with a straight along X, for the ramp down."""
+    """Yield pieces (n, 3) of one unbroken polyline of tips; the first begins straight along X, for the ramp down."""
     report = on_progress or (lambda done: None)
     xy = _divide_chords(plan_path(heightfield, surface, spec, on_progress=report), 2 * rule.probe_mm)
     starts = range(0, len(xy) - 1, PIECE_VERTICES)
@@ -56,7 +56,7 @@ def contour_path(
 def plan_path(
     heightfield: Heightfield, surface: ToolSurface, spec: PassSpec, *, on_progress: Callable[[float], None]
 ) -> Array:
-    """(n, 2) the path from above."""
+    """Return (n, 2) the path from above."""
     width, height, pitch = heightfield.width_mm, heightfield.height_mm, spec.pitch_mm
     field = ContourField.over(heightfield, surface, pitch_mm=pitch)
     tracks = trace(field, pitch_mm=pitch)
@@ -76,7 +76,7 @@ def plan_path(
 
 
 def _divide_chords(xy: Array, longest_mm: float) -> Array:
-    """Long chords in even parts: a transit crosses hills that its ends and its middle do not show."""
+    """Divide long chords evenly: a transit crosses hills that its ends and its middle do not show."""
     length = np.hypot(*np.diff(xy, axis=0).T)
     parts = np.maximum(1, np.ceil(length / longest_mm)).astype(np.int64)
     k = np.repeat(np.arange(length.size), parts)

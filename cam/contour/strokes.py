@@ -22,7 +22,7 @@ TILE_PITCHES = 40.0
 def without_holes(
     tracks: ContourLines, field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float
 ) -> ContourLines:
-    """The tracks, and strokes over all places farther than half a pitch from them."""
+    """Return the tracks, and strokes over all places farther than half a pitch from them."""
     pixels = pixels_over(field, width_mm=width_mm, height_mm=height_mm, pitch_mm=pitch_mm)
     bare = find_uncovered(tracks, pixels, pitch_mm=pitch_mm)
     if not len(bare):
@@ -34,7 +34,7 @@ def without_holes(
 
 
 def strokes_over(places_mm: Array, pitch_mm: float) -> ContourLines:
-    """Rows over every cluster of the places (n, 2), along its long axis; each place is within the reach of one."""
+    """Lay rows over every cluster of the places (n, 2), along its long axis; each place is within the reach of one."""
     label = _clusters(places_mm, pitch_mm)
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1))
@@ -44,7 +44,7 @@ def strokes_over(places_mm: Array, pitch_mm: float) -> ContourLines:
 
 
 def _clusters(places_mm: Array, pitch_mm: float) -> np.ndarray:
-    """(n,) labels: places in boxes of half a pitch that touch belong together, within one tile."""
+    """Return (n,) labels: places in boxes of half a pitch that touch belong together, within one tile."""
     boxes, box = np.unique(np.floor(places_mm / (pitch_mm / 2)).astype(np.int64), axis=0, return_inverse=True)
     box = box.ravel()
     wide = int(np.ptp(boxes[:, 0])) + 3
@@ -64,7 +64,7 @@ def _clusters(places_mm: Array, pitch_mm: float) -> np.ndarray:
 
 
 def _rows(places_mm: Array, pitch_mm: float) -> Array:
-    """(2 n, 2) ends of straight rows that leave no place of a cluster farther than the reach."""
+    """Return (2 n, 2) ends of straight rows that leave no place of a cluster farther than the reach."""
     centre = places_mm.mean(axis=0)
     away = places_mm - centre
     _, axes = np.linalg.eigh(away.T @ away)

@@ -17,7 +17,7 @@ SHARP = math.cos(math.radians(50.0))
 
 @njit(cache=True, nogil=True)
 def thin_line(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
-    """Points kept, on the writing raster, into xy[start[tracks]:]; returns the new number of tracks.
+    """Write the points kept, on the raster, into xy[start[tracks]:]; return the new number of tracks.
 
     All points since the anchor lie within the sag of a chord whose direction is in a cone; it narrows with each.
     """
@@ -61,14 +61,14 @@ def thin_line(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sharp(a, b, c):  # type: ignore[no-untyped-def]
-    """Whether a path from a by b to c turns too much at b."""
+    """Return whether a path from a by b to c turns too much at b."""
     ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], c[0] - b[0], c[1] - b[1]
     return ux * vx + uy * vy < SHARP * math.hypot(ux, uy) * math.hypot(vx, vy)
 
 
 @njit(cache=True, nogil=True)
 def _closes_sharply(xy, begin, end):  # type: ignore[no-untyped-def]
-    """Whether a track is closed and turns too much where it does: there no vertex has been looked at."""
+    """Return whether a track is closed and turns too much where it does: there no vertex has been looked at."""
     last = end - 1
     closed = begin + 2 < last and xy[begin, 0] == xy[last, 0] and xy[begin, 1] == xy[last, 1]
     return closed and _sharp(xy[last - 1], xy[last], xy[begin + 1])
@@ -76,7 +76,7 @@ def _closes_sharply(xy, begin, end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put(x, y, xy, start, tracks, count):  # type: ignore[no-untyped-def]
-    """One more vertex; where the track turns sharply at the last one, a new track begins there. (tracks, vertices)"""
+    """Add a vertex; a new track begins where it turns sharply at the last one. Returns (tracks, vertices)."""
     x, y = math.floor(x * TICKS_PER_MM + 0.5) / TICKS_PER_MM, math.floor(y * TICKS_PER_MM + 0.5) / TICKS_PER_MM
     if count > start[tracks] + 1 and _sharp(xy[count - 2], xy[count - 1], (x, y)):
         tracks += 1

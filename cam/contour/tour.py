@@ -59,12 +59,12 @@ class Room(NamedTuple):
 
 
 def turn_radius_mm(pitch_mm: float, side_mm: float) -> float:
-    """Of joints: wide enough not to be felt by a mill, unless the lens is only some hundred pitches wide."""
+    """Return the turn radius of joints: wide enough for a mill, unless the lens is only some hundred pitches wide."""
     return min(TURN_PITCHES * pitch_mm, max(side_mm / TURNS_ACROSS, TIGHTEST_PITCHES * pitch_mm))
 
 
 def tour_tracks(tracks: ContourLines, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
-    """(n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
+    """Return (n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
     entries = _entries(tracks, room, pitch_mm)
     points = np.empty((len(tracks.xy_mm) + (MOST_JOINT_POINTS + 1) * (tracks.count + 2), 2))
     count = _tour(tracks.xy_mm, tracks.start, entries, room, *begin, points)
@@ -96,7 +96,7 @@ def _entries(tracks: ContourLines, room: Room, pitch_mm: float) -> Entries:
 
 @njit(cache=True, nogil=True)
 def _ways_in(xy, start, apart):  # type: ignore[no-untyped-def]
-    """Poses (n, 3), tracks, vertices and senses of all entries."""
+    """Return poses (n, 3), tracks, vertices and senses of all entries."""
     room = 0
     for k in range(start.size - 1):
         room += 2 * (start[k + 1] - start[k])
@@ -130,7 +130,7 @@ def _ways_in(xy, start, apart):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _nearest(e, used, x, y, h, radius):  # type: ignore[no-untyped-def]
-    """The entry with the shortest joint from a pose; -1 if none is left. Used entries met on the way are dropped."""
+    """Return the entry with the shortest joint from a pose, -1 if none is left. Drops used entries on the way."""
     ci = min(max(int((x - e.x0) / e.cell), 0), e.nx - 1)
     cj = min(max(int((y - e.y0) / e.cell), 0), e.ny - 1)
     best, choice = np.inf, -1
@@ -169,7 +169,7 @@ def _swap(e, a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _join(x, y, h, px, py, ph, room, out, count):  # type: ignore[no-untyped-def]
-    """The joint's points into out[count:], its last one left out; turns tighter where the ring is too narrow for it."""
+    """Write the joint's points into out[count:], the last left out; it turns tighter where the ring is too narrow."""
     radius = room.radius
     for _ in range(12):
         _, word, a, b, c = shortest(x, y, h, px, py, ph, radius)
@@ -188,7 +188,7 @@ def _join(x, y, h, px, py, ph, room, out, count):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _tour(xy, start, e, room, x, y, h, out):  # type: ignore[no-untyped-def]
-    """The whole path into out (n, 2); returns its number of points."""
+    """Write the whole path into out (n, 2); return its number of points."""
     used = np.zeros(start.size - 1, np.bool_)
     out[0, 0], out[0, 1] = x, y
     count = 1
@@ -214,7 +214,7 @@ def _tour(xy, start, e, room, x, y, h, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _out_to_ring(x, y, h, room, out, count):  # type: ignore[no-untyped-def]
-    """From the last track to the nearest border of the room."""
+    """Return the way from the last track to the nearest border of the room."""
     best, px, py, ph = np.inf, x, y, h
     for side in range(4):
         ah = side * math.pi / 2

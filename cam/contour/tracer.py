@@ -50,7 +50,7 @@ def _before(parts: list[ContourLines]) -> list[int]:
 
 
 def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
-    """All level lines, as far as places are wanted beside them."""
+    """Trace all level lines, as far as places are wanted beside them."""
     classes = int(np.ceil(field.density.max())) + 2
     levels = level_tree(float(field.f.min()), float(field.f.max()), field.level_mm, classes)
     grid = field.f, field.density, field.traced, levels
@@ -75,7 +75,7 @@ def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
 
 @njit(cache=True, nogil=True)
 def _walk(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, first, last, pitch, xy, start):  # type: ignore[no-untyped-def]
-    """Tracks of the lines first..last - 1, thinned, into xy and start; returns how many."""
+    """Write tracks of the lines first..last - 1, thinned, into xy and start; return how many."""
     stamp = np.full(2 * cells.size, -1, np.int32)
     longest = 0
     for line in range(first, last):
@@ -110,7 +110,7 @@ def _walk(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, fi
 
 @njit(cache=True, nogil=True)
 def _find_needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def]
-    """(begin, end) of an open line's part beside which places are wanted, with a point more on either side."""
+    """Return (begin, end) of an open line's part beside which places are wanted, with a point more on either side."""
     first = begin
     while first + 2 < end and not _beside(raw[first + 1], raw[first + 2], wanted, reach):
         first += 1
@@ -122,7 +122,7 @@ def _find_needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _beside(a, b, wanted, reach):  # type: ignore[no-untyped-def]
-    """Whether a place is wanted across from a, where the line goes on to b, within the reach."""
+    """Return whether a place is wanted across from a, where the line goes on to b, within the reach."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy) + 1e-12
     for k in range(-4, 5):
@@ -135,7 +135,7 @@ def _beside(a, b, wanted, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _place_points(points, x0, y0, step):  # type: ignore[no-untyped-def]
-    """Steps of the grid to mm, in place; returns the length."""
+    """Convert steps of the grid to mm, in place; return the length."""
     length = 0.0
     for n in range(points.shape[0]):
         points[n, 0] = x0 + step * points[n, 0]

@@ -16,7 +16,7 @@ from cam.contour.levels import level_at
 
 @njit(cache=True, nogil=True)
 def _cross_triangle(f, c, levels, out):  # type: ignore[no-untyped-def]
-    """Lines that cross a triangle with corner values f (3,), c (3,), into out; returns how many."""
+    """Write lines that cross a triangle with corner values f (3,), c (3,) into out; return how many."""
     c_max, c_min = max(c[0], c[1], c[2]), min(c[0], c[1], c[2])
     j = int(math.ceil(c_max))
     slack = int(math.ceil(0.55 * (j - math.floor(c_min)))) + 1
@@ -40,7 +40,9 @@ def _cross_triangle(f, c, levels, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def corners_of(f, density, t, fs, cs, nodes):  # type: ignore[no-untyped-def]
-    """Values and node indices (j, i) of triangle t; corner 0 is the cell's lower left, 1 -> 2 counter-clockwise."""
+    """Compute values and node indices (j, i) of triangle t; corner 0 is the cell's lower left, 1 -> 2
+    counter-clockwise.
+    """
     nx = f.shape[1] - 1
     cell = t >> 1
     j, i = cell // nx, cell % nx
@@ -77,7 +79,7 @@ def bucket(f, density, cells, levels, at, triangles, counting):  # type: ignore[
 
 @njit(cache=True, nogil=True)
 def _beyond(t, edge, nx, ny):  # type: ignore[no-untyped-def]
-    """(triangle, its edge) on the other side of an edge, -1 outside the grid. Edge k is opposite to corner k."""
+    """Return (triangle, its edge) on the other side of an edge, -1 outside the grid. Edge k is opposite to corner k."""
     cell = t >> 1
     j, i = cell // nx, cell % nx
     if t & 1:  # corners: lower left, upper right, upper left
@@ -95,7 +97,7 @@ def _beyond(t, edge, nx, ny):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def other_edge(levels, line, fs, cs, edge):  # type: ignore[no-untyped-def]
-    """The edge by which the line leaves a triangle that it entered by another; edge -1: any of the two."""
+    """Return the edge by which the line leaves a triangle that it entered by another; edge -1: any of the two."""
     up = [fs[k] >= level_at(levels, line, cs[k]) for k in range(3)]
     for k in range(3):
         if k != edge and up[(k + 1) % 3] != up[(k + 2) % 3]:
@@ -105,7 +107,7 @@ def other_edge(levels, line, fs, cs, edge):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def follow(f, density, cells, levels, line, t, edge, stamp, raw, count, way):  # type: ignore[no-untyped-def]
-    """Points on the edges crossed from triangle t on, out by the edge, into raw[count], raw[count + way], ...
+    """Write points on the edges crossed from triangle t on, out by the edge, into raw[count], raw[count + way], ...
 
     returns (count, whether the line closed); raw is in steps of the grid.
     """

@@ -63,7 +63,7 @@ class LensForm:
         return cls._at(lens, np.ravel(x), np.ravel(y), np.sort(concave_curvature(lens), axis=None))
 
     def among(self, x_mm: Array, y_mm: Array) -> LensForm:
-        """The form of the same lens by those places (n,) alone; its sides and hollows are those of the whole."""
+        """Return the form of the same lens by those places (n,) alone; its sides and hollows are those of the whole."""
         return self._at(self.lens, x_mm, y_mm, self.hollows_per_mm)
 
     @classmethod
@@ -85,7 +85,8 @@ class LensForm:
         )
 
     def tips_mm(self, radius_mm: float) -> Array:
-        """Heights of a ball's tip over the lens and one radius around it, on a grid as fine as ball and samples need.
+        """Return heights of a ball's tip over the lens and one radius around it, on a grid as fine as ball and samples
+        need.
 
         The highest of lens and ball above each place: low by what both bend between two places, micrometres.
         """
@@ -107,14 +108,15 @@ class LensForm:
         return -float(self.heights_mm[0])
 
     def reached_share(self, radius_mm: float) -> float:
-        """Share of the area whose curvature a ball of this radius fits."""
+        """Return the share of the area whose curvature a ball of this radius fits."""
         return float(np.searchsorted(self.hollows_per_mm, 1.001 / radius_mm, side="right")) / self.hollows_per_mm.size
 
     def bends(self, direction: Direction) -> Array:
         return self.bends_x if direction == "x" else self.bends_y
 
     def steepness(self, spec: PassSpec) -> float:
-        """Slopes that the rows of a pass leave across them, by those on a flat lens, rms: a sloping ball is steeper.
+        """Return rms slopes that the rows of a pass leave across them, over those on a flat lens: a sloping ball is
+        steeper.
 
         Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
         ball and lens part by as much less.
@@ -122,7 +124,7 @@ class LensForm:
         return round(float(np.sqrt(np.mean([steep**2 for steep, _ in self._across(spec)]))), 3)
 
     def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
-        """How much farther than their slope errors alone the grooves of a pass send light, rms.
+        """Return how much farther than their slope errors alone the grooves of a pass send light, rms.
 
         reach_mm : how far a slope of 1 sends light aside; negative where a hollow gathers it, on a mirror
 
@@ -137,12 +139,14 @@ class LensForm:
         return round(float(np.sqrt(np.mean(wide))) / self.steepness(spec), 3)
 
     def _across(self, spec: PassSpec) -> list[tuple[Array, Array]]:
-        """Steepness and bend of the lens across the rows; along X and Y alike where these follow its contours."""
+        """Return steepness and bend of the lens across the rows; along X and Y alike where these follow its
+        contours.
+        """
         both = [(self.steep_y, self.bends_y), (self.steep_x, self.bends_x)]
         return both if spec.strategy == "contour" else [both["xy".index(spec.direction)]]
 
     def chords_mm(self, spec: PassSpec) -> Array:
-        """(n,) usual distance of the vertices of a pass along its rows."""
+        """Return (n,) usual distance of the vertices of a pass along its rows."""
         if spec.finishes:
             rule = finish_rule(SLOPE_ERROR_RAD, spec.radius_mm / 2)
         else:
@@ -150,12 +154,14 @@ class LensForm:
         return _chords_mm(self, spec.direction, spec.radius_mm, rule)
 
     def usual_chord_mm(self, spec: PassSpec) -> float:
-        """Path by number of vertices, to the micrometre."""
+        """Return the path divided by the number of vertices, to the micrometre."""
         ways = self.tip_ways(spec)
         return round(float(ways.mean() / (ways / self.chords_mm(spec)).mean()), 3)
 
     def tip_ways(self, spec: PassSpec) -> Array:
-        """(n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds it."""
+        """Return (n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds
+        it.
+        """
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 
 
@@ -168,7 +174,7 @@ def _chords_mm(form: LensForm, direction: Direction, radius_mm: float, rule: Ver
 
 
 def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """The exact rows of a pass, or its one connected path."""
+    """Return the seconds of a pass's exact rows, or of its one connected path."""
     around_mm = 2 * spec.radius_mm
     sides = (form.width_mm + around_mm, form.height_mm + around_mm)
     length_mm, across_mm = sides if spec.direction == "x" else sides[::-1]
@@ -198,19 +204,19 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
 
 
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:
-    """What braking into the turn from a row to the next, and speeding up after it, costs."""
+    """Return what braking into the turn from a row to the next, and speeding up after it, costs."""
     feed, acceleration = spec.feed_mm_per_min / 60, min(mill.acceleration_mm_per_s2[:2])
     turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
     return (feed - turning) ** 2 / feed / acceleration
 
 
 def entry_s(spec: PassSpec) -> float:
-    """Down from safe height, along a ramp into the stock, and up again."""
+    """Return the seconds down from safe height, along a ramp into the stock, and up again."""
     return 2.0 + spec.step_down_mm / RAMP_SLOPE / (spec.plunge_mm_per_min / 60)
 
 
 def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """The first pass, that cuts planes one step-down apart out of the whole block, down to the lens.
+    """Return the seconds of the first pass, which cuts planes one step-down apart out of the block, down to the lens.
 
     Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
     """
@@ -227,7 +233,7 @@ def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
 
 
 def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:
-    """Layers parallel to the lens, where more stock stands above it than one move of the pass may take."""
+    """Return seconds of layers parallel to the lens, where more stock stands above it than one move may take."""
     layers = ceil(depth_mm / spec.layer_mm - 1e-9) - 1
     if layers <= 0:
         return 0.0
@@ -238,7 +244,7 @@ def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinem
 
 
 def layers_where_s(form: LensForm, spec: PassSpec, stock_mm: Array, mill: Kinematics) -> float:
-    """The same layers where stock (ny, nx) of different heights stands above the lens."""
+    """Return the seconds of the same layers where stock (ny, nx) of different heights stands above the lens."""
     deepest = ceil(float(stock_mm.max()) / spec.layer_mm - 1e-9)
     share = sum(float((stock_mm > number * spec.layer_mm).mean()) for number in range(1, deepest))
     return share * finish_layers_s(form, spec, 2 * spec.layer_mm, mill)

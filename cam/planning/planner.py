@@ -18,7 +18,7 @@ from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, why_not
+from cam.planning.shop import Shop, find_exclusion, pitches_mm
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2
@@ -59,7 +59,7 @@ class Light(Protocol):
     """What a lens shows as milled. Each ball has a lens: as it was made for that ball, or as that ball leaves it."""
 
     def psnr_db(self, marks: Marks) -> float:
-        """Quick, a guess."""
+        """Guess the PSNR quickly."""
         ...
 
     def settle(self, several: Iterable[Marks]) -> None:
@@ -67,11 +67,11 @@ class Light(Protocol):
         ...
 
     def aimed_db(self, marks: Marks) -> float:
-        """As `psnr_db`, of a lens made so for its own rows; slow, for a few of the best."""
+        """Compute the PSNR of a lens made for its own rows; slow, for a few of the best."""
         ...
 
     def blur_mm(self, slopes: RowSlopes) -> float:
-        """Root mean square on the screen, across and along the rows together."""
+        """Return the blur on the screen, root mean square across and along the rows together."""
         ...
 
 
@@ -138,7 +138,7 @@ class NoPlanError(ValueError):
 def make_plan(
     shop: Shop, lenses: Mapping[float, LensForm], light: Light, goal: Goal, *, fillings: Mapping[float, Filled]
 ) -> Plan:
-    """The choice among all candidates.
+    """Choose among all candidates.
 
     lenses   : by radius of the finishing ball; a tool without one is not considered
     fillings : by radius, of balls that leave valleys filled; a smaller one may take out what they leave
@@ -150,7 +150,7 @@ def make_plan(
 def find_candidates(
     shop: Shop, lenses: Mapping[float, LensForm], light: Light, *, fillings: Mapping[float, Filled]
 ) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
-    """All of them, each with what the light guesses, and the tools left out, each with the reason.
+    """Return all candidates, each with the light's guess, and the tools left out, each with the reason.
 
     NoPlanError where all are left out.
     """
@@ -162,35 +162,35 @@ def find_candidates(
         if form is None:
             left_out.append((tool.name, "no lens was shaped for it"))
             continue
-        if (reason := why_not(tool, form, shop) or _unfit(tool, form)) is not None:
+        if (reason := find_exclusion(tool, form, shop) or _find_misfit(tool, form)) is not None:
             left_out.append((tool.name, reason))
             continue
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
         if rough is None or rough.form is not form:
             rough = Roughing(form=form, shop=shop, like=rough)
-        candidates += _candidates(tool, rough, rests, light)
+        candidates += _generate_candidates(tool, rough, rests, light)
     if not candidates:
         raise NoPlanError(tuple(left_out))
     return candidates, tuple(left_out)
 
 
 def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
-    """The choice among candidates that the light has guessed."""
-    near = _near_front(candidates)
+    """Choose among candidates that the light has guessed."""
+    near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
     light.settle(one.marks for one in best.values())
     return plan_by_score([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
 
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
-    """The choice among candidates by what they say of themselves."""
-    front = _front(candidates, _WORTH_DB)
+    """Choose among candidates by what they say of themselves."""
+    front = _select_front(candidates, _WORTH_DB)
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
 
 
 def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
-    """The candidate that suits the goal best, and whether it meets it. front: quickest first, each better."""
+    """Choose the candidate that suits the goal best, and whether it meets it. front: quickest first, each better."""
     if goal.hours is not None:
         in_time = [one for one in front if one.hours <= goal.hours]
         return (in_time[-1], True) if in_time else (front[0], False)
@@ -202,8 +202,8 @@ def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
     return (good[0], True) if good else (front[-1], False)
 
 
-def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
-    """Those that are better than all that are quicker, or as quick and cheaper, by more than worth_db."""
+def _select_front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
+    """Select those better by more than worth_db than all that are quicker, or as quick and cheaper."""
     front: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
         if not front or one.psnr_db > front[-1].psnr_db + worth_db:
@@ -211,8 +211,8 @@ def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...
     return tuple(front)
 
 
-def _near_front(candidates: list[Candidate]) -> list[Candidate]:
-    """Those that a guess puts on the front; of good ones also those so little behind that a closer look may."""
+def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
+    """Select those that a guess puts on the front, and of good ones those so little behind that a closer look may."""
     good_db = max(one.psnr_db for one in candidates) - _GOOD_DB
     near: list[Candidate] = []
     best_db = -inf
@@ -223,24 +223,24 @@ def _near_front(candidates: list[Candidate]) -> list[Candidate]:
     return near
 
 
-def _unfit(tool: Tool, form: LensForm) -> str | None:
-    """Whether too much of the lens is too hollow for a ball, as a clause."""
+def _find_misfit(tool: Tool, form: LensForm) -> str | None:
+    """Return how little of the lens a ball fits, as a clause; None where it fits enough."""
     if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
         return None
     return f"its ball fits {100 * share:.1f} % of the lens; {100 * LEAST_FIT:.0f} % are needed"
 
 
-def _candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
-    """Every finish with a tool, alone and, where it leaves anything, with a rest pass."""
-    for finish in _finishes(tool, rough.shop):
-        if rough.before(finish) is None:
+def _generate_candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
+    """Yield every finish with a tool, alone and, where it leaves anything, with a rest pass."""
+    for finish in _generate_finishes(tool, rough.shop):
+        if rough.plan_before(finish) is None:
             continue
-        yield _candidate(rough, tool, finish, None, light)
-        if (rest := rests.after(finish)) is not None:
-            yield _candidate(rough, tool, finish, rest, light)
+        yield _make_candidate(rough, tool, finish, None, light)
+        if (rest := rests.plan_after(finish)) is not None:
+            yield _make_candidate(rough, tool, finish, rest, light)
 
 
-def _finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
+def _generate_finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
     speeds, step_down_mm = shop.speeds(tool), shop.finish_step_down_mm(tool)
     directions: tuple[Direction, ...] = ("x", "y")
     for strategy in shop.strategies:
@@ -252,8 +252,8 @@ def _finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
                 )  # fmt: skip
 
 
-def _candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
-    before = rough.before(finish)
+def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
+    before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
     own_s = rows_s(form, finish, shop.mill) + finish_layers_s(form, finish, before.depth_mm, shop.mill)

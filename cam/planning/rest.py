@@ -19,7 +19,7 @@ from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec
 from cam.planning.pass_time import LensForm, entry_s, layers_where_s, slowness_s_per_mm, turn_s
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, why_not
+from cam.planning.shop import Shop, find_exclusion, pitches_mm
 from cam.rows.rest import BLEND_MM, CUSPS, LEAST_MM
 from cam.tools import Tool, tool_pass
 from optics.heightfield import Array, Heightfield
@@ -44,7 +44,7 @@ class Filled:
     over_mm: Array
 
     def core(self, cusp_mm: float = 0.0) -> Mask:
-        """Where stock stands higher than regular cusps explain."""
+        """Return where stock stands higher than regular cusps explain."""
         return np.asarray(self.over_mm > LEAST_MM + CUSPS * _MEDIAN_CUSP * cusp_mm)
 
     @cached_property
@@ -53,7 +53,7 @@ class Filled:
         return float(self.core().mean())
 
     def within(self, reach_mm: float, cusp_mm: float = 0.0) -> Mask:
-        """(ny, nx) what lies no farther than that from the core."""
+        """Return (ny, nx) what lies no farther than that from the core."""
         core = self.core(cusp_mm)
         if not core.any():
             return core
@@ -62,7 +62,7 @@ class Filled:
         )
 
     def form_near(self, form: LensForm) -> LensForm:
-        """The lens's form by places in the core and beside it alone, evenly thinned."""
+        """Return the lens's form by places in the core and beside it alone, evenly thinned."""
         rows, columns = np.nonzero(self.within(BLEND_MM))
         every = slice(None, None, ceil(rows.size / _MOST_PLACES))
         return form.among(self.lens.x_mm[columns[every]], self.lens.y_mm[rows[every]])
@@ -85,7 +85,7 @@ class RestExtent:
 
     @classmethod
     def of(cls, filled: Filled, form: LensForm, spec: PassSpec, mill: Kinematics) -> RestExtent:
-        """Of a rest pass where that is left; form: of the whole lens."""
+        """Measure a rest pass where that is left; form: of the whole lens."""
         near = filled.within(_reach_mm(form, spec), spec.pitch_mm**2 / (8 * spec.radius_mm))
         if not near.any():
             return cls(area_mm2=0.0, length_mm=0.0, regions=0, seconds=0.0)
@@ -116,21 +116,21 @@ class RestWork:
     def __init__(self, tool: Tool, *, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> None:
         self._form, self._shop = form, shop
         self._filled = fillings.get(tool.radius_mm)
-        self._smaller = None if self._filled is None else _smaller(tool, self._filled, form, shop, fillings)
+        self._smaller = None if self._filled is None else _choose_smaller(tool, self._filled, form, shop, fillings)
         self._known: dict[tuple[Direction, float], RestPass] = {}
 
-    def after(self, finish: PassSpec) -> RestPass | None:
-        """None: nothing is left, or no tool of the shop reaches it."""
+    def plan_after(self, finish: PassSpec) -> RestPass | None:
+        """Plan the rest pass; None: nothing is left, or no tool of the shop reaches it."""
         if self._filled is None or self._smaller is None:
             return None
         direction: Direction = finish.direction if finish.strategy == "raster" else "x"
         key = (direction, _pitch_mm(self._smaller, finish))
         if key not in self._known:
-            self._known[key] = self._made(self._smaller, self._filled, *key)
+            self._known[key] = self._plan_pass(self._smaller, self._filled, *key)
         return self._known[key]
 
-    def _made(self, tool: Tool, filled: Filled, direction: Direction, pitch_mm: float) -> RestPass:
-        spec = _spec(tool, self._shop, pitch_mm, direction)
+    def _plan_pass(self, tool: Tool, filled: Filled, direction: Direction, pitch_mm: float) -> RestPass:
+        spec = _make_spec(tool, self._shop, pitch_mm, direction)
         return RestPass(
             tool=tool,
             spec=spec,
@@ -139,14 +139,18 @@ class RestWork:
         )
 
 
-def _smaller(big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> Tool | None:
-    """The largest ball that reaches what the big one leaves, or the one that reaches most; None: none is of use."""
+def _choose_smaller(
+    big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]
+) -> Tool | None:
+    """Return the largest ball that reaches what the big one leaves, or the one that reaches most; None: none is of
+    use.
+    """
     if left.share == 0:
         return None
     shares = {
         tool: fillings[tool.radius_mm].share / left.share if tool.radius_mm in fillings else 0.0
         for tool in shop.tools
-        if tool.radius_mm < big.radius_mm and pitches_mm(tool) and why_not(tool, form, shop) is None
+        if tool.radius_mm < big.radius_mm and pitches_mm(tool) and find_exclusion(tool, form, shop) is None
     }
     reaching = [tool for tool, share in shares.items() if share <= _REACHES]
     if reaching:
@@ -156,12 +160,12 @@ def _smaller(big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapp
 
 
 def _pitch_mm(tool: Tool, finish: PassSpec) -> float:
-    """Rows as close for their ball as those of the finish: their scallops are as steep."""
+    """Return a pitch as close for its ball as that of the finish: the scallops are as steep."""
     allowed = finish.pitch_mm * tool.radius_mm / finish.radius_mm
     return max((pitch for pitch in pitches_mm(tool) if pitch <= allowed + 1e-9), default=pitches_mm(tool)[0])
 
 
-def _spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> PassSpec:
+def _make_spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> PassSpec:
     step_down_mm = shop.finish_step_down_mm(tool)
     spec = tool_pass(
         "rest", tool, shop.speeds(tool), pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm,
@@ -171,14 +175,14 @@ def _spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> Pass
 
 
 def _reach_mm(form: LensForm, spec: PassSpec) -> float:
-    """How far from the stock that is left tips go: from contact to tip, a row more, and the band."""
+    """Return how far from the stock that is left tips go: from contact to tip, a row more, and the band."""
     steepest = float(form.slopes[-1])
     lean_mm = spec.radius_mm * steepest / float(np.hypot(1.0, steepest))
     return lean_mm + spec.pitch_mm + max(BLEND_MM, 2 * spec.radius_mm)
 
 
 def _turns(lens: Heightfield, near: Mask, spec: PassSpec) -> float:
-    """Ends of rows, by those of the vertices' own rows."""
+    """Return the number of row ends, by those of the vertices' own rows."""
     along, spacing_mm = (near, lens.dy_mm) if spec.direction == "x" else (near.T, lens.dx_mm)
     starts = along[:, 0].sum() + (along[:, 1:] & ~along[:, :-1]).sum()
     return float(starts) * spacing_mm / spec.pitch_mm

@@ -41,29 +41,29 @@ class Roughing:
         self._rough: dict[float, Before | None] = {}
         self._known: dict[tuple[float, float], Before | None] = {}
 
-    def before(self, finish: PassSpec) -> Before | None:
-        """Rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
+    def plan_before(self, finish: PassSpec) -> Before | None:
+        """Plan a rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
         key = (finish.radius_mm, finish.step_down_mm)
         if key not in self._known:
-            self._known[key] = self._quickest(finish)
+            self._known[key] = self._choose_quickest(finish)
         return self._known[key]
 
-    def _quickest(self, finish: PassSpec) -> Before | None:
+    def _choose_quickest(self, finish: PassSpec) -> Before | None:
         rough = self._plan_rough(finish)
         if rough is None:
             return None
-        ways = [rough, *self._plan_leaving_less(rough, finish), *self._with_second(rough, finish)]
+        ways = [rough, *self._plan_leaving_less(rough, finish), *self._plan_with_second(rough, finish)]
         return min(
             ways,
             key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
         )
 
     def _plan_rough(self, finish: PassSpec) -> Before | None:
-        """By the ball that is quickest; beside its walls the shank of the finish must have room."""
+        """Plan the rough by the quickest ball; beside its walls the shank of the finish must have room."""
         if finish.radius_mm not in self._rough:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
             ways = [
-                self._first(tool)
+                self._plan_first(tool)
                 for tool in self.shop.tools
                 if tool.radius_mm >= finish.radius_mm
                 and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM)
@@ -73,14 +73,14 @@ class Roughing:
             self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
         return self._rough[finish.radius_mm]
 
-    def _first(self, tool: Tool) -> Before:
+    def _plan_first(self, tool: Tool) -> Before:
         if tool not in self._firsts:
             pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
-            self._firsts[tool] = self._way((), self._spec(tool, pitch_mm, _rough_leaves(tool)))
+            self._firsts[tool] = self._make_way((), self._make_spec(tool, pitch_mm, _rough_leaves(tool)))
         return self._firsts[tool]
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
-        """The same first pass, where the finish needs no layers if a little less is left. It takes as long."""
+        """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
         spec = rough.passes[0]
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
@@ -88,20 +88,20 @@ class Roughing:
             spec = replace(spec, stock_to_leave_mm=left_mm)
             yield replace(rough, passes=(spec,), depth_mm=self._depth_mm(spec))
 
-    def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+    def _plan_with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         for tool in self.shop.tools:
             if finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
                 pitch_mm = sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM)
-                yield self._way((rough,), self._spec(tool, pitch_mm, _SEMI_LEAVES_MM))
+                yield self._make_way((rough,), self._make_spec(tool, pitch_mm, _SEMI_LEAVES_MM))
 
-    def _spec(self, tool: Tool, pitch_mm: float, leaves_mm: float) -> PassSpec:
+    def _make_spec(self, tool: Tool, pitch_mm: float, leaves_mm: float) -> PassSpec:
         speeds = self.shop.speeds(tool)
         pitch_mm = max(0.01, ceil(pitch_mm * 100 - 1e-9) / 100)
         return tool_pass(
             "rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=speeds.step_down_mm
         )
 
-    def _way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
+    def _make_way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
         if after:
             depth_mm = after[0].depth_mm
             seconds = rows_s(self.form, spec, self.shop.mill)
@@ -115,7 +115,7 @@ class Roughing:
         )
 
     def _depth_mm(self, spec: PassSpec) -> float:
-        """The deepest stock after a pass, along Z."""
+        """Return the deepest stock after a pass, along Z."""
         return (spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep
 
 

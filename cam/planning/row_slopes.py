@@ -52,7 +52,7 @@ class SlopeSpread:
         return SlopeSpread(slope=steepness * self.slope, share=self.share)
 
     def transfer(self, waves: Array, reach: float) -> Array:
-        """What is left of a wave of the picture, when slope s sends light `reach` x s aside: the mean of cos.
+        """Return what is left of a wave of the picture, when slope s sends light `reach` x s aside: the mean of cos.
 
         waves : (k,) per unit of reach x slope
         """
@@ -61,7 +61,7 @@ class SlopeSpread:
         return np.asarray(self.share[half] + np.cos(phase) @ (2 * self.share[:half]))
 
     def kept_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
-        """(n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""
+        """Return (n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""
         sent = np.concatenate([[0.0], np.cumsum(self.share)])
         over = [1.0 - sent[np.searchsorted(self.slope * reach_mm, d)] for d in (places_mm, end_mm - places_mm)]
         return np.asarray(1.0 - over[0] - over[1])
@@ -88,7 +88,7 @@ def row_slopes(
     whole_steps: bool = False,
     steepness: float = 1.0,
 ) -> RowSlopes:
-    """Of rows of one pass.
+    """Return the slope errors of the rows of one pass.
 
     step_mm     : smallest move of the mill's axes
     noise_mm    : sigma of the height error from row to row
@@ -111,14 +111,14 @@ def row_slopes(
 
 
 def even_slopes(*, radius_mm: float, pitch_mm: float) -> SlopeSpread:
-    """The scallops of a mill without errors: even in +-p / 2R."""
+    """Return the scallops of a mill without errors: even in +-p / 2R."""
     slope = (np.arange(_BINS) - _BINS // 2) / (_BINS / 2) * pitch_mm / (2 * radius_mm)
     return SlopeSpread(slope=slope, share=np.full(_BINS, 1 / _BINS))
 
 
 @lru_cache(maxsize=512)
 def _across(radius_mm: float, pitch_mm: float, off_mm: float) -> SlopeSpread:
-    """Heights are in units of p^2 / R and slopes of p / R: what is left depends on one number."""
+    """Return slopes across rows, heights in p^2 / R and slopes in p / R: what is left depends on one number."""
     if off_mm < 1e-3 * pitch_mm**2 / radius_mm:
         return even_slopes(radius_mm=radius_mm, pitch_mm=pitch_mm)
     _, low, high = _facets(radius_mm, pitch_mm, off_mm)
@@ -128,7 +128,7 @@ def _across(radius_mm: float, pitch_mm: float, off_mm: float) -> SlopeSpread:
 
 @lru_cache(maxsize=128)
 def _facets(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Array, Array]:
-    """Rows (k,) that leave a trace, and its borders from the row, all in pitches."""
+    """Return rows (k,) that leave a trace, and its borders from the row, all in pitches."""
     unit_mm = pitch_mm**2 / radius_mm
     width = sqrt(8 * off_mm / unit_mm)  # of a facet
     count = int(min(60 * _ROWS, _ROWS * max(1.0, width / 2)))
@@ -138,7 +138,7 @@ def _facets(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Ar
 
 
 def row_profile(radius_mm: float, pitch_mm: float, off_mm: float, *, length_mm: float = 120.0) -> tuple[Array, float]:
-    """Heights across rows (n,), mean 0, and their spacing: the lowest of all rows, each off by its own error."""
+    """Return heights across rows (n,), mean 0, and their spacing: the lowest of all rows, each off by its own error."""
     count = int(length_mm / pitch_mm)
     unit_mm = pitch_mm**2 / radius_mm
     off_by_row = np.random.default_rng(_SEED).normal(0.0, off_mm, count)
@@ -151,7 +151,7 @@ def row_profile(radius_mm: float, pitch_mm: float, off_mm: float, *, length_mm: 
 
 @lru_cache(maxsize=4096)
 def row_grain(radius_mm: float, pitch_mm: float, off_mm: float, reach_mm: float, pixel_mm: float) -> float:
-    """Standard deviation of the light on a pixel over its mean, across rows whose heights are off.
+    """Return the standard deviation of the light on a pixel over its mean, across rows whose heights are off.
 
     Each facet spreads its light evenly over 1 + reach / R of its own width, so few facets light one place, the fewer
     the larger the ball; where their widths differ they make stripes.
@@ -168,8 +168,8 @@ def row_grain(radius_mm: float, pitch_mm: float, off_mm: float, reach_mm: float,
 
 
 def chord_grain(slopes: RowSlopes, *, radius_mm: float, reach_mm: float, pixel_mm: float) -> float:
-    """The same along the rows: each chord that is off in slope sends its light aside as a whole, by lot, so that the
-    number of chords that light a pixel differs as lots do. About as many rows as 1 + reach / R light each place.
+    """Return the same along the rows: each chord that is off in slope sends its light aside as a whole, by lot, so that
+    the number of chords that light a pixel differs as lots do. About as many rows as 1 + reach / R light each place.
     """
     aside = slopes.along.rms * reach_mm / slopes.vertex_mm
     chords = (1.0 + reach_mm / radius_mm) * pixel_mm / slopes.vertex_mm
@@ -184,7 +184,7 @@ def _sum_passed(places: Array, edges: Array) -> Array:
 
 
 def _histogram(low: Array, high: Array) -> tuple[Array, Array]:
-    """Share of slopes of facets that are even from low to high; symmetric, as its law is."""
+    """Return the shares of slopes of facets that are even from low to high; symmetric, as its law is."""
     most = float(max(-low.min(), high.max()))
     edges = np.linspace(-most, most, _BINS + 1)
     share = np.diff(_sum_passed(low, edges) - _sum_passed(high, edges))
@@ -193,7 +193,7 @@ def _histogram(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _along(rms: float) -> SlopeSpread:
-    """The difference of two heights, each even within half a step: a triangle."""
+    """Return the difference of two heights, each even within half a step: a triangle."""
     if rms <= 0:
         return SlopeSpread(slope=np.zeros(1), share=np.ones(1))
     most = rms * sqrt(6)

@@ -51,12 +51,12 @@ class Shop:
         )
 
     def finish_step_down_mm(self, tool: Tool) -> float:
-        """Most stock that one move of a finishing pass may take off."""
+        """Return the most stock that one move of a finishing pass may take off."""
         share = _FINISH_STEP_DOWN_SHARE * self.speeds(tool).step_down_mm
         return round(min(_FINISH_STEP_DOWN_MM, share), 3)
 
     def slopes(self, form: LensForm, spec: PassSpec) -> RowSlopes:
-        """Slope errors that the rows of a finishing pass leave on a lens of that form."""
+        """Return the slope errors that the rows of a finishing pass leave on a lens of that form."""
         return row_slopes(
             radius_mm=spec.radius_mm,
             pitch_mm=spec.pitch_mm,
@@ -69,12 +69,14 @@ class Shop:
 
 
 def pitches_mm(tool: Tool) -> tuple[float, ...]:
-    """Of finishing passes with that ball, closest first."""
+    """Return the pitches of finishing passes with that ball, closest first."""
     return tuple(pitch for pitch in PITCHES_MM if pitch <= PITCH_SHARE * tool.radius_mm)
 
 
-def why_not(tool: Tool, form: LensForm, shop: Shop) -> str | None:
-    """Why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked elsewhere."""
+def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> str | None:
+    """Return why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked
+    elsewhere.
+    """
     if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:
         need_mm = 2 * tool.radius_mm + CLEAR_MM
         return f"it clears {2 * tool.radius_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}"

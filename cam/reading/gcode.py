@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.reading import gcode_parse as modal
-from cam.reading import rml_parse
+from cam.reading import gcode_parse, rml_parse
 from cam.reading.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
 from cam.reading.gcode_languages import GRBL, LANGUAGES, Language
 from optics.heightfield import Array
@@ -74,21 +73,22 @@ class MoveBatch:
 
 
 def read_program(chunks: Iterable[bytes], language: Language = GRBL) -> Iterator[MoveBatch]:
-    """Moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
+    """Yield moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
     yield from read_parts([chunks], language)
 
 
 def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> Iterator[MoveBatch]:
-    """Moves of a pass that is written as several programs, run one after the other, each given in pieces of its text.
+    """Yield moves of a pass that is written as several programs, run one after the other, each given in pieces of its
+    text.
 
     Each begins with nothing known but where the one before has left the tool; lines and bytes are counted through.
     """
-    state = np.zeros(modal.LINE + 1)
+    state = np.zeros(gcode_parse.LINE + 1)
     state[:3] = np.nan
     bytes_read = lines_read = 0
     for chunks in parts:
         state[3:] = 0.0
-        state[modal.UNIT], state[modal.ABSOLUTE], state[modal.MOTION] = 1.0, 1.0, -1.0
+        state[gcode_parse.UNIT], state[gcode_parse.ABSOLUTE], state[gcode_parse.MOTION] = 1.0, 1.0, -1.0
         for batch in _batches(chunks, language, state):
             yield replace(batch, line=batch.line + lines_read, lines_read=batch.lines_read + lines_read,
                           bytes_read=batch.bytes_read + bytes_read) if lines_read else batch  # fmt: skip
@@ -97,7 +97,7 @@ def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> I
 
 def _batches(chunks: Iterable[bytes], language: Language, state: Array) -> Iterator[MoveBatch]:
     rules = language.rules()
-    parse = rml_parse.parse if language.kind == "rml" else modal.parse
+    parse = rml_parse.parse if language.kind == "rml" else gcode_parse.parse
     rest = b""
     bytes_read = 0
     for text, is_last in _large_pieces(chunks):
@@ -115,11 +115,11 @@ def _batches(chunks: Iterable[bytes], language: Language, state: Array) -> Itera
                 break
         rest = buffer[done:]
         if len(rest) > LINE_LIMIT + 1:
-            raise ProgramError(int(state[modal.LINE]) + 1, rest, REFUSALS[LONG])
+            raise ProgramError(int(state[gcode_parse.LINE]) + 1, rest, REFUSALS[LONG])
 
 
 def _large_pieces(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
-    """Chunks gathered to BATCH_BYTES or more, each with "is the last one" (possibly empty)."""
+    """Yield chunks gathered to BATCH_BYTES or more, each with "is the last one" (possibly empty)."""
     held: list[bytes] = []
     size = 0
     for chunk in chunks:
@@ -145,10 +145,10 @@ def _read_batch(
     points = np.empty((room + 1, 3))
     rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.bool_)
     feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
-    used, n, code, bad = parse(raw, state, rules, modal.POWERS, points, rapid, feed, line, spindle, pause)
+    used, n, code, bad = parse(raw, state, rules, gcode_parse.POWERS, points, rapid, feed, line, spindle, pause)
     end = buffer.find(b"\n", start + bad)
     if code and end >= 0:  # without its line end the line is judged when the rest of it has come
-        raise ProgramError(int(state[modal.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])
+        raise ProgramError(int(state[gcode_parse.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])
     batch = MoveBatch(
         points_mm=points[: n + 1],
         is_rapid=rapid[:n],
@@ -156,8 +156,8 @@ def _read_batch(
         line=line[:n],
         spindle_on=spindle[:n],
         pause_s=pause[:n],
-        lines_read=int(state[modal.LINE]),
+        lines_read=int(state[gcode_parse.LINE]),
         bytes_read=bytes_read,
-        ended=bool(state[modal.ENDED]),
+        ended=bool(state[gcode_parse.ENDED]),
     )
     return batch, used

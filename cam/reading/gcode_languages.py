@@ -44,7 +44,7 @@ class Language:
     digit_mm: float = 1e-5
 
     def rules(self) -> np.ndarray:
-        """As the compiled reader takes them: (RULES,) int64."""
+        """Return the rules as the compiled reader takes them: (RULES,) int64."""
         rules = np.zeros(RULES, dtype=np.int64)
         rules[TAPE], rules[DWELL], rules[TWO_DIGITS] = self.tape, self.dwell, self.two_digits
         rules[POINTED], rules[DECIMALS] = _bits(self.pointed), self.most_decimals

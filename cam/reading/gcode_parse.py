@@ -55,7 +55,7 @@ POWERS = 10.0 ** np.arange(19)
 
 @njit(cache=True, nogil=True)
 def record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
-    """Entry n, a move to the state's position or a pause there (seconds >= 0); returns n + 1."""
+    """Record entry n, a move to the state's position or a pause there (seconds >= 0); return n + 1."""
     for d in range(3):
         points[n + 1, d] = state[d]
     rapid[n] = is_rapid
@@ -68,7 +68,7 @@ def record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, paus
 
 @njit(cache=True, nogil=True)
 def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
-    """All whole lines of raw -> moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
+    """Parse all whole lines of raw into moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
     letters, pointed_letters, most_decimals = rules[LETTERS], rules[POINTED], rules[DECIMALS]
     two_digits = rules[TWO_DIGITS] != 0
     n = 0

@@ -31,7 +31,7 @@ _DEFAULTS, _ABSOLUTE, _RELATIVE, _MOTOR, _RPM, _SPEED, _WAIT, _MOVE = range(1, 9
 
 @njit(cache=True, nogil=True)
 def _command(raw, p, size):  # type: ignore[no-untyped-def]
-    """(what command begins at p, place after its name); 0 where none does."""
+    """Return (what command begins at p, place after its name); 0 where none does."""
     c = raw[p]
     if c == 86:  # V
         return _SPEED, p + 1
@@ -58,7 +58,7 @@ def _command(raw, p, size):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _numbers(raw, p, size, found):  # type: ignore[no-untyped-def]
-    """Numbers between commas into found; (how many or -1, whether all are whole, place after them)."""
+    """Parse numbers between commas into found; return (how many or -1, whether all are whole, place after them)."""
     count = 0
     whole = True
     while True:
@@ -89,7 +89,7 @@ def _numbers(raw, p, size, found):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
-    """All whole lines of raw -> moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
+    """Parse all whole lines of raw into moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
     n = 0
     at = 0
     size = raw.size

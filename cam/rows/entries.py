@@ -46,7 +46,7 @@ class Pocket:
 def enter(
     polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: float, pocket: Pocket | None = None
 ) -> Iterator[Path]:
-    """From safe height to the first point of a polyline (n, 3), its first stretch cut on the way.
+    """Yield the way from safe height to the first point of a polyline (n, 3), its first stretch cut on the way.
 
     stock_mm : tip height at which the ball would meet stock above the first point; at or below that point: air
     pocket   : allows a helix beside the first point, where its highest floor is not above stock_mm
@@ -65,7 +65,7 @@ def enter(
 
 
 def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: float) -> Iterator[Path]:
-    """From safe height to the last point of a polyline (n, 3): onto it without turning back, where it is long enough.
+    """Yield the way from safe height to the last point of a polyline (n, 3), without turning back if it is long enough.
 
     What stands above the stretch on which the tool sinks is left to the rest of the path.
     """
@@ -83,25 +83,25 @@ def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_
 
 
 def _over(x_mm: float, y_mm: float, stock_mm: float, safe_z_mm: float) -> Path:
-    """By rapid to over the block, and down to just above the stock."""
+    """Return the rapid to over the block, and down to just above the stock."""
     over_mm = max(stock_mm, 0.0) + RAPID_CLEARANCE_MM
     above = (x_mm, y_mm, safe_z_mm)
     return rapid(above, (x_mm, y_mm, over_mm)) if over_mm < safe_z_mm else rapid(above)
 
 
 def leave(x_mm: float, y_mm: float, *, safe_z_mm: float) -> Path:
-    """Straight up."""
+    """Return the path straight up."""
     return rapid((x_mm, y_mm, safe_z_mm))
 
 
 def _runs(polyline_mm: Array) -> tuple[Array, float]:
-    """(n,) distance in plan from the first point; and how much of it a ramp may use."""
+    """Return (n,) distance in plan from the first point; and how much of it a ramp may use."""
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(polyline_mm[:, :2], axis=0).T))])
     return run, min(float(run[-1]), RAMP_STRETCH_MM)
 
 
 def _travel_mm(polyline_mm: Array, run: Array, longest: float, start_mm: float) -> float:
-    """How far a ramp goes until it has come down to the lowest point of the stretch."""
+    """Return how far a ramp goes until it has come down to the lowest point of the stretch."""
     last = np.array([np.interp(longest, run, polyline_mm[:, 2])])
     return (start_mm - float(np.concatenate([polyline_mm[run <= longest, 2], last]).min())) / RAMP_SLOPE
 
@@ -112,7 +112,7 @@ def _legs(polyline_mm: Array, start_mm: float) -> int:
 
 
 def ramp(polyline_mm: Array, start_mm: float) -> Array:
-    """(m, 3) there and back on the first stretch, sinking at RAMP_SLOPE, never below the polyline, to its start.
+    """Return (m, 3) there and back on the first stretch, sinking at RAMP_SLOPE, never below the polyline, to its start.
 
     Long drops over short polylines go back and forth often. Where the path is higher than the ramp the tool follows
     the path. Legs of a polyline along X or along Y are thinned to the moves they need.
@@ -136,7 +136,8 @@ def ramp(polyline_mm: Array, start_mm: float) -> Array:
 
 
 def helix(polyline_mm: Array, start_mm: float, spec: PassSpec, pocket: Pocket) -> Array | None:
-    """(m, 3) round a circle that touches the path in its first point, sinking at RAMP_SLOPE at most, down to the floor.
+    """Return (m, 3) round a circle that touches the path in its first point, sinking at RAMP_SLOPE at most, down to the
+    floor.
 
     Of the circles beside the path the one whose floor rises least is taken, so that the tool stays in the pocket and
     does not climb its walls; None where none lies within the region. Where the floor is higher the tool follows it.
@@ -162,7 +163,8 @@ def helix(polyline_mm: Array, start_mm: float, spec: PassSpec, pocket: Pocket) -
 
 
 def _ring(polyline_mm: Array, radius_mm: float, side: float, pocket: Pocket) -> Array | None:
-    """(n, 3) a circle on the floor from the first point to itself, leaving it along the path; None beyond the region.
+    """Return (n, 3) a circle on the floor from the first point to itself, leaving it along the path; None beyond the
+    region.
 
     side : 1 with the centre on the left of the path, -1 on its right
     """

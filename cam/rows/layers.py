@@ -65,7 +65,7 @@ class Field:
 
     @classmethod
     def along(cls, rows: Rows, surface: ToolSurface, stock: StockTouch) -> Field:
-        """Sampled as finely as the lens and at least eight times per radius, over all that turns may touch.
+        """Sample as finely as the lens and at least eight times per radius, over all that turns may touch.
 
         So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
         """
@@ -84,7 +84,7 @@ class Field:
         return float(self.x_mm[1] - self.x_mm[0])
 
     def refine(self, stock: StockTouch, most_mm: float) -> Field:
-        """The same with exact heights where more than most_mm of stock seems to stand, if that is here and there only:
+        """Compute exact heights where more than most_mm of stock seems to stand, if that is here and there only:
         beside walls that another ball has left.
         """
         rows, columns = np.nonzero(self.stock_mm - self.target_mm > most_mm)
@@ -95,7 +95,7 @@ class Field:
         return replace(self, stock_mm=exact)
 
     def coarser(self, distance_mm: float) -> Field:
-        """Rows no farther apart than distance_mm; the stock over each is the most that stands up to its neighbours, so
+        """Return rows no farther apart than distance_mm; the stock over each is the most up to its neighbours, so
         that nothing between two rows is overlooked.
         """
         stride = max(1, int(distance_mm / max(1e-9, float(np.diff(self.rows.y_mm).max()))))
@@ -117,7 +117,7 @@ class LayerPlan:
 
 
 def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
-    """The fewest layers that keep every engagement within the step-down."""
+    """Return the fewest layers that keep every engagement within the step-down."""
     depth = float((field.stock_mm - field.target_mm).max()) + stock.slack_mm
     if depth <= spec.step_down_mm:
         return LayerPlan(layers=(), exact_rows=True)
@@ -135,7 +135,7 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
 
 
 def layer_row_distance_mm(spec: PassSpec) -> float:
-    """Of layers that exact rows follow: their cusps, p^2 / 8R, are 2 % of the step-down at most."""
+    """Return the distance of layer rows that exact rows follow: cusps, p^2 / 8R, of 2 % of the step-down at most."""
     return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
 
 
@@ -159,7 +159,7 @@ class Run:
 
 
 def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[int, int]]:
-    """Stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
+    """Return stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
     merged: list[tuple[int, int]] = []
     for first, last in zip(edges[::2] - pad, edges[1::2] - 1 + pad, strict=True):
@@ -174,7 +174,8 @@ def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[in
 def chain_spans(
     by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool, first_upward: bool = True
 ) -> Iterator[Run]:
-    """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough.
+    """Yield every span once: up the rows from neighbour to neighbour, there and back, while the next start is near
+    enough.
 
     link : False cuts every span by itself, all of them the first way
     """
@@ -205,7 +206,7 @@ def layer_paths(
     safe_z_mm: float,
     on_progress: Callable[[float], None],
 ) -> Iterator[Path]:
-    """One layer, cut only where stock stands above it; starts and ends at safe height.
+    """Yield one layer, cut only where stock stands above it; starts and ends at safe height.
 
     A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
     while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two.
@@ -249,7 +250,7 @@ def layer_paths(
 
 
 def _slots(now: Array, tips: Array, run: Run, *, least_mm: float, pad: int) -> npt.NDArray[np.bool_]:
-    """(n,) samples of a run where stock stands on both sides of it, least_mm above it or more.
+    """Return (n,) samples of a run where stock stands on both sides of it, least_mm above it or more.
 
     now : tips (n rows, n samples) at which the ball would meet the stock of the moment; on a steep surface a row
           beside, though cut, may lie that much higher
@@ -265,7 +266,7 @@ def _slots(now: Array, tips: Array, run: Run, *, least_mm: float, pad: int) -> n
 
 
 def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassSpec) -> Iterator[Path]:
-    """The points of a run, thinned; slots at their slower feed."""
+    """Yield the points of a run, thinned; slots at their slower feed."""
     edges = np.flatnonzero(np.diff(slot)) + 1
     for first, end in pairwise([0, *edges.tolist(), len(points)]):
         feed = spec.feed_mm_per_min * (SLOT_FEED if slot[first] else 1.0)
@@ -273,12 +274,14 @@ def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassS
 
 
 def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:
-    """How far a layer's chords may be off: a little of what it leaves, and of what the next one may then meet."""
+    """Return how far a layer's chords may be off: a little of what it leaves, and of what the next one may then
+    meet.
+    """
     return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
 
 
 def _pocket(field: Field, surface: ToolSurface, layer: Layer) -> Pocket:
-    """The layer's own surface, over all that its rows and turns may touch."""
+    """Return the layer's own surface, over all that its rows and turns may touch."""
     rows = field.rows
     return Pocket(
         floor_mm=lambda x, y: layer.tips_mm(surface.tip_heights_mm(x, y)),
@@ -287,18 +290,18 @@ def _pocket(field: Field, surface: ToolSurface, layer: Layer) -> Pocket:
 
 
 def _stock_and_tips(field: Field, layer: Layer, above: Layer | None) -> tuple[Array, Array]:
-    """Tips at which the ball meets what the layer above has left, and the layer's own tips."""
+    """Return tips at which the ball meets what the layer above has left, and the layer's own tips."""
     left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
     return left, layer.tips_mm(field.target_mm)
 
 
 def _stands_above(left: Array, tips: Array, stock: StockTouch, above: Layer | None) -> npt.NDArray[np.bool_]:
-    """(n rows, n samples): whether there is anything to cut."""
+    """Return (n rows, n samples): whether there is anything to cut."""
     return np.asarray(left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM)
 
 
 def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Active rows and, beside what is active, the rows before and after: a last row leaves stock up to the next."""
+    """Return active rows and the rows before and after what is active: a last row leaves stock up to the next."""
     grown = active.copy()
     grown[1:] |= active[:-1]
     grown[:-1] |= active[1:]
@@ -315,7 +318,8 @@ def _end_walls(
     *,
     safe_z_mm: float,
 ) -> Iterator[Path]:
-    """Along the walls at which the rows end, where stock stood above the layer: both sides, each from front to back.
+    """Yield the ways along the walls at which the rows end, where stock stood above the layer: both sides, front to
+    back.
 
     Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
     a later layer, or a later pass, would take flakes of several layers off at once.
@@ -340,13 +344,13 @@ def _end_walls(
 
 
 def _between(y_mm: Array, step_mm: float) -> Array:
-    """Positions of the rows and, no farther apart than step_mm, between them."""
+    """Return positions of the rows and, no farther apart than step_mm, between them."""
     return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))
 
 
 def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run, tolerance_mm: float) -> Array:
-    """Half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool went
-    as far as the run-out allows.
+    """Return half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool
+    went as far as the run-out allows.
 
     At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
     meet a wall beside this layer's turns that reaches up to the top of the block.

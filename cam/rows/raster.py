@@ -36,7 +36,7 @@ class Rows:
 
     @classmethod
     def over(cls, stock: Stock, spec: PassSpec) -> Rows:
-        """Even rows, at most one pitch apart, the first and the last exactly one radius outside the aperture."""
+        """Lay even rows, at most one pitch apart, the first and the last exactly one radius outside the aperture."""
         reach = spec.radius_mm
         span = stock.height_mm + 2 * reach
         count = math.ceil(span / spec.pitch_mm - 1e-9)
@@ -53,7 +53,7 @@ class Rows:
         return self.right_mm - self.left_mm
 
     def every(self, stride: int) -> Rows:
-        """Every stride-th row, and the last."""
+        """Return every stride-th row, and the last."""
         chosen = np.unique(np.append(np.arange(0, self.y_mm.size, stride), self.y_mm.size - 1))
         return Rows(y_mm=self.y_mm[chosen], left_mm=self.left_mm, right_mm=self.right_mm, turn_mm=self.turn_mm)
 
@@ -65,7 +65,7 @@ def on_ticks(values: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore[no-untyped-def]
-    """The first `rows` rows of y and the turn after each into out; a row after them in y is only turned to.
+    """Write the first `rows` rows of y and the turn after each into out; a row after them in y is only turned to.
 
     A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
     """
@@ -91,7 +91,7 @@ def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore
 
 
 def _chunk(surface: ToolSurface, rows: Rows, rule: VertexRule, first: int) -> Array:
-    """Rows first.. of one chunk and the turns after them, the one into the next chunk included."""
+    """Return rows first.. of one chunk and the turns after them, the one into the next chunk included."""
     y = rows.y_mm[first : first + ROWS_PER_CHUNK + 1]
     count = min(y.size, ROWS_PER_CHUNK)
     out = np.empty((count * (most_vertices(rows.length_mm, rule) + 8), 3))
@@ -101,13 +101,13 @@ def _chunk(surface: ToolSurface, rows: Rows, rule: VertexRule, first: int) -> Ar
 
 
 def continuous_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Iterator[Array]:
-    """All rows there and back on one unbroken path, as pieces (n, 3) in order; a few pieces are in work at a time."""
+    """Yield all rows there and back on one unbroken path, as pieces (n, 3) in order; a few are in work at a time."""
     starts = range(0, rows.y_mm.size, ROWS_PER_CHUNK)
     yield from map_in_order(lambda first: _chunk(surface, rows, rule, first), starts)
 
 
 def climbs_rightward(spec: PassSpec) -> bool:
-    """Whether rows cut one way, each beyond the last in Y, climb when they run in +X.
+    """Return whether rows cut one way, each beyond the last in Y, climb when they run in +X.
 
     The spindle turns clockwise, so a cutter climbs with the stock on its right: rows in -X, the next one farther in +Y.
     Rows along Y are made with the axes exchanged (cam.rows.turned), which makes right of left.
@@ -116,7 +116,7 @@ def climbs_rightward(spec: PassSpec) -> bool:
 
 
 def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightward: bool) -> Iterator[Array]:
-    """Every row by itself, all the same way (paper, Fig. 13)."""
+    """Yield every row by itself, all the same way (paper, Fig. 13)."""
     start, end = (rows.left_mm, rows.right_mm) if rightward else (rows.right_mm, rows.left_mm)
 
     def row(index: int) -> Array:
@@ -127,7 +127,7 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
 
 
 def map_in_order(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def]
-    """work(item) of each item in order, THREADS at a time, at most two waiting for each."""
+    """Yield work(item) of each item in order, THREADS at a time, at most two waiting for each."""
     waiting: deque[Future[Array]] = deque()
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
         try:

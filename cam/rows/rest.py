@@ -88,13 +88,13 @@ class RestAreas:
         return {"area_mm2": self.area_mm2, "regions": self.regions}
 
     def distances_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """`beyond_mm` at points (n,), between the cells; beside the block that of its rim."""
+        """Return `beyond_mm` at points (n,), between the cells; beside the block that of its rim."""
         grid = self.grid
         places = [(y_mm - grid.y0_mm) / grid.cell_mm - 0.5, (x_mm - grid.x0_mm) / grid.cell_mm - 0.5]
         return np.asarray(ndimage.map_coordinates(self.beyond_mm, places, order=1, mode="nearest"))
 
     def lifts_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """(n,) how far above the surface the tips are."""
+        """Return (n,) how far above the surface the tips are."""
         share = np.clip(self.distances_mm(x_mm, y_mm) / self.blend_mm, 0.0, 2.0)
         return np.asarray(self.lift_mm * share**2)
 
@@ -115,21 +115,21 @@ class _Ground:
         return points_mm
 
     def row(self, run: Run) -> Array:
-        """The exact surface along a run, lifted off towards the ends."""
+        """Return the exact surface along a run, lifted off towards the ends."""
         start, end = float(self.x_mm[run.start]), float(self.x_mm[run.end])
         out = np.empty((most_vertices(abs(end - start), self.rule), 3))
         filled = march_row(self.surface.kernel, self.rule, self.rows.y_mm[run.row], start, end, out, 0)
         return self.lift_over(out[:filled].copy())
 
     def turn(self, start: Array, end: Array) -> Array:
-        """Half a turn from one row's end to the next one's start."""
+        """Return half a turn from one row's end to the next one's start."""
         angle = np.linspace(0.0, pi, self._parts(start, end))[1:-1]
         x = on_ticks(start[0] + (end[0] - start[0]) * angle / pi)
         y = on_ticks(start[1] + (end[1] - start[1]) * (1 - np.cos(angle)) / 2)
         return self.lift_over(np.column_stack([x, y, self.surface.tip_heights_mm(x, y)]))
 
     def hop(self, start: Array, end: Array) -> Array:
-        """Straight across, above all that stands there."""
+        """Return the way straight across, above all that stands there."""
         share = np.linspace(0.0, 1.0, self._parts(start, end))[1:-1]
         x, y = (on_ticks(start[a] + share * (end[a] - start[a])) for a in (0, 1))
         stock = self.met.under(np.column_stack([x, y])) + self.met.slack_mm
@@ -137,7 +137,7 @@ class _Ground:
         return np.column_stack([x, y, np.maximum(stock, tips) + HOP_MM])
 
     def _parts(self, start: Array, end: Array) -> int:
-        """Chords so short that in the tightest hollow they sag by less than 1/28 000 of the radius."""
+        """Return chords so short that in the tightest hollow they sag by less than 1/28 000 of the radius."""
         return max(8, ceil(60 * float(np.hypot(*(end - start)[:2])) / self.surface.radius_mm))
 
 
@@ -153,7 +153,7 @@ def rest_paths(
     safe_z_mm: float,
     on_progress: Callable[[float], None],
 ) -> Iterator[Path]:
-    """Region after region, each entered once; starts and ends at safe height. Nothing at all where nothing is left.
+    """Yield region after region, each entered once, from and to safe height. Nothing where nothing is left.
 
     most_mm : how far above the surface stock can stand by now, layers having come before
     """
@@ -173,7 +173,9 @@ def rest_paths(
 def _region(
     ground: _Ground, inside: Mask, first_row: int, first_sample: int, spec: PassSpec, most_mm: float, safe_z_mm: float
 ) -> Iterator[Path]:
-    """One region: its rows there and back, or all the way that climbs, with hops between those that do not join."""
+    """Yield one region: its rows there and back, or all the way that climbs, with hops between those that do not
+    join.
+    """
     linked = spec.link == "u-turn"
     reach = max(2, round(2 * spec.radius_mm / ground.surface.kernel.node_step))
     by_row = [spans(row, pad=1, gap=reach) for row in inside]

@@ -58,7 +58,7 @@ class Rounding:
 
 
 def on_raster(paths: Iterable[Path], rounding: Rounding, place: Place | None = None) -> Iterator[Path]:
-    """The same cuts with every vertex on the raster; rapids go through the nearest places.
+    """Yield the same cuts with every vertex on the raster; rapids go through the nearest places.
 
     place : how the vertices of a cut are chosen; as slopes suffer least, unless given
     """
@@ -78,13 +78,13 @@ def on_raster(paths: Iterable[Path], rounding: Rounding, place: Place | None = N
 
 
 def nearest(points_mm: Array, digits: Digits) -> Array:
-    """Each point (n, 3) at the nearest place of the raster."""
+    """Round each point (n, 3) to the nearest place of the raster."""
     scale = np.array([digits.xy_mm, digits.xy_mm, digits.z_mm])
     return np.floor(points_mm / scale + 0.5) * scale
 
 
 def is_level_way(line: Array) -> bool:
-    """Whether every move of a line goes on in plan: straight down or up there is nothing to choose."""
+    """Return whether every move of a line goes on in plan: straight down or up there is nothing to choose."""
     return bool((np.hypot(*np.diff(line[:, :2], axis=0).T) > 0).all())
 
 
@@ -111,7 +111,8 @@ def _offer(line, i, part, dx, dy, xy_mm, z_mm, run, rise, found, k):  # type: ig
 
 @njit(cache=True, nogil=True)
 def choose_vertices(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  # type: ignore[no-untyped-def]
-    """Vertices on the raster for line (n, 3), whose first point stands at start; returns how many are in out, or 0.
+    """Choose vertices on the raster for line (n, 3), whose first point stands at start; return how many are in out, or
+    0.
 
     weight    : of a height's squared error [1 / mm^2], against that of a slope
     out (n, 4): X, Y, Z and the distance along the line

@@ -21,13 +21,13 @@ Meets = Callable[[Array], Array]
 
 
 def first_row(polyline_mm: Array) -> Array:
-    """The straight beginning, up to the first turn: ramps stay on it, and stock stands on both sides of it."""
+    """Return the straight beginning, up to the first turn: ramps stay on it, and stock stands on both sides of it."""
     same = polyline_mm[:, 1] == polyline_mm[0, 1]
     return polyline_mm if same.all() else polyline_mm[: int(np.argmin(same))]
 
 
 def row_cuts(polyline_mm: Array, before_mm: Array, meets: Meets, spec: PassSpec) -> Iterator[Path]:
-    """Rows and turns (n, 3) at their feeds; before_mm: where the tool stands."""
+    """Yield rows and turns (n, 3) at their feeds; before_mm: where the tool stands."""
     slow = np.diff(polyline_mm[:, 1], prepend=before_mm[1]) != 0  # turns alone leave a row's y
     turning = polyline_mm[slow]
     slow[slow] = meets(turning) - turning[:, 2] > SLOT_DEPTH_SHARE * spec.step_down_mm

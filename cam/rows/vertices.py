@@ -49,7 +49,9 @@ class VertexRule(NamedTuple):
 def finish_rule(
     slope_error_rad: float, probe_mm: float, *, aperture_x_mm: tuple[float, float] = (-math.inf, math.inf)
 ) -> VertexRule:
-    """For the optical surface. At 0.5 mrad the sag is 12 nm, 9 nm rms over a chord; it rules where the lens is flat."""
+    """Return the rule of the optical surface. At 0.5 mrad the sag is 12 nm, 9 nm rms over a chord; it rules where it is
+    flat.
+    """
     return VertexRule(
         slope_rad=slope_error_rad,
         sag_mm=_SAG_MM_PER_RAD * slope_error_rad,
@@ -63,7 +65,7 @@ def finish_rule(
 
 
 def rough_sag_mm(leave_mm: float) -> float:
-    """Where stock is left only the height counts: 5 % of what is left."""
+    """Return the rule where stock is left: only the height counts, 5 % of what is left."""
     return 0.05 * leave_mm
 
 
@@ -82,13 +84,13 @@ def rough_rule(leave_mm: float, probe_mm: float) -> VertexRule:
 
 
 def most_vertices(length_mm: float, rule: VertexRule) -> int:
-    """Room that one row may need."""
+    """Return the room that one row may need."""
     return math.ceil(length_mm / rule.min_mm) + 2
 
 
 @njit(cache=True, nogil=True)
 def _bounds(rule, px):  # type: ignore[no-untyped-def]
-    """(slope error, sag) allowed to a chord that touches at px."""
+    """Return (slope error, sag) allowed to a chord that touches at px."""
     if rule.optical_from_mm <= px <= rule.optical_to_mm:
         return rule.slope_rad, rule.sag_mm
     return math.inf, rule.run_out_sag_mm
@@ -96,7 +98,7 @@ def _bounds(rule, px):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _next_step(rule, slope, sag, curvature, used):  # type: ignore[no-untyped-def]
-    """Ticks to the next probe: 0.9 of what the bounds allow a chord here, less what it already used."""
+    """Return ticks to the next probe: 0.9 of what the bounds allow a chord here, less what it already used."""
     k = abs(curvature) + 1e-9
     allowed = 0.9 * min(2.0 * slope / k, math.sqrt(8.0 * sag / k), rule.max_mm / 0.9)
     step = allowed - used if used < 0.75 * allowed else allowed
@@ -105,7 +107,7 @@ def _next_step(rule, slope, sag, curvature, used):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-def]
-    """Vertices of the row at y from x_from to x_to, both written, into out[count:] (n, 3); returns the new count.
+    """Write vertices of the row at y from x_from to x_to, both included, into out[count:] (n, 3); return the new count.
 
     From an anchor (the last vertex) probes go ahead; the farthest one whose chord keeps the rule becomes the next
     vertex. A chord's slope error is judged by the extremes of the exact slope at its probes, and between two probes
@@ -176,7 +178,7 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _thin(x, z, tolerance):  # type: ignore[no-untyped-def]
-    """Indices kept: from each kept point the farthest whose chord passes all between within the tolerance."""
+    """Return the indices kept: from each the farthest point whose chord passes all between within the tolerance."""
     keep = np.empty(x.size, np.int64)
     keep[0] = 0
     count, anchor, i = 1, 0, 1
@@ -200,7 +202,8 @@ def _thin(x, z, tolerance):  # type: ignore[no-untyped-def]
 
 
 def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Array:
-    """The fewest of the points (n, 3) of a line parallel to an axis, in order along it, within the tolerance in Z.
+    """Return the fewest of the points (n, 3) of a line parallel to an axis, in order along it, within the tolerance in
+    Z.
 
     along : 0 for a line along X, 1 for one along Y
     """

@@ -50,7 +50,7 @@ class Ball(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _newton(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """Contact for the centre (cx, cy) from the guess p -> (found, px, py, tip, slope_x, curvature_x, dpx/dcx, dpy/dcx).
+    """Solve for the contact of centre (cx, cy) from p -> (found, px, py, tip, slope_x, curvature_x, dpx/dcx, dpy/dcx).
 
     The cutter-location surface has the slope of the lens at the contact, so its curvature is [H J^-1]_xx with
     J = I + R dN_xy/dp. The height is corrected for the last residual r by grad h . r.
@@ -81,7 +81,8 @@ def _newton(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
-    """A local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px, py).
+    """Climb to a local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px,
+    py).
 
     Given up, with f = -inf, as soon as it heads for the known maximum `top` at (tx, ty) or for a lower one.
     """
@@ -124,7 +125,8 @@ def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untyped-def]
-    """Nodes (rows, columns) of the footprint that may lie beside the highest maximum, and f there; their number.
+    """Find nodes (rows, columns) of the footprint that may lie beside the highest maximum, and f there; return how
+    many.
 
     level : that f is known to reach somewhere
     """
@@ -162,7 +164,7 @@ def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """f at p, or at the centre where p is no point of the footprint."""
+    """Return f at p, or at the centre where p is no point of the footprint."""
     left = b.radius * b.radius * 0.999 - (px - cx) ** 2 - (py - cy) ** 2
     if left <= 0.0:
         px, py, left = cx, cy, b.radius * b.radius
@@ -171,7 +173,7 @@ def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _highest(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """The highest contact in the whole footprint; returns what `_newton` does but for `found`. A good guess p saves
+    """Find the highest contact in the whole footprint; return what `_newton` does but for `found`. A good guess p saves
     looking at most of the nodes, and changes nothing else.
 
     Climbs start from every node that may lie below the true maximum, not from lattice maxima only: two true maxima a
@@ -204,7 +206,7 @@ def _highest(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def touch(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """The ball with its centre above (cx, cy), guessed to touch near p.
+    """Find the contact of the ball with its centre above (cx, cy), guessed to touch near p.
 
     returns (px, py, tip, slope_x, curvature_x, dpx, dpy): contact point, height of the tip, slope and curvature along
     X of the cutter-location surface, and how the contact point moves when cx does
@@ -221,7 +223,7 @@ def touch(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def touch_points(b, x, y, out):  # type: ignore[no-untyped-def]
-    """Contact x, y and tip height, out (n, 3), for centres x (n,), y (n,), each from the last one's contact."""
+    """Compute contact x, y and tip height, out (n, 3), for centres x (n,), y (n,), each from the last one's contact."""
     px, py = x[0], y[0]
     for k in range(x.size):
         if k:
@@ -235,7 +237,7 @@ def touch_points(b, x, y, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def touch_rows(b, x, y, out):  # type: ignore[no-untyped-def]
-    """Tip heights out (ny, nx) over the rows y (ny,) and columns x (nx,); each row starts without a guess."""
+    """Compute tip heights out (ny, nx) over the rows y (ny,) and columns x (nx,); each row starts without a guess."""
     for j in range(y.size):
         px, py, dpx, dpy = x[0], y[j], 1.0, 0.0
         for i in range(x.size):

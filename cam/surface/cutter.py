@@ -20,11 +20,11 @@ class BallEndMill:
     radius_mm: float
 
     def cusp_height_mm(self, pitch_mm: float) -> float:
-        """Ridge left on a flat between lines pitch_mm apart: R - sqrt(R^2 - (p/2)^2)."""
+        """Return the ridge left on a flat between lines pitch_mm apart: R - sqrt(R^2 - (p/2)^2)."""
         return self.radius_mm - sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
 
     def cusp_slope(self, pitch_mm: float) -> float:
-        """Steepest slope of that ridge: (p/2) / sqrt(R^2 - (p/2)^2)."""
+        """Return the steepest slope of that ridge: (p/2) / sqrt(R^2 - (p/2)^2)."""
         return pitch_mm / 2 / sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
 
 
@@ -37,13 +37,13 @@ class FittingRadius:
 
 
 def concave_curvature(heightfield: Heightfield) -> Array:
-    """Greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as the vertices."""
+    """Return the greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as vertices."""
     x, y = (np.linspace(a[0], a[-1], 2 * a.size - 1) for a in (heightfield.x_mm, heightfield.y_mm))
     return heightfield.spline().concave_curvature(x, y)
 
 
 def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
-    """What curvature admits. A ball this large may still not reach where two slopes stand close together."""
+    """Return what curvature admits. A ball this large may still not reach where two slopes stand close together."""
     curvature = concave_curvature(heightfield).ravel()
     rank = int(NEARLY_EVERYWHERE * (curvature.size - 1))
     nearly = float(np.partition(curvature, rank)[rank])
@@ -52,5 +52,5 @@ def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
 
 
 def share_reached(heightfield: Heightfield, radius_mm: float) -> float:
-    """Share of the area whose curvature a ball of this radius fits."""
+    """Return the share of the area whose curvature a ball of this radius fits."""
     return float((concave_curvature(heightfield) * radius_mm <= 1.0).mean())

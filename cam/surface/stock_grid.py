@@ -49,7 +49,7 @@ class StockGrid:
 
     @classmethod
     def block(cls, stock: BlockSize, cell_mm: float | None = None) -> StockGrid:
-        """The uncut block, aperture and margin, all at Z0.
+        """Return the uncut block, aperture and margin, all at Z0.
 
         cell_mm : by default 1/1100 of the longer side, between 0.02 and 0.2 mm: 0.1 mm for a lens of 100 mm
         Whole cells: where cell_mm does not divide the block, the grid grows evenly on both
@@ -78,7 +78,7 @@ class StockGrid:
         return self.y0_mm + self.cell_mm * (np.arange(self.top_mm.shape[0], dtype=np.float64) + 0.5)
 
     def highest_mm(self, x_lo_mm: float, x_hi_mm: float, y_lo_mm: float, y_hi_mm: float) -> float | None:
-        """Highest stock in the cells that a rectangle touches; None when it misses the block."""
+        """Return the highest stock in the cells that a rectangle touches; None when it misses the block."""
         ny, nx = self.top_mm.shape
         i0 = max(0, floor((x_lo_mm - self.x0_mm) / self.cell_mm))
         i1 = min(nx, floor((x_hi_mm - self.x0_mm) / self.cell_mm) + 1)

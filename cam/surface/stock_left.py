@@ -25,7 +25,8 @@ be a whole pitch away instead of half of one; that a row is missing is for `cam.
 
 @njit(cache=True, nogil=True)
 def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, over, lens, cusp):  # type: ignore[no-untyped-def] # fmt: skip
-    """lens: stock above the lens; over: above that and what the pass leaves; cusp: what the theory allows of it.
+    """Compare. lens: stock above the lens; over: above that and what the pass leaves; cusp: what the theory allows of
+    it.
 
     All along Z; NaN off the aperture.
     """
@@ -54,7 +55,7 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
 
 @njit(cache=True, nogil=True)
 def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
+    """Return how far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
 
     The deepest node of a lattice, then of ever finer 5 x 5 lattices around it.
     """
@@ -142,15 +143,15 @@ class StockLeft:
         return np.isfinite(self.over_mm)
 
     def lowest(self, among: np.ndarray) -> tuple[float, int]:
-        """(least over_mm, flat cell) among the marked cells; (inf, -1) when there are none."""
+        """Return (least over_mm, flat cell) among the marked cells; (inf, -1) when there are none."""
         return _least(self.over_mm, among)
 
     def lowest_over_lens(self, among: np.ndarray) -> tuple[float, int]:
-        """The same of over_lens_mm: below 0 is a gouge."""
+        """Return the same of over_lens_mm: below 0 is a gouge."""
         return _least(self.over_lens_mm, among)
 
     def suspicious(self, spec: PassSpec) -> np.ndarray:
-        """Cells that stand higher than tracks at the pass's pitch explain."""
+        """Return cells that stand higher than tracks at the pass's pitch explain."""
         slack_mm = max(0.001, 0.02 * spec.stock_to_leave_mm)
         with np.errstate(invalid="ignore"):
             return np.asarray(self.over_mm > 1.5 * self.cusp_mm + slack_mm)
@@ -163,7 +164,7 @@ def _least(values: Array, among: np.ndarray) -> tuple[float, int]:
 
 
 def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, spec: PassSpec) -> np.ndarray:
-    """Which of the cells (flat indices) a ball of the pass's radius, grown by what it leaves, can touch."""
+    """Return which of the cells (flat indices) a ball of the pass's radius, grown by what it leaves, can touch."""
     rows, columns = np.divmod(cells, grid.top_mm.shape[1])
     radius_mm = spec.radius_mm + spec.stock_to_leave_mm
     rings = int(np.clip(radius_mm / (2 * min(heightfield.dx_mm, heightfield.dy_mm)), 12, 24))
@@ -226,7 +227,8 @@ def find_excess(
 
 
 def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> tuple[float, int]:
-    """How far the worst of the cells stands above what tracks at the pass's pitch may leave there, and which it is.
+    """Return how far the worst of the cells stands above what tracks at the pass's pitch may leave there, and which it
+    is.
 
     On a rippled lens rows far apart leave more than cusps, as the ball rests on ridges beside a hollow that it touches
     between them: where cusps do not explain a cell, the rows next to it are tried, wherever they may lie.
@@ -248,7 +250,7 @@ def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, s
 
 
 def _left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec) -> float:
-    """The most that two rows a pitch apart, one on either side of the place, leave there: over_mm."""
+    """Return the most that two rows a pitch apart, one on either side of the place, leave there: over_mm."""
     row, column = divmod(cell, left.over_mm.shape[1])
     at = np.array([left.grid.x_mm[column], left.grid.y_mm[row]])
     wanted_mm = float(left.grid.top_mm.flat[cell] - left.over_mm.flat[cell])
@@ -267,7 +269,7 @@ def _left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec)
 
 
 def _places(out_of_reach: np.ndarray, left: StockLeft, stride: int) -> tuple[Unreached, ...]:
-    """The largest excesses out of reach, one per connected spot (cells up to two apart belong together)."""
+    """Return the largest excesses out of reach, one per connected spot (cells up to two apart belong together)."""
     if not out_of_reach.any():
         return ()
     near = ndimage.binary_dilation(out_of_reach, iterations=1 + min(stride, 3))

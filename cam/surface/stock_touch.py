@@ -69,21 +69,21 @@ class StockTouch:
         )
 
     def over(self, x_mm: Array, y_mm: Array) -> Array:
-        """(ny, nx) D at the grid points x (nx,), y (ny,), bilinear between lattice nodes."""
+        """Return (ny, nx) D at the grid points x (nx,), y (ny,), bilinear between lattice nodes."""
         out = np.empty((y_mm.size, x_mm.size))
         _sample(self.height_mm, self.x0_mm, self.y0_mm, 1.0 / self.step_mm, x_mm, y_mm, out)
         return out
 
     def exactly(self, x_mm: Array, y_mm: Array) -> Array:
-        """(n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice tells of stock
-        that the ball only passes by.
+        """Return (n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice tells
+        of stock that the ball only passes by.
         """
         stock, out = self.stock, np.empty(x_mm.size)
         _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)
         return out
 
     def under(self, points_mm: Array) -> Array:
-        """(n,) D at points (n, 2) or (n, 3)."""
+        """Return (n,) D at points (n, 2) or (n, 3)."""
         return np.array([self.at(x, y) for x, y in points_mm[:, :2]])
 
     def at(self, x_mm: float, y_mm: float) -> float:
@@ -91,14 +91,14 @@ class StockTouch:
 
 
 def _outside(values: Array, low: float, high: float) -> Array:
-    """How far outside [low, high]."""
+    """Return how far outside [low, high]."""
     result: Array = np.maximum(np.maximum(low - values, values - high), 0.0)
     return result
 
 
 @njit(cache=True, nogil=True)
 def _dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
-    """phases (stride, ny, n): the stock's columns, every stride-th of them together, so that inner loops run straight.
+    """Dilate phases (stride, ny, n): the stock's columns, every stride-th together, so that inner loops run straight.
 
     out (my, mx) : node [j, i] stands over cell [(j - pad) stride, (i - pad) stride]
     """

@@ -38,7 +38,7 @@ class ToolSurface:
     def over(
         cls, heightfield: Heightfield, *, radius_mm: float, allowance_mm: float = 0.0, run_out_mm: float | None = None
     ) -> ToolSurface:
-        """For tips up to run_out_mm (default: one radius) outside the aperture."""
+        """Compute the surface for tips up to run_out_mm (default: one radius) outside the aperture."""
         ball_mm = radius_mm + allowance_mm
         run_out_mm = radius_mm if run_out_mm is None else run_out_mm
         spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / 8)
@@ -74,7 +74,9 @@ class ToolSurface:
         )
 
     def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
-        """(n, 3) contact x, contact y and tip height for tips at x (n,), y (n,); quick if neighbours are close."""
+        """Return (n, 3) contact x, contact y and tip height for tips at x (n,), y (n,); quick if neighbours are
+        close.
+        """
         x, y = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x_mm, y_mm))
         out = np.empty((x.size, 3))
         if x.size:
@@ -82,11 +84,11 @@ class ToolSurface:
         return out
 
     def tip_heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
-        """(n,) tip heights for tips at x (n,), y (n,)."""
+        """Return (n,) tip heights for tips at x (n,), y (n,)."""
         return self.contacts_mm(x_mm, y_mm)[:, 2]
 
     def tip_rows_mm(self, x_mm: Array, y_mm: Array) -> Array:
-        """(ny, nx) tip heights on rows y (ny,) at x (nx,)."""
+        """Return (ny, nx) tip heights on rows y (ny,) at x (nx,)."""
         out = np.empty((y_mm.size, x_mm.size))
         touch_rows(self.kernel, x_mm, y_mm, out)
         return out
@@ -94,8 +96,8 @@ class ToolSurface:
 
 @njit(cache=True, nogil=True)
 def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
-    """On the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and ball
-    together bend down at most where the ball touches no farther than `aside` from there.
+    """Compute on the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and
+    ball together bend down at most where the ball touches no farther than `aside` from there.
     """
     for j in range(y.size):
         for i in range(x.size):
@@ -110,7 +112,7 @@ def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, 
 
 
 def _tile_tops(values: np.ndarray) -> np.ndarray:
-    """The highest of each TILE x TILE values; those at the far sides may be fewer."""
+    """Return the highest of each TILE x TILE values; those at the far sides may be fewer."""
     rows, columns = (-(-count // TILE) for count in values.shape)
     whole = np.full((rows * TILE, columns * TILE), -np.inf)
     whole[: values.shape[0], : values.shape[1]] = values
@@ -118,7 +120,7 @@ def _tile_tops(values: np.ndarray) -> np.ndarray:
 
 
 def _grown(mask: np.ndarray, by: float) -> np.ndarray:
-    """The mask and everything within `by` cells of it."""
+    """Return the mask and everything within `by` cells of it."""
     if not mask.any():
         return mask
     return ndimage.distance_transform_edt(~mask) <= ceil(by)

@@ -122,7 +122,7 @@ class _Model:
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
 
     def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
-        """A strip's light c_0 ... c_m when all its heights are that many times higher."""
+        """Return a strip's light c_0 ... c_m when all its heights are that many times higher."""
         if not finished:
             return lambda scale: fringe_coefficients(profile, scale * setting.lever)
         strip = Finished.of(profile, setting.finish.transfer)
@@ -131,7 +131,7 @@ class _Model:
     def residuals(
         self, profile: Profile, fold: Fold, harmonics: Complex, setting: _Setting, finished: bool, aside_mm: float = 0.0
     ) -> Array:
-        """(bins,) of one strip, in units of what is expected; 0 where nothing is known.
+        """Return (bins,) of one strip, in units of what is expected; 0 where nothing is known.
 
         The strip's brightness is free. As milled the rows' marks carry light of the neighbours into a strip: there
         fringes may be paler, too, down to a third.
@@ -173,7 +173,9 @@ class _Model:
         return np.concatenate([*parts, self.priors(vector)])
 
     def priors(self, vector: Array) -> Array:
-        """What was known before, as residuals: they count more than bins, which are not independent of one another."""
+        """Return what was known before, as residuals: they count more than bins, which are not independent of one
+        another.
+        """
         setting = _Setting.of(vector)
         softer = math.log(setting.softer / self.softer) / (_SOFTER_SPREAD + 0.5 * abs(math.log(self.softer)))
         shifts = (one / _SHIFT_MM for one in setting.shifts)
@@ -181,22 +183,22 @@ class _Model:
 
 
 def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
-    """The finish of that half. Raises ValueError where no strip of either half can be used.
+    """Return the finish of that half. Raises ValueError where no strip of either half can be used.
 
     profiles : of all strips as the programs make them; folds : of all strips in both halves
     """
     model = _Model(coupon, profiles, folds, finished)
     if not model.milled or not model.finished:
         raise ValueError("no strip of the photograph can be used")
-    start = _first_look(model)
+    start = _search_setting(model)
     low, high = _bounds()
     inside = np.clip(start.vector(), low + 1e-6, high - 1e-6)
     found = least_squares(model.all, inside, bounds=(low, high), loss="soft_l1", x_scale=0.1, max_nfev=60)
     setting = _Setting.of(found.x)
-    left = tuple(_ripples_left(model, setting, finished=True))
-    milled = tuple(_ripples_left(model, setting, finished=False))
-    k0_range, order_range = _ranges(setting, left)
-    lever, lever_error = _lever_by_ramp(model, setting)
+    left = tuple(_find_ripples_left(model, setting, finished=True))
+    milled = tuple(_find_ripples_left(model, setting, finished=False))
+    k0_range, order_range = _find_ranges(setting, left)
+    lever, lever_error = _fit_lever(model, setting)
     throw = lever * model.nominal_mm / (coupon.refractive_index - 1) + coupon.flat_mm
     residual = np.concatenate(model.of_half(setting, finished=False) + model.of_half(setting, finished=True))
     return FinishFit(
@@ -215,14 +217,14 @@ def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold
 
 
 def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], half: Half) -> float:
-    """How badly a half fits what the programs mill: rms of what is left over what is expected, outliers cut off.
+    """Return how badly a half fits what the programs mill: rms of what is left over what is expected, outliers cut off.
 
     Some 1 for a half as milled, several for one that was finished; inf where nothing can be used.
     """
     model = _Model(coupon, profiles, folds, "left" if half == "right" else "right")
     if not model.milled:
         return math.inf
-    setting = _as_milled(model)
+    setting = _fit_as_milled(model)
     left = np.concatenate(model.of_half(setting, finished=False))
     left = np.minimum(np.abs(left[left != 0.0]), _OUTLIER)
     return float(np.sqrt(np.mean(left**2))) if left.size else math.inf
@@ -235,13 +237,15 @@ def _bounds() -> tuple[Array, Array]:
 
 
 def _cost(parts: Sequence[Array]) -> float:
-    """Of residuals, with what is far off counted less."""
+    """Return the cost of residuals, with outliers counted less."""
     return float(sum((np.sqrt(1.0 + part**2) - 1.0).sum() for part in parts))
 
 
-def _first_look(model: _Model) -> _Setting:
-    """The best of many settings: the milled half alone, then the finish. Fringes that cross have other minima."""
-    first = _as_milled(model)
+def _search_setting(model: _Model) -> _Setting:
+    """Return the best of many settings: the milled half alone, then the finish. Fringes that cross have other
+    minima.
+    """
+    first = _fit_as_milled(model)
     best, least = first, math.inf
     for k0 in np.geomspace(1.0, 60.0, 22):
         for order in (1.0, 2.0, 4.0):
@@ -252,8 +256,8 @@ def _first_look(model: _Model) -> _Setting:
     return best
 
 
-def _as_milled(model: _Model) -> _Setting:
-    """The setting with which the milled half fits best: of a grid, then from there."""
+def _fit_as_milled(model: _Model) -> _Setting:
+    """Return the setting with which the milled half fits best: of a grid, then from there."""
     best, least = _Setting(5.0, 2.0, 1.0, 0.05, (0.0, 0.0, 0.0, 0.0)), math.inf
     for lever in np.linspace(0.88, 1.12, 13):
         for blur in (0.02, 0.04, 0.08, 0.16):
@@ -274,8 +278,8 @@ def _as_milled(model: _Model) -> _Setting:
     return _Setting(best.k0, best.order, lever, blur, (middle, tilt, middle, tilt), model.softer)
 
 
-def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:
-    """Each ripple by itself: the share of its amplitude that fits best, the others as found."""
+def _find_ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:
+    """Yield each ripple by itself: the share of its amplitude that fits best, the others as found."""
     out = []
     for profile, fold in model.finished if finished else model.milled:
         strip = profile.strip
@@ -300,13 +304,15 @@ def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[R
             )
 
         costs = np.array([cost(share) for share in _LEFT])
-        share, error = _minimum(costs, max(1.0, 2.0 * costs.min() / max(fold.usable_bins - 3, 1)))
+        share, error = _find_minimum(costs, max(1.0, 2.0 * costs.min() / max(fold.usable_bins - 3, 1)))
         out.append(RippleLeft(period_mm=strip.period_mm, k_rad_per_mm=strip.k_rad_per_mm, share=share, error=error))
     return out
 
 
-def _minimum(costs: Array, scale: float) -> tuple[float, float]:
-    """Where half a sum of squares is least, and how far from there it has grown by a standard deviation's worth."""
+def _find_minimum(costs: Array, scale: float) -> tuple[float, float]:
+    """Return where half a sum of squares is least, and how far from there it has grown by a standard deviation's
+    worth.
+    """
     best = int(costs.argmin())
     near = costs - costs[best] <= 2.0 * scale
     below, above = best, best
@@ -322,8 +328,10 @@ def _minimum(costs: Array, scale: float) -> tuple[float, float]:
     return share, max(0.005, 0.25 * step * (above - below + 1))  # two deviations to either side
 
 
-def _ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """68 % of curves through ripples chosen anew with errors of their own, around what was found."""
+def _find_ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ranges that hold 68 % of curves through ripples drawn anew with their own errors around what was
+    found.
+    """
     k = np.array([one.k_rad_per_mm for one in left])
     share = np.array([one.share for one in left])
     error = np.hypot([one.error for one in left], 0.02)
@@ -341,7 +349,7 @@ def _ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float,
 
 
 def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
-    """ln k0 and ln order of the curve that goes nearest to the shares, kept by weak priors where they say little."""
+    """Return ln k0 and ln order of the curve nearest to the shares, kept by weak priors where they say little."""
     at = start.copy()
     for _ in range(12):
         power = (k / math.exp(at[0])) ** math.exp(at[1])
@@ -356,8 +364,8 @@ def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
     return np.asarray(at)
 
 
-def _lever_by_ramp(model: _Model, setting: _Setting) -> tuple[float, float]:
-    """The way to the wall over its nominal one, by the ramp as milled, and its error."""
+def _fit_lever(model: _Model, setting: _Setting) -> tuple[float, float]:
+    """Return the way to the wall over its nominal one, by the ramp as milled, and its error."""
     for profile, fold in model.milled:
         if profile.strip.kind != "ramp":
             continue

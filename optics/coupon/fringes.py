@@ -58,7 +58,7 @@ class Profile:
 
 
 def profiles_of_heights(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -> tuple[Profile, ...]:
-    """Of all strips with a period, from heights (ny, nx) of the milled piece: those of the right half.
+    """Return the profiles of all strips with a period, from heights (ny, nx) of the milled right half.
 
     The grid must be fine: short ripples of a coarse mill have edges, and 0.02 mm instead of 0.01 mm are a tenth of
     their fringes.
@@ -100,12 +100,12 @@ def profiles_of_heights(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -
 
 
 def nominal_lever_mm(coupon: Coupon) -> float:
-    """The way to the wall, where it should stand, times (n - 1)."""
+    """Return the way to the wall, where it should stand, times (n - 1)."""
     return (coupon.throw_mm - coupon.flat_mm) * (coupon.refractive_index - 1)
 
 
 def fringe_coefficients(profile: Profile, lever: float) -> Complex:
-    """(m + 1,) c_0 ... c_m as milled at that lever over the nominal one; beyond LEVERS as at their ends."""
+    """Return (m + 1,) c_0 ... c_m as milled at that lever over the nominal one; beyond LEVERS as at their ends."""
     place = np.clip((lever - LEVERS[0]) / (LEVERS[1] - LEVERS[0]), 1.0, LEVERS.size - 2.001)
     k = int(place)
     t = float(place) - k
@@ -144,7 +144,9 @@ class Finished:
         )
 
     def light(self, lever_mm: float) -> Complex:
-        """(m + 1,) c_0 ... c_m at that lever; neighbours are taken to give back, evenly, what leaves the strip."""
+        """Return (m + 1,) c_0 ... c_m at that lever; neighbours are taken to give back, evenly, what leaves the
+        strip.
+        """
         strip = self.strip
         phase = 2 * np.pi * (np.arange(_SAMPLES) + 0.5) / _SAMPLES + strip.k_rad_per_mm * lever_mm * self.slope_x
         weight = _window(strip, self.y_mm[:, None] + lever_mm * self.slope_y)
@@ -155,7 +157,7 @@ class Finished:
 
 
 def light_profile(harmonics: Complex, k_rad_per_mm: float, phase: Array, *, blur_mm: float, shift_mm: float) -> Array:
-    """(phases,) light of a strip from c_0 ... c_m, at phases of its period, blurred and moved along x."""
+    """Return (phases,) light of a strip from c_0 ... c_m, at phases of its period, blurred and moved along x."""
     m = np.arange(1, harmonics.size)
     soft = harmonics[1:] * np.exp(-((m * k_rad_per_mm * blur_mm) ** 2) / 2 - 1j * m * k_rad_per_mm * shift_mm)
     return np.asarray(harmonics[0].real + 2.0 * (soft @ np.exp(1j * m[:, None] * phase)).real)
@@ -176,7 +178,7 @@ def _window(strip: Strip, y_mm: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _sum_waves(phase, weight, count):  # type: ignore[no-untyped-def]
-    """(count,) sums of weight exp(-i m phase) for m = 0, 1, ...; phase, weight (ny, nx)."""
+    """Return (count,) sums of weight exp(-i m phase) for m = 0, 1, ...; phase, weight (ny, nx)."""
     out = np.zeros(count, np.complex128)
     for j in range(phase.shape[0]):
         for i in range(phase.shape[1]):

@@ -40,7 +40,7 @@ class RowErrors:
 
 
 def measure_grain(picture: Rectified, clean: Array, half: Half) -> float:
-    """Variance of the light across rows over what it would be without errors: `clean` (ny,), any unit."""
+    """Return the variance of the light across rows over what it would be without errors: `clean` (ny,), any unit."""
     begin, end = window_mm(half)
     columns = np.flatnonzero((picture.x_mm >= begin) & (picture.x_mm < end))
     parts = []
@@ -50,14 +50,14 @@ def measure_grain(picture: Rectified, clean: Array, half: Half) -> float:
         parts.append(light.sum(axis=1) / np.maximum(usable.sum(axis=1), 1) / np.maximum(clean, 1e-9))
     inner = (picture.y_mm >= _RIM_MM) & (picture.y_mm <= HEIGHT_MM - _RIM_MM)
     step = float(picture.y_mm[1] - picture.y_mm[0])
-    first, second = (_quick(part[inner], step) for part in parts)
+    first, second = (_remove_slow(part[inner], step) for part in parts)
     return float((first * second).mean())
 
 
 def fit_row_errors(
     grain: float, *, radius_mm: float, pitch_mm: float, lever_mm: float, blur_mm: float
 ) -> RowErrors:  # fmt: skip
-    """The size of errors that gives light so much grain.
+    """Return the size of row errors that gives light so much grain.
 
     lever_mm : the way to the wall times (n - 1)
     """
@@ -79,7 +79,7 @@ def fit_row_errors(
 
 
 def _grain_of_rows(sigma_mm: float, radius_mm: float, pitch_mm: float, lever_mm: float, blur_mm: float) -> Array:
-    """(pieces,) variance of the light of pieces whose rows have errors of that size."""
+    """Return (pieces,) variance of the light of pieces whose rows have errors of that size."""
     rng = np.random.default_rng(_SEED)
     rows = math.ceil((HEIGHT_MM + 2 * radius_mm) / pitch_mm) + 1
     bins = round(HEIGHT_MM / _BIN_MM)
@@ -94,12 +94,12 @@ def _grain_of_rows(sigma_mm: float, radius_mm: float, pitch_mm: float, lever_mm:
         before = (end - begin)[:, None] * np.clip((edges - first[:, None]) / wide[:, None], 0.0, 1.0)
         light = np.diff(before.sum(axis=0)) / _BIN_MM
         light = gaussian_filter1d(light, blur_mm / _BIN_MM, mode="nearest")
-        out[piece] = max(float((_quick(light[inner], _BIN_MM) ** 2).mean()), 1e-12)
+        out[piece] = max(float((_remove_slow(light[inner], _BIN_MM) ** 2).mean()), 1e-12)
     return out
 
 
 def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, Array]:
-    """Rows (n,) that are not cut away by others, and from where to where each makes the surface.
+    """Return rows (n,) that others do not cut away, and from where to where each makes the surface.
 
     Of parabolas (y - y_j)^2 / 2R + z_j the lowest: those on the lower hull of the points (y_j, z_j + y_j^2 / 2R).
     """
@@ -117,7 +117,7 @@ def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, 
     return y, np.concatenate([[y[0]], borders]), np.concatenate([borders, [y[-1]]])
 
 
-def _quick(light: Array, step_mm: float) -> Array:
-    """What changes faster than the strips do, over the mean."""
+def _remove_slow(light: Array, step_mm: float) -> Array:
+    """Return what changes faster than the strips do, over the mean."""
     slow = gaussian_filter1d(light, _SLOW_MM / step_mm, mode="nearest")
     return np.asarray(light / np.maximum(slow, 1e-9) - 1.0)

@@ -20,7 +20,7 @@ _PAD_MM = 6.0
 
 
 def screen_bench(throw_mm: float, refractive_index: float, half: Half) -> Bench:
-    """One half by itself, its lower left corner the origin, before the screen of the whole piece."""
+    """Return one half by itself, its lower left corner the origin, before the screen of the whole piece."""
     return Bench.centre_on(
         width_mm=HALF_MM,
         height_mm=HEIGHT_MM,
@@ -32,14 +32,16 @@ def screen_bench(throw_mm: float, refractive_index: float, half: Half) -> Bench:
 
 
 def screen_axes_mm(pixels: tuple[int, int]) -> tuple[Array, Array]:
-    """Work-frame x (nx,) and y (ny,) of the screen's pixels (ny, nx)."""
+    """Return work-frame x (nx,) and y (ny,) of the screen's pixels (ny, nx)."""
     ny, nx = pixels
     wide, high = WIDTH_MM + 2 * AROUND_MM, HEIGHT_MM + 2 * AROUND_MM
     return (np.arange(nx) + 0.5) * wide / nx - AROUND_MM, (np.arange(ny) + 0.5) * high / ny - AROUND_MM
 
 
 def finish_heights(z_mm: Array, spacing_mm: float, transfer: Transfer) -> Array:
-    """Heights (ny, nx) after a finish of the whole surface, which goes on beyond its rims as high as they are."""
+    """Return heights (ny, nx) after a finish of the whole surface, which goes on beyond its rims as high as they
+    are.
+    """
     pad = round(_PAD_MM / spacing_mm)
     wide = np.pad(z_mm, pad, mode="edge")
     level = float(wide.mean())
@@ -53,7 +55,9 @@ def light_of_heights(
     x_mm: Array, y_mm: Array, z_mm: Array, half: Half, *, throw_mm: float, refractive_index: float,
     pixels: tuple[int, int],
 ) -> Array:  # fmt: skip
-    """Irradiance (ny, nx) of one half, from heights on a grid that reaches beyond it; 1 is light that goes straight."""
+    """Return the irradiance (ny, nx) of one half, from heights on a grid that reaches beyond it; 1 is light that goes
+    straight.
+    """
     begin = 0.0 if half == "left" else HALF_MM
     columns = (x_mm >= begin - 1e-6) & (x_mm <= begin + HALF_MM + 1e-6)
     rows = (y_mm >= -1e-6) & (y_mm <= HEIGHT_MM + 1e-6)
@@ -67,7 +71,9 @@ def light_of_facets(
     part: Callable[[int], Array], parts: int, half: Half, *, throw_mm: float, refractive_index: float,
     pixels: tuple[int, int], on_progress: Callable[[float], None] | None = None,
 ) -> Array:  # fmt: skip
-    """Irradiance (ny, nx) of one half, from facets (n, 4, 5) of the whole piece; 1 is light that goes straight."""
+    """Return the irradiance (ny, nx) of one half, from facets (n, 4, 5) of the whole piece; 1 is light that goes
+    straight.
+    """
     begin = 0.0 if half == "left" else HALF_MM
 
     def of_half(number: int) -> Array:
@@ -83,6 +89,8 @@ def light_of_facets(
 
 
 def _straight(pixels: tuple[int, int]) -> float:
-    """What light that goes straight through one half is in units of that half's light over the number of pixels."""
+    """Return what light that goes straight through one half is in units of that half's light over the number of
+    pixels.
+    """
     bench = screen_bench(1.0, 1.5, "left")
     return bench.screen.width_mm * bench.screen.height_mm / (HALF_MM * HEIGHT_MM)

@@ -114,11 +114,11 @@ class Coupon:
         return -top if self.step_mm == 0.0 else -math.ceil(top / self.step_mm) * self.step_mm
 
     def strength(self, strip: Strip) -> float:
-        """m of a ripple as designed: the relative change of light; above 1 rays cross."""
+        """Return m of a ripple as designed: the relative change of light; above 1 rays cross."""
         return self.throw_mm * (self.refractive_index - 1) * strip.k_rad_per_mm**2 * strip.amplitude_mm
 
     def heightfield(self, spacing_mm: float = 0.025) -> Heightfield:
-        """The surface on a grid of about that spacing; 0.025 mm are a dozen vertices in the shortest period."""
+        """Return the surface on a grid of about that spacing; 0.025 mm are a dozen vertices in the shortest period."""
         nx, ny = round(WIDTH_MM / spacing_mm) + 1, round(HEIGHT_MM / spacing_mm) + 1
         x, y = np.linspace(0.0, WIDTH_MM, nx), np.linspace(0.0, HEIGHT_MM, ny)
         z = np.full((ny, nx), self.flat_mm)
@@ -137,7 +137,7 @@ class Coupon:
         return (2 * max(0, round(wanted / self.step_mm - 0.5)) + 1 + _OVER_STEP) * self.step_mm / 2
 
     def _profile_mm(self, strip: Strip, x_mm: Array) -> Array:
-        """(nx,) heights over the flat, fading out beyond both windows."""
+        """Return (nx,) heights over the flat, fading out beyond both windows."""
         along = np.mod(x_mm, HALF_MM) - WINDOW_BEGINS_MM
         beyond = np.maximum(-along, along - WINDOW_MM)
         part = np.clip(1.0 - beyond / _ENDS_MM, 0.0, 1.0)
@@ -155,19 +155,21 @@ class Coupon:
         return _SPOT_RADIUS_MM**2 / (2 * self.throw_mm * (self.refractive_index - 1)) + 2e-3
 
     def _spot_mm(self, away_mm: Array) -> Array:
-        """A cap that focuses on the wall, blended into the flat."""
+        """Return a cap that focuses on the wall, blended into the flat."""
         cap = self._spot_height_mm - away_mm**2 / (2 * self.throw_mm * (self.refractive_index - 1))
         soft = 3e-3  # a smooth maximum of the cap and 0
         return np.asarray(soft * np.logaddexp(0.0, np.minimum(cap / soft, 500.0)))
 
 
 def share_of_strip(strip: Strip, y_mm: Array) -> Array:
-    """(ny,) how much of a strip's heights there is at y: 1 inside, fading into the flat within its own borders."""
+    """Return (ny,) how much of a strip's heights there is at y: 1 inside, fading into the flat within its own
+    borders.
+    """
     inside = np.minimum(y_mm - strip.low_mm, strip.high_mm - y_mm)
     return np.asarray(np.sin(np.clip(inside / strip.fade_mm, 0.0, 1.0) * math.pi / 2) ** 2)
 
 
 def window_mm(half: Half) -> tuple[float, float]:
-    """From where to where in x fringes are measured."""
+    """Return from where to where in x fringes are measured."""
     begins = WINDOW_BEGINS_MM + (HALF_MM if half == "right" else 0.0)
     return begins, begins + WINDOW_MM

@@ -69,7 +69,7 @@ class Fold:
 
 
 def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
-    """The light of whole periods near the middle of the window, laid over one another."""
+    """Return the light of whole periods near the middle of the window, laid over one another."""
     begin, end = window_mm(half)
     period = strip.period_mm
     spare = int(np.ceil(_INSET_MM / period)) * period
@@ -109,14 +109,14 @@ def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
 
 
 def fold_all(picture: Rectified, coupon: Coupon) -> tuple[Fold, ...]:
-    """Of all strips with a period, left halves first."""
+    """Return the folds of all strips with a period, left halves first."""
     halves: tuple[Half, Half] = ("left", "right")
     strips = [strip for strip in coupon.strips if strip.cycles]
     return tuple(fold_strip(picture, strip, half) for half in halves for strip in strips)
 
 
 def _trend(cycle: Array, light: Array, usable: NDArray[np.bool_]) -> Array:
-    """(columns,) slow change of the lamp's light along x, around 1: a line through the means of the periods."""
+    """Return (columns,) slow change of the lamp's light along x, around 1: a line through the means of the periods."""
     count = usable.sum(axis=0).astype(np.float64)
     total = np.where(usable, light, 0.0).sum(axis=0)
     number = np.floor(cycle - cycle[0] + 1e-9).astype(int)

@@ -18,7 +18,7 @@ from optics.spline import Array
 def face_light(
     screen: TriangleMesh, neighbours: NDArray[np.int32], target: Array, size_mm: tuple[float, float]
 ) -> Array:
-    """(n,) integrals of target (ny, nx) over the median dual faces of a mesh that covers [0, w] x [0, h] [mm^2].
+    """Return (n,) integrals of target (ny, nx) over the median dual faces of a mesh that covers [0, w] x [0, h] [mm^2].
 
     neighbours (m, 3) : the triangle across from each corner, -1 on the rim (optics.paper.mesh_surgery.neighbours_of)
     """
@@ -33,7 +33,9 @@ def face_light(
 
 @njit(cache=True, nogil=True)
 def _along(left: Array, target: Array, x0: float, y0: float, x1: float, y1: float) -> float:
-    """Integral of F dy on the segment, in pixels, walked pixel by pixel; left[j, i] is F at the pixel's left side."""
+    """Return the integral of F dy on the segment, in pixels, walked pixel by pixel; left[j, i] is F at the pixel's left
+    side.
+    """
     ny, nx = target.shape
     dx, dy = x1 - x0, y1 - y0
     if dy == 0.0:
@@ -66,7 +68,7 @@ def _along(left: Array, target: Array, x0: float, y0: float, x1: float, y1: floa
 def _face_light(
     points: Array, triangles: Triangles, neighbours: NDArray[np.int32], left: Array, target: Array
 ) -> Array:
-    """Per triangle three sides from edge midpoint to centroid; on the rim, the two halves of the edge as well."""
+    """Return the light per triangle: three sides from edge midpoint to centroid; on the rim, half edges as well."""
     light = np.zeros(points.shape[0])
     for t in range(triangles.shape[0]):
         p, q, r = triangles[t]

@@ -38,7 +38,14 @@ from optics.paper.flow_record import (
     Remeshing,
     pixel_vertices,
 )
-from optics.paper.flow_rules import check_target, face_intensities, floor_note, held_to_the_frame, rms_over, verdict_on
+from optics.paper.flow_rules import (
+    check_target,
+    face_intensities,
+    floor_note,
+    judge_convergence,
+    project_to_frame,
+    rms_over,
+)
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
@@ -49,8 +56,8 @@ __all__ = [
     "FlowStep",
     "PaperFlow",
     "Remeshing",
-    "held_to_the_frame",
     "pixel_vertices",
+    "project_to_frame",
     "solve_paper_map",
 ]
 
@@ -96,10 +103,10 @@ def _plain_flow(
     steps: list[FlowStep] = []
     snapshots: list[FlowSnapshot] = []
     lens, lens_step = rest, 0
-    verdict: tuple[bool, str] | None = verdict_on(steps, rms_over(difference, faces), settings)
+    verdict: tuple[bool, str] | None = judge_convergence(steps, rms_over(difference, faces), settings)
     while verdict is None:
         solution = poisson.solve(mesh, difference * faces, tolerance=settings.solver_tolerance)
-        velocity = held_to_the_frame(mesh.vertex_gradients(solution.values, weights), (ny, nx))
+        velocity = project_to_frame(mesh.vertex_gradients(solution.values, weights), (ny, nx))
         largest_dt = mesh.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
         mesh = mesh.moved(mesh.points_mm + dt * velocity)
@@ -118,7 +125,7 @@ def _plain_flow(
                 solver_iterations=solution.iterations,
             )
         )
-        verdict = verdict_on(steps, rms, settings)
+        verdict = judge_convergence(steps, rms, settings)
         if steps[-1].step in KEPT_STEPS or verdict is not None:
             snapshots.append(_snapshot(steps[-1].step, difference, mesh, (ny, nx)))
         if on_progress is not None:

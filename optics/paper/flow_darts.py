@@ -15,7 +15,7 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, raise_to_floor, rms_over, verdict_on
+from optics.paper.flow_rules import excess_on_faces, floor_note, judge_convergence, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import neighbours_of
 from optics.paper.poisson import NeumannPoisson
@@ -26,7 +26,7 @@ from optics.spline import Array
 def flow_with_darts(
     target: Array, *, size_mm: tuple[float, float], settings: FlowSettings, on_progress: Progress | None = None
 ) -> PaperFlow:
-    """solve_paper_map for remeshing = "simple"."""
+    """Run solve_paper_map for remeshing = "simple"."""
     ny, nx = target.shape
     wanted, lifted = raise_to_floor(target, settings.floor)
     x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
@@ -37,10 +37,10 @@ def flow_with_darts(
     steps: list[FlowStep] = []
     snapshots: list[FlowSnapshot] = []
     excess, faces = excess_on_faces(pair, neighbours_of(pair.triangles), wanted, size_mm), rest.dual_areas()
-    verdict = verdict_on(steps, rms_over(excess / faces, faces), settings)
+    verdict = judge_convergence(steps, rms_over(excess / faces, faces), settings)
     while verdict is None:
         solution = NeumannPoisson(pair.lens).solve(pair.lens, excess, tolerance=settings.solver_tolerance)
-        velocity = _held(pair.lens.vertex_gradients(solution.values, pair.screen.areas()), pair, size_mm)
+        velocity = _project_to_frame(pair.lens.vertex_gradients(solution.values, pair.screen.areas()), pair, size_mm)
         removed = inserted = 0
         if pair.lens.largest_step(velocity) < settings.short_life:
             made = without_short_lived(pair, velocity, wanted=settings.short_life, pixel_mm=pixel_mm, rng=rng)
@@ -64,7 +64,7 @@ def flow_with_darts(
                 inserted=inserted,
             )
         )
-        verdict = verdict_on(steps, rms_over(difference, faces), settings)
+        verdict = judge_convergence(steps, rms_over(difference, faces), settings)
         if steps[-1].step in KEPT_STEPS or verdict is not None:
             field = on_lattice(pair, difference[:, None], x_mm, y_mm)[..., 0]
             lens_mm = _lens_lattice(pair, x_mm, y_mm)
@@ -88,7 +88,7 @@ def flow_with_darts(
 
 
 def _lens_lattice(pair: MeshPair, x_mm: Array, y_mm: Array) -> Array:
-    """(ny, nx, 2) points on the lens of the lattice of pixels, none across the frame."""
+    """Return (ny, nx, 2) points on the lens of the lattice of pixels, none across the frame."""
     lens_mm = on_lattice(pair, pair.lens.points_mm, x_mm, y_mm)
     lens_mm[:, 0, 0], lens_mm[:, -1, 0] = x_mm[0], x_mm[-1]
     lens_mm[0, :, 1], lens_mm[-1, :, 1] = y_mm[0], y_mm[-1]
@@ -96,7 +96,8 @@ def _lens_lattice(pair: MeshPair, x_mm: Array, y_mm: Array) -> Array:
 
 
 def on_lattice(pair: MeshPair, values: Array, x_mm: Array, y_mm: Array) -> Array:
-    """(ny, nx, k) values (n, k) of the vertices at the lattice of pixels: a C1 cubic over the screen, exact at them.
+    """Return (ny, nx, k) values (n, k) of the vertices at the lattice of pixels: a C1 cubic over the screen, exact at
+    them.
 
     A vertex that was never removed still stands on its pixel; between those that were, scipy's Clough-Tocher elements.
     """
@@ -113,8 +114,8 @@ def on_lattice(pair: MeshPair, values: Array, x_mm: Array, y_mm: Array) -> Array
     return grid
 
 
-def _held(velocity: Array, pair: MeshPair, size_mm: tuple[float, float]) -> Array:
-    """No component across the frame."""
+def _project_to_frame(velocity: Array, pair: MeshPair, size_mm: tuple[float, float]) -> Array:
+    """Return velocities without a component across the frame."""
     for axis in (0, 1):
         on_frame = (pair.screen.points_mm[:, axis] == 0.0) | (pair.screen.points_mm[:, axis] == size_mm[axis])
         velocity[on_frame, axis] = 0.0

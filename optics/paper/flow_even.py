@@ -32,7 +32,7 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, held_to_the_frame, raise_to_floor, rms_over
+from optics.paper.flow_rules import excess_on_faces, floor_note, project_to_frame, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import Neighbours, neighbours_of
 from optics.paper.poisson import NeumannPoisson
@@ -66,13 +66,13 @@ class _Even:
         lens = TriangleMesh.build_regular(self.x_mm, self.y_mm)
         return MeshPair(screen=lens.moved(self.screen_mm.reshape(-1, 2)), lens=lens)
 
-    def again(self, moved_mm: Array) -> _Even:
-        """The even grid once more, after its vertices had moved to moved_mm (my, mx, 2) on the lens."""
+    def regrid(self, moved_mm: Array) -> _Even:
+        """Return the even grid anew, after its vertices had moved to moved_mm (my, mx, 2) on the lens."""
         at = screen_positions(moved_mm[..., 0], moved_mm[..., 1], self.x_mm, self.y_mm)
         return self._carry_over(_read(self.screen_mm, *at))
 
-    def finer(self, cells: tuple[int, int]) -> _Even:
-        """The same map on another even grid."""
+    def refine(self, cells: tuple[int, int]) -> _Even:
+        """Return the same map on another even grid."""
         grown = self.identity((float(self.x_mm[-1]), float(self.y_mm[-1])), cells)
         u = np.linspace(0.0, self.x_mm.size - 1.0, grown.x_mm.size)
         v = np.linspace(0.0, self.y_mm.size - 1.0, grown.y_mm.size)
@@ -85,7 +85,7 @@ class _Even:
         return replace(self, screen_mm=_turn_back(screen_mm, triangles))
 
     def on_lattice(self, values: Array, x_mm: Array, y_mm: Array) -> Array:
-        """(ny, nx, k) values (my, mx, k) of the vertices at screen points (x_mm[i], y_mm[j])."""
+        """Return (ny, nx, k) values (my, mx, k) of the vertices at screen points (x_mm[i], y_mm[j])."""
         return _read(values, *screen_positions(self.screen_mm[..., 0], self.screen_mm[..., 1], x_mm, y_mm))
 
 
@@ -97,7 +97,7 @@ def flow_on_even_grids(
     settings: FlowSettings,
     on_progress: Progress | None = None,
 ) -> PaperFlow:
-    """solve_paper_map for remeshing = "clean"; lens_cells (x, y) of the grid it ends on."""
+    """Run solve_paper_map for remeshing = "clean"; lens_cells (x, y) of the grid it ends on."""
     ny, nx = target.shape
     wanted, lifted = raise_to_floor(target, settings.floor)
     run = _Run(wanted, size_mm, settings, on_progress)
@@ -106,7 +106,7 @@ def flow_on_even_grids(
         cells = (max(lens_cells[0] // share, 2), max(lens_cells[1] // share, 2))
         if share > 1 and min(cells) < _LEAST_CELLS:
             continue
-        state = _Even.identity(size_mm, cells) if state is None else state.finer(cells)
+        state = _Even.identity(size_mm, cells) if state is None else state.refine(cells)
         state = run.settle(state, last=share == 1)
     assert state is not None
     pair = state.pair()
@@ -143,7 +143,7 @@ class _Run:
         self.rms, self.settled = np.inf, False
 
     def settle(self, state: _Even, *, last: bool) -> _Even:
-        """Steps on one grid until they no longer help; the best state that was on the even grid."""
+        """Step on one grid until it no longer helps; return the best state that was on the even grid."""
         start = state.pair()
         poisson, across = NeumannPoisson(start.lens), neighbours_of(start.triangles)
         shape = state.screen_mm.shape[:2]
@@ -155,21 +155,19 @@ class _Run:
             all_rms.append(rms)
             if since == 0 and rms < best_rms:
                 best, best_rms = state, rms
-            self.settled = rms <= self._settings.converged_rms or _no_longer_falls(
-                all_rms, _GAIN if last else _COARSE_GAIN
-            )
+            self.settled = rms <= self._settings.converged_rms or _is_stalled(all_rms, _GAIN if last else _COARSE_GAIN)
             if since == 0 and (self.settled or len(self.steps) >= self._settings.max_steps):
                 self.rms = best_rms
                 return best
             solution = poisson.solve(pair.lens, excess, tolerance=self._settings.solver_tolerance)
-            velocity = held_to_the_frame(pair.lens.vertex_gradients(solution.values, pair.lens.areas()), shape)
+            velocity = project_to_frame(pair.lens.vertex_gradients(solution.values, pair.lens.areas()), shape)
             largest_dt = pair.lens.largest_step(velocity)
             dt = min(0.5 * largest_dt, 1.0)
             pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
             since += 1
             again = dt < _SHORT_STEP or since == _MOST_BETWEEN or self.settled
             if again:
-                state, since = state.again(pair.lens.points_mm.reshape(*shape, 2)), 0
+                state, since = state.regrid(pair.lens.points_mm.reshape(*shape, 2)), 0
                 pair = state.pair()
             self._record(state, pair, across, dt, largest_dt, solution.iterations, again)
 
@@ -219,18 +217,20 @@ class _Run:
         self.snapshots.append(FlowSnapshot(step=number, difference=grid[..., 2], lens_mm=grid[..., :2]))
 
 
-def _no_longer_falls(rms: list[float], gain: float) -> bool:
+def _is_stalled(rms: list[float], gain: float) -> bool:
     return len(rms) > _PATIENCE and min(rms[-_PATIENCE:]) > (1.0 - gain) * min(rms[:-_PATIENCE])
 
 
 def _read(values: Array, u: Array, v: Array, *, order: int = 1) -> Array:
-    """Bilinear (or cubic) values (my, mx, k) at fractional indices u along columns and v along rows, both (ny, nx)."""
+    """Return bilinear (or cubic) values (my, mx, k) at fractional indices u along columns and v along rows, both (ny,
+    nx).
+    """
     layers = (values[..., k] for k in range(values.shape[-1]))
     return np.stack([map_coordinates(layer, [v, u], order=order, mode="nearest") for layer in layers], axis=-1)
 
 
 def _turn_back(screen_mm: Array, triangles: Triangles) -> Array:
-    """Screen points (my, mx, 2) with no triangle turned over: vertices of such are averaged with their neighbours."""
+    """Return screen points (my, mx, 2) with no triangle turned over, by averaging vertices with their neighbours."""
     shape = screen_mm.shape
     for _ in range(_UNTURNING_ROUNDS):
         areas = TriangleMesh(points_mm=np.ascontiguousarray(screen_mm.reshape(-1, 2)), triangles=triangles).areas()
@@ -244,7 +244,7 @@ def _turn_back(screen_mm: Array, triangles: Triangles) -> Array:
 
 
 def _means(points: Array) -> Array:
-    """Mean of the four neighbours; on the frame of the two along it; corners stay."""
+    """Return the mean of the four neighbours; on the frame of the two along it; corners stay."""
     means = points.copy()
     means[1:-1, 1:-1] = 0.25 * (points[2:, 1:-1] + points[:-2, 1:-1] + points[1:-1, 2:] + points[1:-1, :-2])
     for rim in (0, -1):

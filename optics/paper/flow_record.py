@@ -64,7 +64,7 @@ class FlowSnapshot:
     lens_mm: Array
 
     def isoparametric_lines(self, count: int = 32) -> Iterator[Array]:
-        """About `count` polylines (k, 2) each way: images of lines of constant screen x and y, frame included."""
+        """Yield about `count` polylines (k, 2) each way: images of lines of constant screen x and y, frame included."""
         ny, nx = self.difference.shape
         for j in np.unique(np.linspace(0, ny - 1, count + 1).round().astype(int)):
             yield self.lens_mm[j]
@@ -94,11 +94,11 @@ class PaperFlow:
     remeshing: Remeshing = "none"
 
     def history(self) -> list[dict[str, float]]:
-        """One JSON-able dict per step."""
+        """Return one JSON-able dict per step."""
         return [asdict(step) for step in self.steps]
 
     def corners_mm(self) -> tuple[Array, Array]:
-        """Pixel corners on the (aperture-sized) screen and their points on the lens, both (ny + 1, nx + 1, 2).
+        """Return pixel corners on the (aperture-sized) screen and their points on the lens, both (ny + 1, nx + 1, 2).
 
         Bilinear between vertices: the rim stays on the frame and no corner leaves the quad of its neighbours.
         """
@@ -112,12 +112,12 @@ class PaperFlow:
 
 
 def pixel_vertices(pixels: int, length_mm: float) -> Array:
-    """One vertex per pixel of a row: on the pixel's centre, but the first and last on the frame."""
+    """Return one vertex per pixel of a row: on the pixel's centre, but the first and last on the frame."""
     centres = (np.arange(pixels, dtype=np.float64) + 0.5) * (length_mm / pixels)
     centres[0], centres[-1] = 0.0, length_mm
     return np.asarray(centres)
 
 
 def _interpolation(nodes: Array, at: Array) -> Array:
-    """(at.size, nodes.size) matrix of linear interpolation."""
+    """Return (at.size, nodes.size) matrix of linear interpolation."""
     return np.stack([np.interp(at, nodes, column) for column in np.eye(nodes.size)], axis=1)

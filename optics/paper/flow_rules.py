@@ -14,8 +14,8 @@ from optics.paper.mesh_surgery import Neighbours
 from optics.spline import Array
 
 
-def held_to_the_frame(velocity: Array, shape: tuple[int, int]) -> Array:
-    """(n, 2) velocities with no component across the frame; corners stand still."""
+def project_to_frame(velocity: Array, shape: tuple[int, int]) -> Array:
+    """Return (n, 2) velocities with no component across the frame; corners stand still."""
     field = velocity.reshape(*shape, 2).copy()
     field[:, 0, 0] = field[:, -1, 0] = 0.0
     field[0, :, 1] = field[-1, :, 1] = 0.0
@@ -23,7 +23,9 @@ def held_to_the_frame(velocity: Array, shape: tuple[int, int]) -> Array:
 
 
 def excess_on_faces(pair: MeshPair, across: Neighbours, target: Array, size_mm: tuple[float, float]) -> Array:
-    """(n,) light each face of a remeshed lens has beyond what its face on the screen should get [mm^2]: D x area."""
+    """Return (n,) light each face of a remeshed lens has beyond what its face on the screen should get [mm^2]: D x
+    area.
+    """
     return pair.lens.dual_areas() - face_light(pair.screen, across, target, size_mm)
 
 
@@ -35,7 +37,7 @@ def check_target(target: Array) -> None:
 
 
 def face_intensities(target: Array, faces: Array, floor: float) -> tuple[Array, float]:
-    """C per vertex (n,), floored, its total light exactly that of the aperture; and the share of faces lifted.
+    """Return C per vertex (n,), floored, its total light exactly that of the aperture; and the share of faces lifted.
 
     A face is its pixel, except beside the frame: there the outermost pixel is shared by two faces, by area.
     """
@@ -48,7 +50,7 @@ def face_intensities(target: Array, faces: Array, floor: float) -> tuple[Array, 
 
 
 def raise_to_floor(target: Array, floor: float) -> tuple[Array, float]:
-    """The target with mean 1 and nowhere below `floor`, and the share of its pixels that was lifted."""
+    """Return the target with mean 1 and nowhere below `floor`, and the share of its pixels that was lifted."""
     values = target / target.mean()
     lifted = float(np.mean(values < floor))
     values = np.maximum(values, floor)
@@ -56,7 +58,7 @@ def raise_to_floor(target: Array, floor: float) -> tuple[Array, float]:
 
 
 def _face_overlaps(pixels: int) -> Array:
-    """(pixels, pixels): row i holds the shares of each pixel in the face of vertex i, along one axis."""
+    """Return (pixels, pixels): row i holds the shares of each pixel in the face of vertex i, along one axis."""
     vertices = pixel_vertices(pixels, float(pixels))
     bounds = np.concatenate([[0.0], 0.5 * (vertices[1:] + vertices[:-1]), [float(pixels)]])
     edges = np.arange(pixels + 1.0)
@@ -69,8 +71,8 @@ def rms_over(difference: Array, faces: Array) -> float:
     return float(np.sqrt(np.dot(faces, difference**2) / faces.sum()))
 
 
-def verdict_on(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple[bool, str] | None:
-    """Whether to stop, and the sentence why; None goes on."""
+def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple[bool, str] | None:
+    """Return whether to stop, and the sentence why; None goes on."""
     state = f"rms difference {100.0 * rms:.2f} % of the mean after {len(steps)} steps"
     if rms <= settings.converged_rms:
         return True, f"The flow converged: {state}."

@@ -22,7 +22,7 @@ class TriangleMesh:
 
     @classmethod
     def build_regular(cls, x_mm: Array, y_mm: Array) -> TriangleMesh:
-        """Right triangles over the grid of x_mm (nx,) and y_mm (ny,), both ascending; vertex (j, i) is j nx + i.
+        """Build right triangles over the grid of x_mm (nx,) and y_mm (ny,), both ascending; vertex (j, i) is j nx + i.
 
         Every cell is cut along the diagonal from its lower left to its upper right corner.
         """
@@ -34,15 +34,15 @@ class TriangleMesh:
         return cls(points_mm=points, triangles=np.ascontiguousarray(triangles.reshape(-1, 3)))
 
     def moved(self, points_mm: Array) -> TriangleMesh:
-        """The same triangles on other points (n, 2)."""
+        """Return the same triangles on other points (n, 2)."""
         return TriangleMesh(points_mm=np.ascontiguousarray(points_mm), triangles=self.triangles)
 
     def areas(self) -> Array:
-        """(m,) signed triangle areas [mm^2], positive where counter-clockwise."""
+        """Return (m,) signed triangle areas [mm^2], positive where counter-clockwise."""
         return _areas(self.points_mm, self.triangles)
 
     def dual_areas(self) -> Array:
-        """(n,) areas of the median dual faces [mm^2].
+        """Return (n,) areas of the median dual faces [mm^2].
 
         The face of a vertex is bounded by the midpoints of its edges and the centroids of its triangles; medians cut a
         triangle into six equal parts, so each corner owns exactly a third of it. The faces tile the mesh.
@@ -50,18 +50,20 @@ class TriangleMesh:
         return _dual_areas(self.points_mm, self.triangles)
 
     def triangle_gradients(self, values: Array) -> Array:
-        """(m, 2) gradient of the P1 field `values` (n,) in each triangle."""
+        """Return (m, 2) gradient of the P1 field `values` (n,) in each triangle."""
         corners, f = self.points_mm[self.triangles], values[self.triangles]
         opposite = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]  # edge opposite to each corner, counter-clockwise
         turned = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1)
         return np.asarray((f[..., None] * turned).sum(axis=1) / (2.0 * self.areas())[:, None])
 
     def vertex_gradients(self, values: Array, weights: Array) -> Array:
-        """(n, 2) gradient of the P1 field `values` (n,): per vertex the mean over its triangles, weighted (m,)."""
+        """Return (n, 2) gradient of the P1 field `values` (n,): per vertex the mean over its triangles, weighted
+        (m,).
+        """
         return _vertex_gradients(self.points_mm, self.triangles, np.ascontiguousarray(values), weights)
 
     def largest_step(self, velocity: Array) -> float:
-        """Smallest positive time at which points moving with `velocity` (n, 2) give some triangle zero area.
+        """Return the smallest positive time at which points moving with `velocity` (n, 2) give some triangle zero area.
 
         The area of a moving triangle is A0 + A1 t + A2 t^2, exactly (paper, 3.1); infinity if none ever vanishes.
         """
@@ -104,7 +106,7 @@ def _dual_areas(points: Array, triangles: Triangles) -> Array:
 
 @njit(cache=True, nogil=True)
 def _vertex_gradients(points: Array, triangles: Triangles, values: Array, weights: Array) -> Array:
-    """Per triangle: 2 area grad(f) = sum_k f_k rot90(edge opposite to k)."""
+    """Return the gradients by 2 area grad(f) = sum_k f_k rot90(edge opposite to k) per triangle."""
     sums = np.zeros((points.shape[0], 2))
     totals = np.zeros(points.shape[0])
     for t in range(triangles.shape[0]):
@@ -135,7 +137,7 @@ def _vertex_gradients(points: Array, triangles: Triangles, values: Array, weight
 
 @njit(cache=True, nogil=True)
 def smallest_positive_root(a0: float, a1: float, a2: float) -> float:
-    """Smallest t > 0 with a0 + a1 t + a2 t^2 = 0 for a0 > 0, else infinity; the form without cancellation."""
+    """Return smallest t > 0 with a0 + a1 t + a2 t^2 = 0 for a0 > 0, else infinity; the form without cancellation."""
     discriminant = a1 * a1 - 4.0 * a0 * a2
     if discriminant < 0.0 or (a1 >= 0.0 and a2 >= 0.0):
         return np.inf

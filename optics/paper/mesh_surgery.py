@@ -22,7 +22,7 @@ _SWEEPS = 20
 
 
 def neighbours_of(triangles: Triangles) -> Neighbours:
-    """(m, 3) int32: the triangle across the edge opposite to each corner, -1 where that edge is on the rim."""
+    """Return (m, 3) int32: the triangle across the edge opposite to each corner, -1 where that edge is on the rim."""
     m, n = triangles.shape[0], int(triangles.max()) + 1
     a, b = triangles[:, [1, 2, 0]].astype(np.int64).ravel(), triangles[:, [2, 0, 1]].astype(np.int64).ravel()
     keys = np.minimum(a, b) * n + np.maximum(a, b)
@@ -139,7 +139,7 @@ def around(triangles: Triangles, across: Neighbours, v: int, t: int, ring: NDArr
 def life_without(
     lens: Array, screen: Array, velocity: Array, triangles: Triangles, ring: Neighbours, v: int, w: int, least: float
 ) -> float:
-    """Shortest life round v once v is drawn onto its neighbour w; 0 where a triangle would turn over."""
+    """Return the shortest life round v once v is drawn onto its neighbour w; 0 where a triangle would turn over."""
     shortest = np.inf
     for t in ring:
         row = triangles[t]
@@ -155,7 +155,7 @@ def life_without(
 
 @njit(cache=True, nogil=True)
 def draw_onto(triangles: Triangles, across: Neighbours, ring: Neighbours, v: int, w: int) -> None:
-    """Vertex v becomes w; the triangles that held both are struck out (first corner -1)."""
+    """Merge vertex v into w; the triangles that held both are struck out (first corner -1)."""
     for t in ring:
         k = place_in(triangles[t], v)
         if triangles[t, 0] == w or triangles[t, 1] == w or triangles[t, 2] == w:

@@ -14,9 +14,9 @@ from math import sqrt
 
 import numpy as np
 import pyamg
-import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 
 from optics.paper.mesh import TriangleMesh, Triangles
 from optics.spline import Array
@@ -40,15 +40,15 @@ class NeumannPoisson:
         self._pattern, self._slots = _pattern(mesh.triangles, mesh.points_mm.shape[0])
 
     def stiffness(self, mesh: TriangleMesh) -> sparse.csr_matrix:
-        """(n, n) integrals of grad(v_i) . grad(v_j) over the mesh [1]."""
+        """Return (n, n) integrals of grad(v_i) . grad(v_j) over the mesh [1]."""
         return self._filled(_stiffness(mesh.points_mm, mesh.triangles, self._slots, self._pattern.nnz))
 
     def mass(self, mesh: TriangleMesh) -> sparse.csr_matrix:
-        """(n, n) integrals of v_i v_j over the mesh [mm^2]; its row sums are the median dual areas."""
+        """Return (n, n) integrals of v_i v_j over the mesh [mm^2]; its row sums are the median dual areas."""
         return self._filled(_mass(mesh.areas(), self._slots, self._pattern.nnz))
 
     def factor(self, mesh: TriangleMesh) -> FactoredPoisson:
-        """The problem on `mesh`, ready for one or more loads."""
+        """Return the problem on `mesh`, ready for one or more loads."""
         return FactoredPoisson(self.stiffness(mesh))
 
     def solve(self, mesh: TriangleMesh, load: Array, *, tolerance: float = 1e-6) -> PoissonSolution:
@@ -94,7 +94,7 @@ class FactoredPoisson:
         return PoissonSolution(values=values - values.mean(), iterations=iterations, residual=size * tolerance / target)
 
     def _v_cycle(self, depth: int, load: Array) -> Array:
-        """An approximate solution of the problem at this depth; symmetric, as conjugate gradients need."""
+        """Return an approximate solution of the problem at this depth; symmetric, as conjugate gradients need."""
         level = self._hierarchy.levels[depth]
         if depth == len(self._hierarchy.levels) - 1:
             return np.asarray(self._hierarchy.coarse_solver(level.A, load))
@@ -106,12 +106,13 @@ class FactoredPoisson:
 
 
 def _dot(a: Array, b: Array) -> float:
-    """By einsum, which stays on this thread: BLAS wakes others for a few microseconds' work and lets them spin."""
+    """Return the dot product by einsum, which stays on this thread: BLAS wakes others that spin after little work."""
     return float(np.einsum("i,i", a, b))
 
 
 def divergence_load(mesh: TriangleMesh, field: Array) -> Array:
-    """(n,) integrals of field . grad(v_i): the weak form of -div(field), natural condition d(phi)/dn = field . n.
+    """Return (n,) integrals of field . grad(v_i): the weak form of -div(field), natural condition d(phi)/dn = field .
+    n.
 
     field (n, 2) is P1, so the midpoint of each triangle integrates the product exactly.
     """
@@ -119,7 +120,9 @@ def divergence_load(mesh: TriangleMesh, field: Array) -> Array:
 
 
 def _pattern(triangles: Triangles, vertices: int) -> tuple[sparse.csr_matrix, NDArray[np.int32]]:
-    """The sparsity pattern, and for each entry of the triangles' 3 x 3 matrices its place in the CSR data (m, 3, 3)."""
+    """Return the sparsity pattern, and for each entry of the triangles' 3 x 3 matrices its place in the CSR data (m, 3,
+    3).
+    """
     rows = np.repeat(triangles[:, :, None], 3, axis=2)
     columns = np.repeat(triangles[:, None, :], 3, axis=1)
     keys, slots = np.unique(rows.astype(np.int64) * vertices + columns, return_inverse=True)
@@ -131,7 +134,7 @@ def _pattern(triangles: Triangles, vertices: int) -> tuple[sparse.csr_matrix, ND
 
 @njit(cache=True, nogil=True)
 def _stiffness(points: Array, triangles: Triangles, slots: NDArray[np.int32], nnz: int) -> Array:
-    """Per triangle e_a . e_b / (4 area), e_k the edge opposite to corner k."""
+    """Return e_a . e_b / (4 area) per triangle, e_k the edge opposite to corner k."""
     data = np.zeros(nnz)
     ex, ey = np.empty(3), np.empty(3)
     for t in range(triangles.shape[0]):
@@ -158,7 +161,7 @@ def _mass(areas: Array, slots: NDArray[np.int32], nnz: int) -> Array:
 
 @njit(cache=True, nogil=True)
 def _divergence_load(points: Array, triangles: Triangles, field: Array) -> Array:
-    """area grad(v_k) = 1/2 rot90(opposite edge); the mean of a P1 field over a triangle is the mean of its corners."""
+    """Return the load by area grad(v_k) = 1/2 rot90(opposite edge); a P1 field's mean is that of its corners."""
     load = np.zeros(points.shape[0])
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t]

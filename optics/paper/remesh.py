@@ -50,7 +50,9 @@ class Remeshed:
 def without_short_lived(
     pair: MeshPair, velocity_mm: Array, *, wanted: float, pixel_mm: tuple[float, float], rng: np.random.Generator
 ) -> Remeshed:
-    """Remesh until triangles live `wanted`, as far as that can be had; the frame's vertices stay on the frame."""
+    """Remesh until triangles live `wanted`, as far as that can be had; the frame's vertices stay on the
+    frame.
+    """
     rule = _Rule(
         wanted=wanted,
         least=_LEAST_ON_SCREEN * pixel_mm[0] * pixel_mm[1],
@@ -115,7 +117,7 @@ def _draw_away(
     gone: NDArray[np.bool_],
     touched: NDArray[np.bool_],
 ) -> int:
-    """Of each triangle that lives shorter than wanted, draw that corner away which lengthens lives most."""
+    """Return of each triangle that lives shorter than wanted, draw that corner away which lengthens lives most."""
     ring = np.empty(MOST_AROUND, dtype=np.int32)
     count = 0
     for t in range(triangles.shape[0]):

@@ -24,7 +24,7 @@ class SmoothGridMap:
         self._shift_y = spline_over(x_mm, y_mm, moved_mm[..., 1] - y_mm[:, None])
 
     def preimages_mm(self, at_x_mm: Array, at_y_mm: Array) -> Array:
-        """(ny, nx, 2) grid coordinates q of the vertices (at_x_mm[i], at_y_mm[j]) of a regular grid.
+        """Return (ny, nx, 2) grid coordinates q of the vertices (at_x_mm[i], at_y_mm[j]) of a regular grid.
 
         Starts from the bilinear inverse in the quad that holds the point. A Newton step, with the Jacobian of the
         start, counts only where it brings the point nearer and stays within a cell; elsewhere (beside a crease, where
@@ -48,11 +48,11 @@ class SmoothGridMap:
         return q.reshape(at_y_mm.size, at_x_mm.size, 2)
 
     def images_mm(self, q: Array) -> Array:
-        """(n, 2) points p of the grid coordinates q (n, 2)."""
+        """Return (n, 2) points p of the grid coordinates q (n, 2)."""
         return q + np.stack([self._shift_x.ev(q[:, 1], q[:, 0]), self._shift_y.ev(q[:, 1], q[:, 0])], axis=1)
 
     def _inverse_jacobians(self, q: Array) -> Array:
-        """(n, 2, 2) inverse of dp/dq; zero where the smooth map turns over."""
+        """Return (n, 2, 2) inverse of dp/dq; zero where the smooth map turns over."""
         y, x = q[:, 1], q[:, 0]
         xx, xy = 1.0 + self._shift_x.ev(y, x, dy=1), self._shift_x.ev(y, x, dx=1)
         yx, yy = self._shift_y.ev(y, x, dy=1), 1.0 + self._shift_y.ev(y, x, dx=1)
@@ -62,5 +62,7 @@ class SmoothGridMap:
 
 
 def spline_over(x_mm: Array, y_mm: Array, values: Array) -> RectBivariateSpline:
-    """The interpolating bicubic spline of values (ny, nx); call .ev(y, x): the first argument runs along the rows."""
+    """Return the interpolating bicubic spline of values (ny, nx); call .ev(y, x): the first argument runs along the
+    rows.
+    """
     return RectBivariateSpline(y_mm, x_mm, values, kx=3, ky=3, s=0)

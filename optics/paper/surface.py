@@ -65,7 +65,7 @@ class PaperLens:
         )
 
     def history(self) -> list[dict[str, Any]]:
-        """JSON-able: one dict per flow step, then one for the surface."""
+        """Return JSON-able dicts: one per flow step, then one for the surface."""
         surface = {
             "stage": "surface",
             "sweeps": len(self.surface.changes_mm),
@@ -82,7 +82,7 @@ def paper_lens(
     flow_settings: FlowSettings | None = None,
     on_progress: Progress | None = None,
 ) -> PaperLens:
-    """The lens for target (ny, nx), work frame, by the paper's method.
+    """Return the lens for target (ny, nx), work frame, by the paper's method.
 
     Even light straight through a whole rectangular block, as in the paper. A screen of another size or place starts the
     flow at the screen point x W_screen / W + shift: the flow runs in lens coordinates all the same. Unless
@@ -125,7 +125,9 @@ def paper_lens(
 def solve_paper_surface(
     screen_mm: Array, mesh: TriangleMesh, *, throw_mm: float, refractive_index: float, skim_mm: float
 ) -> PaperSurface:
-    """Heights on the vertices of the lens's mesh that send their light to screen_mm (n, 2), throw_mm above Z0."""
+    """Return heights on the vertices of the lens's mesh that send their light to screen_mm (n, 2), throw_mm above
+    Z0.
+    """
     points = mesh.points_mm
     shift = screen_mm - points
     _refuse_total_reflection(shift, throw_mm, skim_mm, refractive_index)
@@ -149,7 +151,7 @@ def solve_paper_surface(
 
 
 def _heightfield(flow: PaperFlow, h_mm: Array, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
-    """The lens's grid of heights. After clean remeshing the mesh is that grid already."""
+    """Return the lens's grid of heights. After clean remeshing the mesh is that grid already."""
     if flow.remeshing == "clean":
         z_mm = h_mm.reshape(vertices_y, vertices_x)
         return Heightfield.on_aperture(z_mm, width_mm=float(flow.x_mm[-1]), height_mm=float(flow.y_mm[-1]))
@@ -160,7 +162,7 @@ def _heightfield(flow: PaperFlow, h_mm: Array, vertices_x: int, vertices_y: int,
 
 
 def resample_heights(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
-    """Heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
+    """Return heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
 
     Read in the flat triangles instead, the lens would have facets a pixel wide, and the picture would show them.
     """
@@ -194,7 +196,7 @@ def _refuse_what_the_paper_has_not(bench: Bench) -> None:
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:
-    """Light leaves if its way out is within arccos(1 / n) of the way in; the shortest drop, at -skim, is strictest."""
+    """Raise TotalReflectionError where light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
     farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
     shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
     if throw_mm + skim_mm <= shortest_mm:

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from optics.spline import Array
-from optics.threads import over_rows
+from optics.threads import run_on_rows
 
 _PIECE = 1 << 14
 _SINGULAR = 1e-10  # of the normalised products: directions weaker than this tell nothing
@@ -21,7 +21,7 @@ _SINGULAR = 1e-10  # of the normalised products: directions weaker than this tel
 
 @njit(cache=True, nogil=True)
 def _remember(piece_lo: int, piece_hi: int, new: Array, last: Array, changes: Array, slot: int, is_first: bool) -> None:
-    """changes[slot] = new - last, last = new, on the pieces piece_lo..piece_hi - 1."""
+    """Set changes[slot] = new - last and last = new on the pieces piece_lo..piece_hi - 1."""
     for k in range(piece_lo * _PIECE, min(piece_hi * _PIECE, new.size)):
         if not is_first:
             changes[slot, k] = new[k] - last[k]
@@ -32,7 +32,7 @@ def _remember(piece_lo: int, piece_hi: int, new: Array, last: Array, changes: Ar
 def _products(
     piece_lo: int, piece_hi: int, changes: Array, depth: int, slot: int, residual: Array, sums: Array
 ) -> None:
-    """sums[piece, 0, i] = changes[i] . changes[slot], sums[piece, 1, i] = changes[i] . residual, over each piece."""
+    """Compute sums[piece, 0, i] = changes[i] . changes[slot], sums[piece, 1, i] = changes[i] . residual per piece."""
     for piece in range(piece_lo, piece_hi):
         lo, hi = piece * _PIECE, min((piece + 1) * _PIECE, residual.size)
         newest, rest = changes[slot, lo:hi], residual[lo:hi]
@@ -48,7 +48,7 @@ def _products(
 
 @njit(cache=True, nogil=True)
 def _combine(piece_lo: int, piece_hi: int, moved: Array, weights: Array, moves: Array, mixed: Array) -> None:
-    """mixed = moved - sum of weights[i] * moves[i], on the pieces piece_lo..piece_hi - 1."""
+    """Compute mixed = moved - sum of weights[i] * moves[i] on the pieces piece_lo..piece_hi - 1."""
     for piece in range(piece_lo, piece_hi):  # by elements: an array assigned to a slice takes 2 s to compile
         lo, hi = piece * _PIECE, min((piece + 1) * _PIECE, moved.size)
         out = mixed[lo:hi]
@@ -77,23 +77,23 @@ class Anderson:
         self.count = -1
 
     def next_iterate(self, moved: Array, residual: Array, extra: float) -> Array:
-        """The iterate after x, where moved = x + f(x) and the residual is that of x; arrays of any one shape."""
+        """Return the iterate after x, where moved = x + f(x) and the residual is that of x; arrays of any one shape."""
         flat, rest = moved.ravel(), residual.ravel()
         slot, is_first = max(self.count, 0) % self.depth, self.count < 0
-        over_rows(_remember, self.pieces, flat, self.last_moved, self.moves, slot, is_first)
-        over_rows(_remember, self.pieces, rest, self.last_residual, self.changes, slot, is_first)
+        run_on_rows(_remember, self.pieces, flat, self.last_moved, self.moves, slot, is_first)
+        run_on_rows(_remember, self.pieces, rest, self.last_residual, self.changes, slot, is_first)
         self.extras[slot], self.last_extra = extra - self.last_extra, extra
         self.count += 1
         if is_first:
             return moved
         weights = self._weights(slot, rest, extra)
         mixed = np.empty_like(flat)
-        over_rows(_combine, self.pieces, flat, weights, self.moves, mixed)
+        run_on_rows(_combine, self.pieces, flat, weights, self.moves, mixed)
         return mixed.reshape(moved.shape)
 
     def _weights(self, slot: int, residual: Array, extra: float) -> Array:
         n = min(self.count, self.depth)
-        over_rows(_products, self.pieces, self.changes, n, slot, residual, self.sums)
+        run_on_rows(_products, self.pieces, self.changes, n, slot, residual, self.sums)
         by_newest, by_residual = self.sums[:, :, :n].sum(axis=0)
         self.gram[slot, :n] = self.gram[:n, slot] = by_newest + self.extras[:n] * self.extras[slot]
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(self.gram)[:n], math.ulp(0.0)))

@@ -23,7 +23,8 @@ _CLOSE_ENOUGH_MM = 1e-4  # of a Newton step: it converges quadratically, so that
 def trace_back(
     beam: Beam, qx: float, qy: float, throw: float, c: float, sx: float, sy: float, guess: float
 ) -> tuple[float, float, float, float, float, float]:
-    """(R, px, py, t, face_x, face_y) of the ray that arrives at q along s; NaN where no light could be sent that way.
+    """Return (R, px, py, t, face_x, face_y) of the ray that arrives at q along s; NaN where no light could be sent that
+    way.
 
     guess : of R, for a point source; NaN if there is none
     """
@@ -49,7 +50,7 @@ def trace_back(
 def _ray_from_point(
     beam: Beam, qx: float, qy: float, throw: float, c: float, sx: float, sy: float, sz: float, guess: float
 ) -> float:
-    """R of phase(X) + R = c: convex in R, so that Newton's method overshoots once at most."""
+    """Return R of phase(X) + R = c: convex in R, so that Newton's method overshoots once at most."""
     ray = throw / sz if math.isnan(guess) else guess
     for _ in range(_NEWTON_STEPS):
         dx, dy, dz, phase, _, _ = meet(beam, qx - ray * sx, qy - ray * sy, throw - ray * sz)
@@ -69,7 +70,7 @@ def face_areas(
     throw: float, left: float, bottom: float, dx: float, dy: float, unit_x: float, unit_y: float,
     across: Array, along: Array, mixed: Array, light: Array, top: Array,
 ) -> None:  # fmt: skip
-    """As even_light.preimage_areas, on the face and for any beam; light (ny, nx) is its strength at the quad's middle.
+    """Compute even_light.preimage_areas on the face for any beam; light (ny, nx) is its strength at the quad's middle.
 
     c (ny + 2, nx + 2)     : with ghosts that continue it by its slope on the frame
     rim_x (2, ny, 3), rim_y (2, nx, 3) : (face_x, face_y, t) where the frame's pixel edges come from
@@ -110,7 +111,9 @@ def _horizontal_edges(
     e: int, c: Array, rim_y: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, out: Array,
 ) -> None:  # fmt: skip
-    """Face points out (nx, 2) of the middles of the pixel edges on line e, counted from the frame's lower one."""
+    """Compute face points out (nx, 2) of the middles of the pixel edges on line e, counted from the frame's lower
+    one.
+    """
     nx = out.shape[0]
     if e == 0 or e == c.shape[0] - 2:
         out[:] = rim_y[0 if e == 0 else 1, :, :2]
@@ -129,7 +132,7 @@ def corner_points(
     row_lo: int, row_hi: int, c: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, px: Array, py: Array,
 ) -> None:  # fmt: skip
-    """Lens points px, py (ny + 1, nx + 1) that light the corners of pixels, from c with ghosts."""
+    """Compute lens points px, py (ny + 1, nx + 1) that light the corners of pixels, from c with ghosts."""
     for r in range(row_lo, row_hi):
         ray = math.nan
         for k in range(px.shape[1]):
@@ -144,7 +147,7 @@ def corner_points(
 def heights_on_beam(
     row_lo: int, row_hi: int, path: Array, qx: Array, qy: Array, x: Array, y: Array, throw: float, beam: Beam, t: Array
 ) -> None:
-    """Heights t (my, mx) of phase(p, t) + |(q, H) - (p, t)| = path at p = (x[k], y[r]); q and path are (my, mx).
+    """Solve phase(p, t) + |(q, H) - (p, t)| = path for t (my, mx) at p = (x[k], y[r]); q and path are (my, mx).
 
     Of one direction, with m = n d_z, w = path - n (d_x, d_y) . (p - centre), a = m^2 - 1, b = m w - H and
     e = w^2 - |q - p|^2 - H^2: a t^2 - 2 b t + e = 0, so that t = e / (b +- sqrt(b^2 - a e)) with the sign of b.
@@ -168,7 +171,7 @@ def heights_on_beam(
 def _height_on_point_beam(
     beam: Beam, x: float, y: float, path: float, shift2: float, throw: float, guess: float
 ) -> float:
-    """The same for a point source by Newton's method: d/dt = n d_z - (H - t) / ray."""
+    """Return the same for a point source by Newton's method: d/dt = n d_z - (H - t) / ray."""
     t = guess
     for _ in range(_NEWTON_STEPS):
         _, _, dz, phase, _, _ = meet(beam, x, y, t)

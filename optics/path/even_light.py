@@ -17,7 +17,9 @@ from optics.spline import Array
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[float, float]:
-    """(R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally reflected."""
+    """Return (R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally
+    reflected.
+    """
     sz2 = 1.0 - sx * sx - sy * sy
     if sz2 * index * index <= 1.0:
         return math.nan, math.nan
@@ -27,7 +29,7 @@ def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[f
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_border(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
-    """c with one ghost row and column outside, which continue it by the slope on the frame."""
+    """Return c with one ghost row and column outside, which continue it by the slope on the frame."""
     ny, nx = c.shape
     value = 0.0
     if k < 0:
@@ -51,7 +53,7 @@ def preimage_areas(
     throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
 ) -> None:  # fmt: skip
-    """What the pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens; the mean pixel's share is 1.
+    """Compute what pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens; the mean pixel's share is 1.
 
     With p at the midpoints of the pixel's four edges, (pE - pW) x (pN - pS) is the exact area of the quad:
     across[r, k] = x extent of pE - pW, along = y extent of pN - pS, mixed = the product of the other two; area =
@@ -140,7 +142,7 @@ def preimages_of_corners(
     throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, px: Array, py: Array,
 ) -> None:  # fmt: skip
-    """Lens points px, py (ny + 1, nx + 1) that light corner rows row_lo..row_hi - 1; the frame stays on the frame."""
+    """Compute lens points px, py (ny + 1, nx + 1) that light corner rows row_lo..row_hi - 1; the frame stays on it."""
     ny, nx = c.shape
     for r in range(row_lo, row_hi):
         for k in range(nx + 1):
@@ -164,7 +166,7 @@ def preimages_of_corners(
 
 
 def rim_slopes(c: Array, bench: Bench) -> tuple[Array, Array]:
-    """Normal slopes (2, ny), (2, nx) of c that put the frame of the aperture onto the frame of the screen.
+    """Return the normal slopes (2, ny), (2, nx) of c that put the frame of the aperture onto the frame of the screen.
 
     There s = shift / R. With R as in `reach`, L = n H - c and the slope t along the frame, n s_z - 1 = s L / shift, or
     (L^2 + n^2 shift^2) s^2 + 2 shift L s = shift^2 (n^2 (1 - t^2) - 1), where s has the sign of the shift.

@@ -12,7 +12,7 @@ _COARSE_ENOUGH = 48
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Grid shapes from about 32 pixels a side to the full one; a short side waits for the other to double."""
+    """Return grid shapes from about 32 pixels a side to the full one; a short side waits for the other to double."""
     shapes = [(shape[0], shape[1])]
     while max(shapes[0]) > _COARSE_ENOUGH:
         ny, nx = (-(-n // 2) if n > _COARSE_ENOUGH else n for n in shapes[0])
@@ -21,7 +21,7 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
-    """Exact means of a piecewise constant grid over a coarser one's cells (any ratio)."""
+    """Return the exact means of a piecewise constant grid over a coarser one's cells (any ratio)."""
     for axis, n in enumerate(shape):
         if values.shape[axis] == n:
             continue
@@ -35,7 +35,7 @@ def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
 
 
 def prolong(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
-    """c on a finer grid: base exactly, the rest by cubic interpolation with mirror images beyond the frame."""
+    """Return c on a finer grid: base exactly, the rest by cubic interpolation with mirror images beyond the frame."""
     qx, qy = bench.pixel_centres_mm(c.shape[1], c.shape[0])
     delta = c - bench.base_path_mm(qx[None, :], qy[:, None])
     rows = (np.arange(shape[0]) + 0.5) * c.shape[0] / shape[0] - 0.5

@@ -26,7 +26,7 @@ from optics.path.beam_path import corner_points, face_areas, heights_on_beam, tr
 from optics.path.even_light import preimage_areas, preimages_of_corners, rim_slopes
 from optics.path.rims import Rims, corner_rays, solve_rims
 from optics.spline import Array, BicubicSpline
-from optics.threads import over_rows
+from optics.threads import run_on_rows
 
 
 class Preimages:
@@ -61,13 +61,13 @@ class Preimages:
         """Measure the pre-images that c gives; returns the greatest height met (NaN: no light could go that way)."""
         if self.even:
             rim_x, rim_y = rim_slopes(c, self.bench)
-            over_rows(
+            run_on_rows(
                 preimage_areas, c.shape[0],
                 c, rim_x, rim_y, *self._arguments, self.across, self.along, self.mixed, self._top,
             )  # fmt: skip
             return self._greatest_height(c)
         ghosts, rims = self._add_border(c)
-        over_rows(
+        run_on_rows(
             face_areas, c.shape[0],
             ghosts, rims.points_x, rims.points_y, self._beam, *self._frame, *self._units,
             self.across, self.along, self.mixed, self.light, self._top,
@@ -81,14 +81,16 @@ class Preimages:
         return self._greatest_height(c)
 
     def corners(self, c: Array) -> tuple[Array, Array]:
-        """Lens points px, py (ny + 1, nx + 1) that light the pixels' corners; those of the frame lie on the rim."""
+        """Return lens points px, py (ny + 1, nx + 1) that light the pixels' corners; those of the frame lie on the
+        rim.
+        """
         ny, nx = c.shape
         px, py = np.empty((ny + 1, nx + 1)), np.empty((ny + 1, nx + 1))
         if self.even:
-            over_rows(preimages_of_corners, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
+            run_on_rows(preimages_of_corners, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
             return px, py
         ghosts, rims = self._add_border(c)
-        over_rows(corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
+        run_on_rows(corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
         for points, of in ((px, 3), (py, 4)):
             for side in (0, -1):
                 points[:, side] = _between(rims.points_x[side, :, of])
@@ -108,7 +110,7 @@ class Preimages:
         return px, py
 
     def _greatest_height(self, c: Array) -> float:
-        """Of the rows and of the corners, where a prism or a diverging lens is highest."""
+        """Return the greatest height at the rows and corners, where a prism or a diverging lens is highest."""
         return float(max(self._top.max(), corner_rays(c, self.bench, self._beam)[2].max()))
 
     def _add_border(self, c: Array) -> tuple[Array, Rims]:
@@ -117,7 +119,7 @@ class Preimages:
 
 
 def _between(middles: Array) -> Array:
-    """Values at the ends of edges from those at their middles."""
+    """Return values at the ends of edges from those at their middles."""
     ends = np.empty(middles.size + 1)
     ends[1:-1] = 0.5 * (middles[1:] + middles[:-1])
     ends[0], ends[-1] = 1.5 * middles[0] - 0.5 * middles[1], 1.5 * middles[-1] - 0.5 * middles[-2]
@@ -125,7 +127,7 @@ def _between(middles: Array) -> Array:
 
 
 def _central_ray(bench: Bench, height_mm: float = 0.0) -> tuple[float, float, float]:
-    """(c, s_x, s_y) of the ray from the aperture's middle at that height to the screen's."""
+    """Return (c, s_x, s_y) of the ray from the aperture's middle at that height to the screen's."""
     ax, ay = bench.shift_mm
     ray = math.sqrt(ax**2 + ay**2 + (bench.throw_mm - height_mm) ** 2)
     phase = meet(bench.beam(), bench.width_mm / 2, bench.height_mm / 2, height_mm)[3]
@@ -133,7 +135,7 @@ def _central_ray(bench: Bench, height_mm: float = 0.0) -> tuple[float, float, fl
 
 
 def _about_the_centre(bench: Bench, beam: Beam) -> tuple[tuple[float, float], float]:
-    """((reach_x, reach_y), path per height) as in Preimages, by small changes of the central ray."""
+    """Return ((reach_x, reach_y), path per height) as in Preimages, by small changes of the central ray."""
     c, sx, sy = _central_ray(bench)
     s, step = bench.screen, 1e-4
 
@@ -149,7 +151,9 @@ def _about_the_centre(bench: Bench, beam: Beam) -> tuple[tuple[float, float], fl
 
 
 def _pixels_per_mm(bench: Bench, beam: Beam, nx: int, ny: int) -> tuple[float, float]:
-    """Units in which the mean pixel's share of the face is about 1; signed: the branch's way counts as positive."""
+    """Return units in which the mean pixel's share of the face is about 1; signed: the branch's way counts as
+    positive.
+    """
     width, height = bench.width_mm, bench.height_mm
     wide = meet(beam, width, height / 2, 0.0)[4] - meet(beam, 0.0, height / 2, 0.0)[4]
     high = meet(beam, width / 2, height, 0.0)[5] - meet(beam, width / 2, 0.0, 0.0)[5]
@@ -157,13 +161,15 @@ def _pixels_per_mm(bench: Bench, beam: Beam, nx: int, ny: int) -> tuple[float, f
 
 
 def flat_path_mm(bench: Bench, shape: tuple[int, ...], *, skim_mm: float) -> Array:
-    """The optical path (ny, nx) to start from: a surface that hardly bends more than it must, and the base."""
+    """Return the optical path (ny, nx) to start from: a surface that hardly bends more than it must, and the base."""
     qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
     return _central_ray(bench, -skim_mm)[0] + bench.base_path_mm(qx[None, :], qy[:, None])
 
 
 def _path_spline(c: Array, bench: Bench) -> BicubicSpline:
-    """delta = c - base through the pixel centres and three ghosts, which continue it by its slope on the frame."""
+    """Return delta = c - base through the pixel centres and three ghosts, which continue it by its slope on the
+    frame.
+    """
     ny, nx = c.shape
     s, pad = bench.screen, 3
     dx, dy = s.width_mm / nx, s.height_mm / ny
@@ -191,7 +197,7 @@ def _path_spline(c: Array, bench: Bench) -> BicubicSpline:
 
 
 def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench) -> Array:
-    """Heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
+    """Return heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
 
     c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
     t is stationary in q, so the error of q enters squared.
@@ -206,7 +212,7 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
         qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy
         path = spline.heights_mm(qx, qy) + bench.base_path_mm(qx, qy)
         part = np.empty_like(path)
-        over_rows(heights_on_beam, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
+        run_on_rows(heights_on_beam, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
         t[rows] = part
     if not np.isfinite(t).all():
         raise NoSurfaceError(lost_share=float(np.mean(~np.isfinite(t))))

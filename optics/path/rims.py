@@ -37,7 +37,7 @@ class Rims:
     points_y: Array
 
     def add_border(self, c: Array, dx: float, dy: float) -> Array:
-        """c (ny, nx) with one ghost row and column around it, which continue it by its slope on the frame."""
+        """Return c (ny, nx) with one ghost row and column around it, which continue it by its slope on the frame."""
         ghosts = np.pad(c, 1, mode="edge")
         for side, sign in ((0, -dx), (-1, dx)):
             ghosts[:, side] += sign * np.pad(self.slope_x[side], 1, mode="edge")
@@ -46,7 +46,7 @@ class Rims:
         return ghosts
 
     def greatest_height_around(self, bench: Bench, margin_mm: float) -> float:
-        """Height that the surface reaches that far beyond the rim, away from the aperture's middle."""
+        """Return the height that the surface reaches that far beyond the rim, away from the aperture's middle."""
         points = np.concatenate([self.points_x.reshape(-1, 7), self.points_y.reshape(-1, 7)])
         away = points[:, 3:5] - (bench.width_mm / 2, bench.height_mm / 2)
         rise = (points[:, 5:7] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
@@ -55,7 +55,7 @@ class Rims:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, float]:
-    """(value, slope) of a curve at even spacing from 0, linear between, constant beyond; NaN at NaN."""
+    """Return (value, slope) of a curve at even spacing from 0, linear between, constant beyond; NaN at NaN."""
     u = at * cells_per_mm
     if math.isnan(u):
         return math.nan, math.nan
@@ -73,7 +73,7 @@ def _side(
     beam: Beam, throw: float, upright: bool, q_across: float, q_along: Array, edge: Array, half: float,
     tangential: Array, curve: Array, cells_per_mm: float, most: float, slope: Array, points: Array,
 ) -> None:  # fmt: skip
-    """Slopes (m,) across one side of the frame and what they lead back to (m, 7); slope holds the first guess.
+    """Solve slopes (m,) across one side of the frame and what they lead back to (m, 7); slope holds the first guess.
 
     upright : whether this is a left or right side;  half : signed way from the pixels' middles to the frame
     Newton's method: with S = (s, t, s_z), X = Q - R S and c = edge + half s,
@@ -106,7 +106,7 @@ def _side(
 
 
 def solve_rims(c: Array, bench: Bench, beam: Beam, curves: RimCurves) -> Rims:
-    """The rims of the path c (ny, nx): once with the base's slopes for c on the frame, once with those found."""
+    """Return the rims of the path c (ny, nx): once with the base's slopes for c on the frame, once with those found."""
     ny, nx = c.shape
     s = bench.screen
     dx, dy = s.width_mm / nx, s.height_mm / ny
@@ -137,7 +137,8 @@ def solve_rims(c: Array, bench: Bench, beam: Beam, curves: RimCurves) -> Rims:
 
 
 def corner_rays(c: Array, bench: Bench, beam: Beam) -> tuple[Array, Array, Array]:
-    """(s_x, s_y, t), each (2, 2), of the rays from the aperture's corners to the frame's: [top or not, right or not].
+    """Return (s_x, s_y, t), each (2, 2), of the rays from the aperture's corners to the frame's: [top or not, right or
+    not].
 
     Both ends are known, so that the path at the corner gives the height, and that the direction. The path there is
     continued from the next pixel's middle by the slopes themselves.
@@ -160,7 +161,7 @@ def corner_rays(c: Array, bench: Bench, beam: Beam) -> tuple[Array, Array, Array
 
 
 def _tangential(edge: Array, ends_slopes: Array, step: float, bench: Bench) -> Array:
-    """Slope along a side at its pixels, from c there and those at its two ends (2,).
+    """Return the slope along a side at its pixels, from c there and those at its two ends (2,).
 
     An outline has no corner to end at: there the pixels must do.
     """
@@ -171,7 +172,7 @@ def _tangential(edge: Array, ends_slopes: Array, step: float, bench: Bench) -> A
 
 
 def _first_slopes(bench: Bench, qx: Array, qy: Array) -> tuple[Array, Array]:
-    """The base path's slopes (2, ny), (2, nx) across the frame."""
+    """Return the base path's slopes (2, ny), (2, nx) across the frame."""
     s, h = bench.screen, 1e-3
     left_right = np.array([[s.left_mm], [s.left_mm + s.width_mm]])
     bottom_top = np.array([[s.bottom_mm], [s.bottom_mm + s.height_mm]])

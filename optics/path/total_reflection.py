@@ -16,8 +16,8 @@ _SAFE = 0.6  # of the tangent of the greatest turn: relief and pixels' own slope
 _FARTHEST = 1e6  # throws that are tried, in screens
 
 
-def far_and_even(bench: Bench) -> Bench:
-    """The same frames under even light and so far apart that nothing is reflected: its map hardly differs."""
+def move_far_away(bench: Bench) -> Bench:
+    """Return the same frames under even light and so far apart that nothing is reflected: its map hardly differs."""
     s = bench.screen
     throw_mm = 20 * max(bench.width_mm, bench.height_mm, s.width_mm, s.height_mm, *map(abs, bench.shift_mm))
     return replace(bench, throw_mm=max(throw_mm, 20 * bench.throw_mm), light=Light(), mirror=False, outline_mm=None)

@@ -22,7 +22,7 @@ from scipy import fft
 from optics.bench import Bench
 from optics.path.optical_path import Preimages
 from optics.spline import Array
-from optics.threads import over_rows, thread_count
+from optics.threads import run_on_rows, thread_count
 
 _SINGLE_UP_TO = 1024  # pixels a side: rounding of long waves reaches the residual N^2 times as strong
 _EVENED = 1.0  # weight of 1 beside w; 0.3 and 3 take a few steps more, w alone (at least 0.1) three times as many
@@ -33,7 +33,7 @@ def _monotone_residual(
     row_lo: int, row_hi: int, across: Array, along: Array, mixed: Array, light: Array, g: Array,
     residual: Array, sums: Array,
 ) -> None:  # fmt: skip
-    """residual = light * det+ - g; sums[row] = its sum, that of its squares, and the light on turned pixels."""
+    """Compute residual = light * det+ - g; sums[row] = its sum, that of its squares, and the light on turned pixels."""
     even = light.size == 1
     for r in range(row_lo, row_hi):
         total = squares = turned = 0.0
@@ -56,7 +56,7 @@ def _monotone_residual(
 def _level_out(
     row_lo: int, row_hi: int, across: Array, along: Array, light: Array, mean: float, residual: Array, even: Array
 ) -> None:
-    """residual -= mean, and even = residual / (w + 1) * 2."""
+    """Compute residual -= mean, and even = residual / (w + 1) * 2."""
     is_even = light.size == 1
     for r in range(row_lo, row_hi):
         for k in range(residual.shape[1]):
@@ -106,18 +106,18 @@ class TransportLevel:
         self._sums = np.empty((ny, 3))
 
     def evaluate(self, c: Array) -> Misses:
-        """How far c is from the aim; `step` then says which way that is."""
+        """Return how far c is from the aim; `step` then says which way that is."""
         p, rows = self.preimages, c.shape[0]
         top_mm = p.evaluate(c)
-        over_rows(
+        run_on_rows(
             _monotone_residual, rows, p.across, p.along, p.mixed, p.light, self.target, self._residual, self._sums
         )
         mean, square, turned = self._sums.sum(axis=0) / c.size
-        over_rows(_level_out, rows, p.across, p.along, p.light, mean, self._residual, self._even)
+        run_on_rows(_level_out, rows, p.across, p.along, p.light, mean, self._residual, self._even)
         return Misses(self._residual, math.sqrt(max(square - mean * mean, 0.0)), float(turned), top_mm)
 
     def step(self) -> Array:
-        """The change of c that the last residual asks for."""
+        """Return the change of c that the last residual asks for."""
         spectrum = fft.dctn(self._even, type=2, workers=thread_count())
         spectrum *= self._inverse
         return np.asarray(fft.idctn(spectrum, type=2, workers=thread_count(), overwrite_x=True))

@@ -38,7 +38,7 @@ class Fit:
 
 
 def promise_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Correlation of what lies there with the picture, cut off where the photograph is."""
+    """Return the correlation of what lies there with the picture, cut off where the photograph is."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     share = float(clipped[view.inner].mean())
     picture = np.minimum(view.picture, np.quantile(view.picture[view.inner], min(max(1 - share, 0.05), 0.98)))
@@ -46,12 +46,12 @@ def promise_of(photograph: Photograph, view: View, fit: Fit) -> float:
 
 
 def correlation_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Of the photograph with the fit, inside the picture."""
+    """Return the correlation of the photograph with the fit, inside the picture."""
     return _alike(photograph, view, fit)[0]
 
 
 def likeness_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Geometric mean of that correlation and of that of the picture's details, which another picture cannot share.
+    """Return the geometric mean of that correlation and of that of the details, which another picture cannot share.
 
     Blobs of light can be laid over one another by a perspective, a tone and a blur; what lies between _DETAILS of the
     picture's side cannot.
@@ -60,7 +60,7 @@ def likeness_of(photograph: Photograph, view: View, fit: Fit) -> float:
 
 
 def _alike(photograph: Photograph, view: View, fit: Fit) -> tuple[float, float]:
-    """Correlation of all, and of the details."""
+    """Return the correlation of all, and of the details."""
     off, model, _, _ = residual_of(photograph, view, fit)
     inner = view.inner
     known = np.isfinite(off[inner])
@@ -80,7 +80,7 @@ def _correlate(a: Array, b: Array) -> float:
 
 
 def smooth(picture: Array) -> Array:
-    """As all that is compared is smoothed."""
+    """Smooth values as all that is compared is smoothed."""
     return gaussian_filter(picture, _SMOOTH)
 
 
@@ -89,13 +89,13 @@ def blur(picture: Array, fit: Fit) -> Array:
 
 
 def model_photograph(picture: Array, fit: Fit) -> tuple[Array, Array]:
-    """What the photograph should show, smoothed, and where that is not clipped (a share)."""
+    """Return what the photograph should show, smoothed, and where that is not clipped (a share)."""
     raw = fit.gain * np.clip(blur(picture, fit), 0.0, None) ** fit.tone + fit.offset
     return smooth(np.minimum(raw, 1.0)), smooth((raw < 1.0).astype(np.float64))
 
 
 def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Array, Array, Array]:
-    """Photograph less model (NaN where they are not compared), the model, its open share, the clipped share."""
+    """Return photograph less model (NaN where they are not compared), the model, its open share, the clipped share."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     inside &= view.compared
     model, is_open = model_photograph(view.picture, fit)
@@ -104,7 +104,7 @@ def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Ar
 
 
 def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = False, fit_blur: bool = False) -> Fit:
-    """Gauss-Newton steps with Levenberg's damping from one fit, on one view.
+    """Run Gauss-Newton steps with Levenberg's damping from one fit, on one view.
 
     fit_blur : the picture's rim is left out, for a prediction ends there while the light does not
     """
@@ -141,7 +141,7 @@ def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = Fal
 
 
 def _with_tones(photograph: Photograph, view: View, fit: Fit) -> Fit:
-    """Gain and offset for a guess of the place alone: least squares over what is not clipped."""
+    """Return the gain and offset for a guess of the place alone: least squares over what is not clipped."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     chosen = inside & (clipped < 0.02)
     if chosen.sum() < 20:
@@ -157,7 +157,9 @@ def _with_tones(photograph: Photograph, view: View, fit: Fit) -> Fit:
 def columns_of(
     view: View, fit: Fit, model: Array, is_open: Array, along: tuple[Array, Array], fit_tone: bool, fit_blur: bool
 ) -> Array:
-    """(k, ...) by how much the residual falls for each parameter; the place first, then gain, offset, tone, blur."""
+    """Return (k, ...) by how much the residual falls for each parameter; the place first, then gain, offset, tone,
+    blur.
+    """
     down, across = np.gradient(model)
     place = -(along[0] * (across / view.step[1]) + along[1] * (down / view.step[0]))
     lit = np.maximum(blur(view.picture, fit), 1e-6)
@@ -171,7 +173,7 @@ def columns_of(
 
 
 def _solve_step(residual: Array, columns: Array, scale: float, damping: float, fit: Fit, fit_tone: bool) -> Array:
-    """The damped step of all parameters that are fitted."""
+    """Return the damped step of all parameters that are fitted."""
     valid = np.isfinite(residual)
     r, jacobian = residual[valid], columns[:, valid]
     weight = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(r), 1e-12))
@@ -202,19 +204,19 @@ def take_step(fit: Fit, step: Array, fit_tone: bool, fit_blur: bool) -> Fit:
 
 
 def _spread_of(parts: tuple[Array, Array, Array, Array]) -> float:
-    """Of the residuals, those left out that are nothing because photograph and model are both white there."""
+    """Return the spread of the residuals, without those that are 0 as photograph and model are both white there."""
     off, _, is_open, clipped = parts
     return robust_scale(np.where((is_open > 0.5) | (clipped < 0.5), off, np.nan))
 
 
 def robust_scale(residual: Array) -> float:
-    """Standard deviation of most residuals, and no less than the steps of a file's 8 bits hide."""
+    """Return the standard deviation of most residuals, and no less than the steps of a file's 8 bits hide."""
     values = residual[np.isfinite(residual)]
     return max(1.4826 * float(np.median(np.abs(values))), _LEAST_SCALE) if values.size else 1.0
 
 
 def _cost(residual: Array, scale: float) -> float:
-    """Mean Huber loss in units of the scale, times the scale squared."""
+    """Return the mean Huber loss in units of the scale, times the scale squared."""
     r = np.abs(residual[np.isfinite(residual)]) / scale
     if r.size == 0:
         return np.inf

@@ -18,10 +18,10 @@ _TURNS = 24
 
 
 def first_guesses(small: Array, picture: Array, *, turned_over: bool) -> list[Array]:
-    """First guesses, in coordinates of the small photograph scaled to 1 x 1."""
-    lit, level = _lit(small)
+    """Return the first guesses in coordinates of the small photograph scaled to 1 x 1."""
+    lit, level = _find_lit(small)
     flip = np.diag([-1.0, 1.0, 1.0]) if turned_over else np.eye(3)
-    own = _seen_as_lit(picture)
+    own = _clip_glare(picture)
     guesses = []
     middle, root = _moments(np.where(lit, np.sqrt(np.clip(small - level, 0.0, None)), 0.0))
     own_middle, own_root = _moments(np.sqrt(own))
@@ -46,13 +46,13 @@ def first_guesses(small: Array, picture: Array, *, turned_over: bool) -> list[Ar
     return [np.diag([1 / wide, 1 / high, 1.0]) @ one for one in guesses]
 
 
-def _seen_as_lit(picture: Array) -> Array:
-    """Without the glare of a few pixels."""
+def _clip_glare(picture: Array) -> Array:
+    """Return the picture without the glare of a few pixels."""
     return np.clip(picture, 0.0, np.quantile(picture, 0.98))
 
 
-def _lit(small: Array) -> tuple[Mask, float]:
-    """Where light falls in a photograph (all of what lies close together), and how bright it is elsewhere."""
+def _find_lit(small: Array) -> tuple[Mask, float]:
+    """Return where light falls in a photograph (all of what lies close together), and how bright it is elsewhere."""
     smooth = gaussian_filter(small, 1.0)
     dark, bright = float(np.quantile(smooth, 0.05)), float(np.quantile(smooth, 0.995))
     histogram, edges = np.histogram(smooth, bins=64, range=(dark, max(bright, dark + 1e-9)))
@@ -67,7 +67,7 @@ def _lit(small: Array) -> tuple[Mask, float]:
 
 
 def _moments(weight: Array) -> tuple[Array, Array]:
-    """Centre (2,) and root of the covariance (2, 2) of a weighted grid [pixels]."""
+    """Return the centre (2,) and root of the covariance (2, 2) of a weighted grid [pixels]."""
     total = max(float(weight.sum()), 1e-12)
     y, x = (np.arange(n) + 0.5 for n in weight.shape)
     across, down = weight.sum(axis=0) / total, weight.sum(axis=1) / total
@@ -79,7 +79,9 @@ def _moments(weight: Array) -> tuple[Array, Array]:
 
 
 def _corners(lit: Mask) -> Array | None:
-    """(4, 2) corners around the lit pixels, clockwise as seen, from the one nearest the upper left; None: no area."""
+    """Return (4, 2) corners around the lit pixels, clockwise as seen, from the one nearest the upper left; None: no
+    area.
+    """
     rows, columns = np.nonzero(lit)
     points = np.concatenate([np.stack([columns + dx, rows + dy], axis=1) for dx in (0, 1) for dy in (0, 1)])
     try:

@@ -16,7 +16,7 @@ PARAMETERS = 8
 
 
 def apply_homography(homography: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Images of points x, y (any one shape); NaN where a point lies on or behind the horizon."""
+    """Return images of points x, y (any one shape); NaN where a point lies on or behind the horizon."""
     h = homography
     below = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     below = np.where(below > 1e-9 * abs(h[2, 2]), below, np.nan)
@@ -24,18 +24,20 @@ def apply_homography(homography: Array, x: Array, y: Array) -> tuple[Array, Arra
 
 
 def normalise_homography(homography: Array) -> Array:
-    """The same mapping with 1 in its last place, so that the middle of the picture lies before the horizon."""
+    """Return the same mapping with 1 in its last place, so that the middle of the picture lies before the horizon."""
     return np.asarray(homography / homography[2, 2])
 
 
 def step_homography(step: Array) -> Array:
-    """(3, 3) homography near the identity, of eight small parameters: to first order it moves by `step_fields`."""
+    """Return (3, 3) homography near the identity, of eight small parameters: to first order it moves by
+    `step_fields`.
+    """
     s = step
     return np.array([[1 + s[2], s[3], s[0]], [s[4], 1 + s[5], s[1]], [-s[6], -s[7], 1.0]])
 
 
 def step_fields(x: Array, y: Array) -> tuple[Array, Array]:
-    """(8, ...) each: by how much x and y of points move for each parameter of `step_homography`."""
+    """Return (8, ...) each: by how much x and y of points move for each parameter of `step_homography`."""
     zero, one = np.zeros_like(x), np.ones_like(x)
     along_x = np.stack([one, zero, x, y, zero, zero, x * x, x * y])
     along_y = np.stack([zero, one, zero, zero, x, y, x * y, y * y])
@@ -43,7 +45,9 @@ def step_fields(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def homography_of_points(source: Array, image: Array) -> Array:
-    """(3, 3) homography that takes four points (4, 2) of the source, no three in line, to those of the image (4, 2)."""
+    """Return (3, 3) homography that takes four points (4, 2) of the source, no three in line, to those of the image (4,
+    2).
+    """
     rows = []
     for (x, y), (u, v) in zip(source, image, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y, -u])
@@ -57,7 +61,7 @@ def homography_of_points(source: Array, image: Array) -> Array:
 
 
 def jacobian_at(homography: Array, x: float = 0.0, y: float = 0.0) -> Array:
-    """(2, 2) derivative of the image by the point, at one point."""
+    """Return (2, 2) derivative of the image by the point, at one point."""
     h = homography
     below = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     u, v = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / below, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / below
@@ -68,7 +72,7 @@ def jacobian_at(homography: Array, x: float = 0.0, y: float = 0.0) -> Array:
 
 
 def rotation_rad(homography: Array, middle: tuple[float, float]) -> float:
-    """By how much a picture is turned in a photograph with that middle, clockwise, if the camera was level.
+    """Return how far a picture is turned in a photograph with that middle, clockwise, if the camera was level.
 
     A camera that is level sees upright lines upright or meeting above or below its middle, whichever way it looks: the
     angle is that of the line from the photograph's middle to where they meet.
@@ -79,7 +83,7 @@ def rotation_rad(homography: Array, middle: tuple[float, float]) -> float:
 
 
 def enclose_quadrilateral(hull: Array) -> Array:
-    """(4, 2) corners of a small quadrilateral around a convex polygon (n, 2), n >= 4, in the polygon's order.
+    """Return (4, 2) corners of a small quadrilateral around a convex polygon (n, 2), n >= 4, in the polygon's order.
 
     Edges are left out one after the other, each time that whose neighbours, made longer until they meet, add least.
     """
@@ -100,7 +104,9 @@ def enclose_quadrilateral(hull: Array) -> Array:
 
 
 def _find_meeting(a: Array, b: Array, d: Array, c: Array) -> tuple[float, Array] | None:
-    """Where a -> b and d -> c go on to meet, and the triangle's area that this adds to the edge b c; None: nowhere."""
+    """Return where a -> b and d -> c go on to meet, and the triangle's area that this adds to the edge b c; None:
+    nowhere.
+    """
     along, back, between = b - a, c - d, c - b
     cross = along[0] * back[1] - along[1] * back[0]
     if abs(cross) < 1e-12:

@@ -57,7 +57,8 @@ class WallRays:
         self._foretold = self._hits(np.zeros(SETTINGS))
 
     def light(self, setting: Array) -> Array:
-        """(ny + 2 rim, nx + 2 rim) irradiance in the work frame, in units of incident light / pixels of the screen.
+        """Return (ny + 2 rim, nx + 2 rim) irradiance in the work frame, in units of incident light / pixels of the
+        screen.
 
         An affine mapping of the whole picture is taken out, for where the camera stands undoes it.
         """
@@ -72,12 +73,12 @@ class WallRays:
         return convolve_same(light, disc_kernel(*self._source_px, points=_DISC_POINTS))
 
     def width(self, setting: Array) -> float:
-        """How wide the lit area is, relative to what the bench as it is makes of it."""
+        """Return how wide the lit area is, relative to what the bench as it is makes of it."""
         was, now = (float(np.nanmean(hits[0][:, -1] - hits[0][:, 0])) for hits in (self._foretold, self._hits(setting)))
         return now / was
 
     def _hits(self, setting: Array) -> tuple[Array, Array]:
-        """(rows + 1, columns + 1) each: where the lattice's rays meet the wall [pixels]; NaN: reflected."""
+        """Return (rows + 1, columns + 1) each: where the lattice's rays meet the wall [pixels]; NaN: reflected."""
         bench, aim, s = self._bench, self._tubes.aim, self._lens
         tilt_x, tilt_y = bench.light.tilt_rad
         light = replace(bench.light, tilt_rad=(tilt_x + setting[3], tilt_y + setting[4]))
@@ -98,7 +99,7 @@ class WallRays:
 
 
 def surface_mode(order: tuple[int, int], x: Array, y: Array, shape: float) -> Array:
-    """One of ORDERS at points from -1 to 1 from rim to rim of an aperture of that shape (height / width)."""
+    """Return one of ORDERS at points from -1 to 1 from rim to rim of an aperture of that shape (height / width)."""
     (a, b) = order
     if order == (2, 0):
         return np.asarray(_polynomial(2, x) - shape**2 * _polynomial(2, y))
@@ -106,12 +107,14 @@ def surface_mode(order: tuple[int, int], x: Array, y: Array, shape: float) -> Ar
 
 
 def _polynomial(order: int, x: Array) -> Array:
-    """Legendre's polynomial of one order, 1 at x = 1."""
+    """Return Legendre's polynomial of one order, 1 at x = 1."""
     return np.asarray(legendre.legval(x, [0.0] * order + [1.0]))
 
 
 def _coarser(lens: Heightfield, most: int) -> Heightfield:
-    """The same surface on at most that many cells along a side: quick, and finer than the pixels it is seen in."""
+    """Return the same surface on at most that many cells along a side: quick, and finer than the pixels it is seen
+    in.
+    """
     cells = [min(axis.size - 1, most) for axis in (lens.x_mm, lens.y_mm)]
     if cells == [lens.x_mm.size - 1, lens.y_mm.size - 1]:
         return lens
@@ -121,7 +124,7 @@ def _coarser(lens: Heightfield, most: int) -> Heightfield:
 
 
 def _without_affine(before: tuple[Array, Array], after: tuple[Array, Array]) -> tuple[Array, Array]:
-    """`after`, mapped by the affine mapping that brings it nearest to `before`, over all rays alike."""
+    """Return `after` under the affine mapping that brings it nearest to `before`, over all rays alike."""
     stride = max(1, before[0].shape[0] // 48), max(1, before[0].shape[1] // 48)
     x, y, u, v = (one[:: stride[0], :: stride[1]].ravel() for one in (*before, *after))
     known = np.isfinite(x + y + u + v)

@@ -100,8 +100,8 @@ def register(
         raise ValueError("the prediction holds no light")
     picture = picture / scale
     views = [View.of(picture, side, dark_surround) for side in _sides(max(picture.shape))]
-    upright = _best_fit(photograph, views, first_guesses(photograph.small(), picture, turned_over=False))
-    mirrored = _best_fit(photograph, views[:2], first_guesses(photograph.small(), picture, turned_over=True))
+    upright = _choose_fit(photograph, views, first_guesses(photograph.small(), picture, turned_over=False))
+    mirrored = _choose_fit(photograph, views[:2], first_guesses(photograph.small(), picture, turned_over=True))
     level = min(1, len(views) - 1)
     rivals = [likeness_of(photograph, views[level], one) for one in (upright, mirrored)]
     is_mirrored = rivals[1] > (_STRANGE + _ALIKE) / 2 and 1.0 - rivals[1] < _MIRRORED * (1.0 - rivals[0])
@@ -113,15 +113,15 @@ def register(
 
 
 def _sides(longest: int) -> list[int]:
-    """Of the views, coarse to fine."""
+    """Return the sides of the views, coarse to fine."""
     sides, last = [min(_COARSEST, longest)], min(longest, _FINEST)
     while sides[-1] * 2 <= last:
         sides.append(sides[-1] * 2)
     return sides if sides[-1] > 0.8 * last else [*sides, last]
 
 
-def _best_fit(photograph: Photograph, views: list[View], starts: list[Array]) -> Fit:
-    """The start that leads furthest, followed through all the views but not yet its blur and tone."""
+def _choose_fit(photograph: Photograph, views: list[View], starts: list[Array]) -> Fit:
+    """Return the start that leads furthest, followed through all the views but not yet its blur and tone."""
     high, wide = photograph.shape
     to_photo = np.diag([wide, high, 1.0])
     fits = [Fit(homography=normalise_homography(to_photo @ one)) for one in starts if abs(one[2, 2]) > 1e-12]
@@ -145,7 +145,7 @@ def _registration(
     viewed_from: ViewedFrom,
     mirrored: bool,
 ) -> Registration:
-    """The fit in the prediction's own pixels, units and frame."""
+    """Return the fit in the prediction's own pixels, units and frame."""
     ny, nx = picture.shape
     whole = View.of(picture, max(ny, nx), dark_surround=False)
     light, clipped, inside = whole.seen(photograph, fit.homography)

@@ -30,7 +30,7 @@ class Photograph:
 
     @classmethod
     def of(cls, photo: Array) -> Photograph:
-        """ValueError for one that is not a grid of finite values with some light."""
+        """Make a photograph from its grid; ValueError for one that is not of finite values with some light."""
         light = np.asarray(photo, dtype=np.float64)
         if light.ndim != 2 or min(light.shape) < 8 or not np.isfinite(light).all():
             raise ValueError("a photograph is a grid of at least 8 x 8 finite values")
@@ -48,11 +48,11 @@ class Photograph:
         return self.light[0].shape[0], self.light[0].shape[1]
 
     def small(self) -> Array:
-        """The finest of its sizes with at most some 25 000 pixels."""
+        """Return the finest of its sizes with at most some 25 000 pixels."""
         return next((one for one in self.light if one.size <= 25_000), self.light[-1])
 
     def sample(self, homography: Array, x: Array, y: Array, step: tuple[float, float]) -> tuple[Array, Array, Mask]:
-        """Mean light, clipped share and being inside, over areas of sides `step` (down, across) around x, y."""
+        """Return mean light, clipped share and being inside, over areas of sides `step` (down, across) around x, y."""
         level, _ = self._level(homography, step)
         light, clipped = self.light[level], self.clipped[level]
         (high, wide), (ny, nx) = self.shape, light.shape
@@ -67,7 +67,7 @@ class Photograph:
         return sums / 4, clips / 4, inside
 
     def sampling_blur_px2(self, homography: Array, step: tuple[float, float]) -> float:
-        """Variance, in areas sampled, that a sample is softer by than the mean over its area would be.
+        """Return the variance, in areas sampled, by which a sample is softer than the mean over its area.
 
         Four points a half apart, each read bilinearly from pixels that are means themselves.
         """
@@ -75,7 +75,7 @@ class Photograph:
         return 1 / 16 + pixel**2 * (1 / 12 + 1 / 6) - 1 / 12
 
     def _level(self, homography: Array, step: tuple[float, float]) -> tuple[int, float]:
-        """Which of the sizes to read for areas of these sides, and how wide its pixels are, in such areas."""
+        """Return which of the sizes to read for areas of these sides, and how wide its pixels are, in such areas."""
         across = float(np.sqrt(abs(np.linalg.det(jacobian_at(homography))) * step[0] * step[1]))
         level = int(np.clip(np.floor(np.log2(max(across / 2, 1e-9)) + 0.5), 0, len(self.light) - 1))
         return level, 2.0**level / max(across, 1e-9)
@@ -113,22 +113,22 @@ class View:
         )
 
     def without_rim(self) -> View:
-        """The same, not compared where the picture ends."""
+        """Return the same view, not compared where the picture ends."""
         away = np.minimum(abs(abs(self.x) - 1) / self.step[1], abs(abs(self.y) - 1) / self.step[0])
         beside = (abs(self.x) > 1 + _RIM * self.step[1]) | (abs(self.y) > 1 + _RIM * self.step[0])
         return replace(self, compared=self.compared & ((away > _RIM) | beside))
 
     def fields(self) -> tuple[Array, Array]:
-        """As `homography.step_fields` at its pixels."""
+        """Return `homography.step_fields` at its pixels."""
         return step_fields(self.x, self.y)
 
     def seen(self, photograph: Photograph, homography: Array) -> tuple[Array, Array, Mask]:
-        """What `Photograph.sample` finds in its pixels."""
+        """Return what `Photograph.sample` finds in its pixels."""
         return photograph.sample(homography, self.x, self.y, self.step)
 
 
 def area_average(picture: Array, shape: tuple[int, int]) -> Array:
-    """The picture on a grid of another shape, each value the mean over the area that its pixel covers."""
+    """Return the picture on a grid of another shape, each value the mean over the area that its pixel covers."""
     for axis, size in enumerate(shape):
         if picture.shape[axis] == size:
             continue
@@ -143,6 +143,6 @@ def area_average(picture: Array, shape: tuple[int, int]) -> Array:
 
 
 def pixel_noise(light: Array) -> float:
-    """From second differences along rows, which follow what is smooth (median: edges do not count)."""
+    """Return the noise from second differences along rows, which follow what is smooth (median: edges do not count)."""
     second = light[:, 2:] - 2 * light[:, 1:-1] + light[:, :-2]
     return 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)

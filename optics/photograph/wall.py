@@ -62,13 +62,13 @@ class Estimate:
     expected: float
 
     @property
-    def told(self) -> bool:
+    def is_determined(self) -> bool:
         """Whether the photograph told it: it narrows what was expected to less than half."""
         return self.deviation < 0.5 * self.expected
 
     def exceeds(self, deviations: float) -> bool:
-        """Whether it is told, and further from zero than so many of its deviations."""
-        return self.told and abs(self.value) > deviations * self.deviation
+        """Return whether it is told, and further from zero than so many of its deviations."""
+        return self.is_determined and abs(self.value) > deviations * self.deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +120,7 @@ def fit_wall(
 def surface_error_um(
     estimates: tuple[Estimate, ...], x: Array, y: Array, shape: float, *, deviations: float = 0.0
 ) -> Array:
-    """Height error at points of the aperture, x and y from -1 to 1 from rim to rim, of all that was told so surely.
+    """Return the height error at points of the aperture, -1 to 1 from rim to rim, of all terms that are determined.
 
     estimates : for each of ORDERS
     shape     : height / width of the aperture
@@ -168,7 +168,7 @@ class _Scene:
         self.known[self.view.inner] = area_average(known.astype(np.float64), shape) > 0.999
         inside = area_average(np.where(known, foretold, 0.0), shape)
         inner = self.view.inner
-        self.softness_px = _softness(self._plain[inner], inside, self.known[inner])
+        self.softness_px = _fit_softness(self._plain[inner], inside, self.known[inner])
         self._soft = self._soften(self._plain)
         self._milled = np.zeros(self._plain.shape)
         difference = np.where(self.known[inner], inside - self._soft[inner], 0.0)
@@ -176,17 +176,17 @@ class _Scene:
         self._shades = _shades(self.view)
 
     def light(self, setting: Array) -> Array:
-        """As the viewer sees it, as soft as foretold."""
+        """Return the light as the viewer sees it, as soft as predicted."""
         soft = self._soften(self._seen(setting)) if setting.any() else self._soft
         return np.maximum(soft + self._milled, 0.0)
 
-    def lit(self, state: _State, light: Array | None = None) -> View:
+    def make_view(self, state: _State, light: Array | None = None) -> View:
         light = self.light(state.setting) if light is None else light
         shading = 1.0 + np.tensordot(state.shade, self._shades, 1)
         return replace(self.view, picture=light * np.maximum(shading, 0.2))
 
     def residual(self, state: _State, view: View) -> tuple[Array, Array, Array, Array]:
-        """Photograph less model, model, its open share, and the weight of each pixel, 0 where it does not count.
+        """Return photograph less model, model, its open share, and the weight of each pixel, 0 where it does not count.
 
         What no model foresees, a mill's grain above all, grows with the light.
         """
@@ -199,7 +199,7 @@ class _Scene:
         return np.where(counts, off, 0.0), model, is_open, counts / grain**2
 
     def columns(self, state: _State, view: View, model: Array, is_open: Array, steps: Array) -> Array:
-        """(k, ...): place, gain, offset, tone, blur; the shades; the settings, by differences over `steps`."""
+        """Return (k, ...): place, gain, offset, tone, blur; the shades; the settings, by differences over `steps`."""
         fit = state.fit
         along = self.view.fields()
         lit = np.maximum(blur(view.picture, fit), 1e-6)
@@ -219,8 +219,8 @@ class _Scene:
         return np.concatenate([own, is_open * _odd_blurs(view, fit), np.stack(shades + settings)])
 
     def correlation(self, state: _State) -> float:
-        """Of the photograph with the model, over what counts inside the picture."""
-        off, model, _, counts = self.residual(state, self.lit(state))
+        """Return the correlation of the photograph with the model over what counts inside the picture."""
+        off, model, _, counts = self.residual(state, self.make_view(state))
         chosen = np.zeros(counts.shape, dtype=bool)
         chosen[self.view.inner] = counts[self.view.inner] > 0
         if chosen.sum() < 20 or not model[chosen].std() > 0:
@@ -268,7 +268,7 @@ class _WallFit:
                 scene, state = finer, replace(state, fit=replace(state.fit, spread_px2=spread))
             state, deviation = self._improve(scene, state)
             report((number + 1) / len(_SIDES))
-        return self._told(scene, state, deviation, scene.correlation(self._begin(scene)))
+        return self._make_result(scene, state, deviation, scene.correlation(self._begin(scene)))
 
     def _scene(self, side: int) -> _Scene:
         return _Scene(self._photograph, self._lens, self._bench, self._foretold, self._viewed_from, side)
@@ -286,8 +286,8 @@ class _WallFit:
         return _State(fit=fit, setting=np.zeros(SETTINGS), shade=np.zeros(SHADES), odd_blur=np.zeros(_ODD.size))
 
     def _improve(self, scene: _Scene, state: _State) -> tuple[_State, Array]:
-        """One Gauss-Newton step, halved until it helps; and the deviations of the settings there."""
-        view = scene.lit(state)
+        """Take one Gauss-Newton step, halved until it helps; return it and the deviations of the settings there."""
+        view = scene.make_view(state)
         off, model, is_open, counts = scene.residual(state, view)
         spread, root = (float(model[counts > 0].std()) if counts.any() else 1.0), np.sqrt(counts)
         scale = max(robust_scale(np.where(counts > 0, off * root, np.nan)), _UNFORESEEN * spread)
@@ -312,12 +312,12 @@ class _WallFit:
         now = self._loss(scene, state, view, scale, certainty)
         for factor in (1.0, 0.5, 0.25, 0.1):
             trial = self._move(state, factor * step)
-            if self._loss(scene, trial, scene.lit(trial), scale, certainty) < now:
+            if self._loss(scene, trial, scene.make_view(trial), scale, certainty) < now:
                 return trial, deviation
         return state, deviation
 
     def _prior(self, state: _State, count: int) -> tuple[Array, Array]:
-        """Precisions of all parameters, and what they pull towards."""
+        """Return the precisions of all parameters, and what they pull towards."""
         precision, at = np.full(count, 1e-12), np.zeros(count)
         tone = PARAMETERS + 2
         precision[tone], at[tone] = 1 / _TONE**2, 1.0 - state.fit.tone
@@ -329,7 +329,7 @@ class _WallFit:
         return precision, precision * at
 
     def _width_row(self, scene: _Scene, state: _State, count: int) -> tuple[Array, float]:
-        """By how much the lit width grows with each parameter, and how much it falls short of the measured one."""
+        """Return how much the lit width grows with each parameter, and how far it falls short of the measured one."""
         assert self._width is not None
         now, row = scene.rays.width(state.setting), np.zeros(count)
         for number in range(SETTINGS):
@@ -359,12 +359,12 @@ class _WallFit:
             odd_blur=state.odd_blur + odd,
         )
 
-    def _told(self, scene: _Scene, state: _State, deviation: Array, before: float) -> WallFit:
+    def _make_result(self, scene: _Scene, state: _State, deviation: Array, before: float) -> WallFit:
         found = [
             Estimate(value=float(v), deviation=float(d), expected=float(e))
             for v, d, e in zip(state.setting, deviation, self._expected, strict=True)
         ]
-        view, fit = scene.lit(state), state.fit
+        view, fit = scene.make_view(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
         foretold_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
         fitted = blur(scene.light(state.setting), fit)[view.inner]
@@ -387,13 +387,14 @@ _SHADING_EXPECTED = np.array([_SHADING / (a + b) ** 1.5 for a, b in _ORDERS_OF_S
 
 
 def _shades(view: View) -> Array:
-    """(SHADES, ...) cosines over the picture, level beyond it."""
+    """Return (SHADES, ...) cosines over the picture, level beyond it."""
     along, down = (np.pi * (np.clip(one, -1.0, 1.0) + 1.0) / 2 for one in (view.x, view.y))
     return np.stack([np.cos(a * along) * np.cos(b * down) for a, b in _ORDERS_OF_SHADES])
 
 
 def _odd_blurs(view: View, fit: Fit) -> Array:
-    """(5, ...): what a blur adds that is more across than along, more aslant, more on the right, at the bottom; tailed.
+    """Return (5, ...): what a blur adds that is more across than along, more aslant, more on the right, at the bottom;
+    tailed.
 
     A camera that looks from aside and is out of focus does the first four; no blur is quite a Gaussian.
     """
@@ -403,8 +404,8 @@ def _odd_blurs(view: View, fit: Fit) -> Array:
     return np.stack([(across - down) / 2, aslant, view.x * all_round, view.y * all_round, laplace(all_round) / 4])
 
 
-def _softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]:
-    """Standard deviations (down, across) [pixels] of the Gaussian that makes `sharp` most like `foretold`."""
+def _fit_softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]:
+    """Return standard deviations (down, across) [pixels] of the Gaussian that makes `sharp` most like `foretold`."""
     tried = [0.0, *np.geomspace(0.3, 12.0, 20)]
 
     def loss(down: float, across: float) -> float:
@@ -419,7 +420,7 @@ def _softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]
 
 
 def _area_of_correlation(off: Array, counts: Array) -> float:
-    """How many pixels share one error: the area under the residuals' autocorrelation."""
+    """Return how many pixels share one error: the area under the residuals' autocorrelation."""
     spectrum = np.abs(np.fft.rfft2(off, [2 * n for n in off.shape])) ** 2
     pairs = np.abs(np.fft.rfft2(counts, [2 * n for n in off.shape])) ** 2
     both, number = (np.fft.irfft2(one, [2 * n for n in off.shape]) for one in (spectrum, pairs))

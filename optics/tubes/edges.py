@@ -45,7 +45,7 @@ def add_edge(acc: Array, xa: float, ya: float, xb: float, yb: float, density: fl
 
 @njit(cache=True, nogil=True)
 def _add_in_row(row: Array, xa: float, xb: float, weight: float, nx: int) -> None:
-    """An edge's piece inside one pixel row; weight = signed density x rise, shared along the run in proportion."""
+    """Add an edge's piece inside one pixel row; weight = signed density x rise, shared along the run in proportion."""
     lo, hi = min(xa, xb), max(xa, xb)
     if lo >= nx:
         return
@@ -83,7 +83,9 @@ def add_point(acc: Array, x: float, y: float, amount: float) -> None:
 
 
 def polygon_coverage(corners: Array, shape: tuple[int, int]) -> Array:
-    """(ny, nx) covered share of each pixel of the grid, of a simple polygon (k, 2) in pixels, turning either way."""
+    """Return (ny, nx) covered share of each pixel of the grid, of a simple polygon (k, 2) in pixels, turning either
+    way.
+    """
     acc = np.zeros((shape[0], shape[1] + 1))
     for (xa, ya), (xb, yb) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         add_edge(acc, float(xa), float(ya), float(xb), float(yb), 1.0)

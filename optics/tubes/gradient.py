@@ -24,7 +24,9 @@ from optics.tubes.spread import POINT_AREA, triangle_area
 
 @njit(cache=True, nogil=True)
 def _along_edge(r: Array, summed: Array, xa: float, ya: float, xb: float, yb: float) -> tuple[float, float, float]:
-    """Integrals along a -> b, s from 0 to 1: R dy, r (1 - s) ds, r s ds. summed (ny, nx + 1) is R: r from the left."""
+    """Return integrals along a -> b, s from 0 to 1: R dy, r (1 - s) ds, r s ds. summed (ny, nx + 1) is R: r from the
+    left.
+    """
     ny, nx = r.shape
     dx, dy = xb - xa, yb - ya
     i, j = int(math.floor(xa)), int(math.floor(ya))
@@ -58,7 +60,7 @@ def _along_edge(r: Array, summed: Array, xa: float, ya: float, xb: float, yb: fl
 def _pull_on_corners(
     r: Array, summed: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Gain by moving the corners of one tube: (ax, ay, bx, by, cx, cy)."""
+    """Return the gain by moving the corners of one tube: (ax, ay, bx, by, cx, cy)."""
     area = triangle_area(xa, ya, xb, yb, xc, yc)
     if not math.isfinite(area) or abs(area) < POINT_AREA:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -30,7 +30,7 @@ class Aim(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def combine_rows(coefs: Array, cell: int, g: float, dy: float, value: Array, slope: Array) -> None:
-    """Coefficients along x of the surface, and of its slope in y, at fraction g of a row of cells."""
+    """Compute coefficients along x of the surface, and of its slope in y, at fraction g of a row of cells."""
     w0, w1, w2, w3 = spline_weights(g)
     d0, d1, d2, d3 = slope_weights(g)
     for i in range(coefs.shape[1]):
@@ -41,7 +41,7 @@ def combine_rows(coefs: Array, cell: int, g: float, dy: float, value: Array, slo
 
 @njit(cache=True, nogil=True)
 def _surface_row(coefs: Array, cell: int, g: float, dx: float, dy: float, sub: int, jet: Array) -> None:
-    """jet (3, columns + 1): height and its two slopes on the lattice row at fraction g of a row of cells."""
+    """Compute jet (3, columns + 1): height and both slopes on the lattice row at fraction g of a row of cells."""
     cells = coefs.shape[1] - 3
     value, slope = np.empty(cells + 3), np.empty(cells + 3)
     combine_rows(coefs, cell, g, dy, value, slope)
@@ -63,7 +63,9 @@ def _surface_row(coefs: Array, cell: int, g: float, dx: float, dy: float, sub: i
 
 @njit(cache=True, nogil=True)
 def _follow_vertical(jet: Array, x0: float, step: float, y: float, index: float, aim: Aim, hit: Array) -> None:
-    """hit (2, columns + 1): where even, vertical light through a lattice row arrives [pixels]; NaN: reflected."""
+    """Compute hit (2, columns + 1): where even, vertical light through a lattice row arrives [pixels]; NaN:
+    reflected.
+    """
     for c in range(jet.shape[1]):
         z, zx, zy = jet[0, c], jet[1, c], jet[2, c]
         reach = (aim.throw - z) * tangent_per_slope(zx * zx + zy * zy, index)
@@ -73,7 +75,7 @@ def _follow_vertical(jet: Array, x0: float, step: float, y: float, index: float,
 
 @njit(cache=True, nogil=True)
 def _follow_beam(jet: Array, x0: float, step: float, y: float, beam: Beam, aim: Aim, hit: Array, face: Array) -> None:
-    """The same for any beam, and face (3, columns + 1): where the rays crossed the face [mm], the strength there."""
+    """Compute hit for any beam, and face (3, columns + 1): where the rays crossed the face [mm], the strength there."""
     for c in range(jet.shape[1]):
         x, z = x0 + c * step, jet[0, c]
         dx, dy, dz, _, face_x, face_y = meet(beam, x, y, z)
@@ -86,7 +88,9 @@ def _follow_beam(jet: Array, x0: float, step: float, y: float, beam: Beam, aim: 
 
 @njit(cache=True, nogil=True)
 def _light_of_row(below: Array, above: Array, cover: Array, sub: int, light: Array) -> None:
-    """light (2, columns): of triangles a b d and a d c of each square: face area x mean strength x covered share."""
+    """Compute light (2, columns) of triangles a b d and a d c of each square: face area x mean strength x covered
+    share.
+    """
     for c in range(light.shape[1]):
         xa, ya, xb, yb = below[0, c], below[1, c], below[0, c + 1], below[1, c + 1]
         xc, yc, xd, yd = above[0, c], above[1, c], above[0, c + 1], above[1, c + 1]
@@ -98,7 +102,7 @@ def _light_of_row(below: Array, above: Array, cover: Array, sub: int, light: Arr
 
 @njit(cache=True, nogil=True)
 def is_even(beam: Beam) -> bool:
-    """Whether it is even, vertical light through a lens: each square of the lattice has as much of it."""
+    """Return whether it is even, vertical light through a lens: each square of the lattice has as much of it."""
     return not (beam.is_point or beam.is_mirror or beam.x != 0.0 or beam.y != 0.0 or beam.strength.size > 1)
 
 
@@ -107,7 +111,7 @@ def trace_rows(
     row_lo: int, row_hi: int, coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int,
     beam: Beam, aim: Aim, hit_x: Array, hit_y: Array,
 ) -> None:  # fmt: skip
-    """hit_x, hit_y (rows + 1, columns + 1): where lattice rows row_lo..row_hi - 1 light the screen [pixels]; NaN: not.
+    """Compute hit_x, hit_y (rows + 1, columns + 1): where lattice rows row_lo..row_hi - 1 light the screen; NaN: not.
 
     The same rays as follow_tubes follows, for those who need them again.
     """
@@ -129,7 +133,7 @@ def light_of_rows(
     row_lo: int, row_hi: int, coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int,
     beam: Beam, aim: Aim, cover: Array, light: Array,
 ) -> None:  # fmt: skip
-    """light (rows, 2, columns) of the triangles of lattice squares row_lo..row_hi - 1, as follow_tubes has it."""
+    """Compute light (rows, 2, columns) of the triangles of lattice squares row_lo..row_hi - 1, as in follow_tubes."""
     columns, rows = light.shape[2], coefs.shape[0] - 3
     jet, hit, shares = np.empty((3, columns + 1)), np.empty((2, columns + 1)), np.ones(columns // sub)
     below, above = np.empty((3, columns + 1)), np.empty((3, columns + 1))

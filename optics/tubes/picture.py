@@ -14,7 +14,7 @@ from optics.caustic import aim_at, cells_covered
 from optics.heightfield import Heightfield
 from optics.light import Beam
 from optics.spline import Array
-from optics.threads import over_rows, thread_count
+from optics.threads import run_on_rows, thread_count
 from optics.tubes.gradient import pull_tubes
 from optics.tubes.lattice import is_even, light_of_rows, trace_rows
 from optics.tubes.rays import fit_transposed
@@ -45,7 +45,9 @@ class TubePicture:
         self.hits: tuple[Array, Array] | None = None  # of the one beam, where there is one
 
     def picture(self, z_mm: Array) -> Array:
-        """(ny, nx) irradiance, in units of incident light / number of pixels, of heights z_mm at the vertices."""
+        """Return (ny, nx) irradiance, in units of incident light / number of pixels, of heights z_mm at the
+        vertices.
+        """
         self.spline = Heightfield(x_mm=self.lens.x_mm, y_mm=self.lens.y_mm, z_mm=z_mm).spline()
         self.hits = None
         acc = np.zeros((self.pixels[0], self.pixels[1] + 1))
@@ -62,7 +64,7 @@ class TubePicture:
         return np.asarray(np.cumsum(acc, axis=1)[:, :-1])
 
     def gain(self, r: Array) -> Array:
-        """(vertices) sum over pixels of r dI / dz, at the heights of the last picture; r (ny, nx)."""
+        """Return (vertices) sum over pixels of r dI / dz, at the heights of the last picture; r (ny, nx)."""
         summed = np.zeros((self.pixels[0], self.pixels[1] + 1))
         np.cumsum(r, axis=1, out=summed[:, 1:])
         by_coefs = np.zeros_like(self.spline.coefs)
@@ -83,7 +85,9 @@ class TubePicture:
         return fit_transposed(by_coefs)
 
     def seen_from_vertices(self, irradiance: Array) -> Array:
-        """(vertices) irradiance (ny, nx) of the pixel that each one lights, or of the nearest, at the last heights."""
+        """Return (vertices) irradiance (ny, nx) of the pixel that each one lights, or of the nearest, at the last
+        heights.
+        """
         hit_x, hit_y = self._trace(self.beams[0])
         at = [
             np.clip(np.nan_to_num(hit[:: self.sub, :: self.sub]), 0, most - 1).astype(int)
@@ -104,13 +108,13 @@ class TubePicture:
         if self.hits is not None:
             return self.hits
         hit_x, hit_y = (np.empty((self.rows + 1, self.columns + 1)) for _ in range(2))
-        over_rows(trace_rows, self.rows + 1, *self._surface, self.sub, beam, self.aim, hit_x, hit_y)
+        run_on_rows(trace_rows, self.rows + 1, *self._surface, self.sub, beam, self.aim, hit_x, hit_y)
         if len(self.beams) == 1:
             self.hits = hit_x, hit_y
         return hit_x, hit_y
 
     def _lights(self) -> list[Array]:
-        """Of each beam, (rows, 2, columns) light of each square's triangles; (1, 1, 1) where all have the same.
+        """Return the light (rows, 2, columns) of each square's triangles per beam; (1, 1, 1) where all have the same.
 
         Together they give the mean pixel 1.
         """
@@ -125,5 +129,5 @@ class TubePicture:
         if is_even(beam) and cover.size == 1:
             return np.full((1, 1, 1), 0.5 * dx * dy)
         light = np.empty((self.rows, 2, self.columns))
-        over_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
+        run_on_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
         return light

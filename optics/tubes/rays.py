@@ -31,7 +31,7 @@ def _surface(value: Array, slope: Array, i: int, f: float, dx: float) -> tuple[f
 def _ray_transposed(
     beam: Beam, x: float, y: float, z: float, zx: float, zy: float, throw: float, pull_x: float, pull_y: float
 ) -> tuple[float, float, float]:
-    """Gains by z, zx and zy, where moving the lit point gains pull_x, pull_y [1/mm]. Notation of `light.leave`."""
+    """Return gains by z, zx, zy, where moving the lit point gains pull_x, pull_y [1/mm]. Notation of `light.leave`."""
     ax, ay, az, _, _, _ = meet(beam, x, y, z)
     n = beam.refractive_index
     nz = 1.0 / math.sqrt(1.0 + zx * zx + zy * zy)
@@ -67,7 +67,7 @@ def _ray_transposed(
 def _turn_by_height(
     beam: Beam, x: float, y: float, z: float, ax: float, ay: float, az: float
 ) -> tuple[float, float, float]:
-    """Derivative by z of the direction in which a point's light meets (x, y, z)."""
+    """Return the derivative by z of the direction in which a point's light meets (x, y, z)."""
     if beam.is_mirror:
         far = (z - beam.z) / az
         return -ax * az / far, -ay * az / far, (1.0 - az * az) / far
@@ -120,7 +120,7 @@ def push_row(
 
 @njit(cache=True, nogil=True)
 def _columns_transposed(by_coefs: Array) -> Array:
-    """The transpose of spline._fit_columns: (n + 2, m) to (n, m), its steps in reverse. by_coefs is used up."""
+    """Return the transpose of spline._fit_columns: (n + 2, m) to (n, m), its steps in reverse. by_coefs is used up."""
     g = by_coefs
     n = g.shape[0] - 2
     out = np.zeros((n, g.shape[1]))
@@ -149,6 +149,6 @@ def _columns_transposed(by_coefs: Array) -> Array:
 
 
 def fit_transposed(by_coefs: Array) -> Array:
-    """(ny, nx) gain by heights, of the (ny + 2, nx + 2) gain by coefficients of the spline through them."""
+    """Return (ny, nx) gain by heights, of the (ny + 2, nx + 2) gain by coefficients of the spline through them."""
     across = _columns_transposed(np.ascontiguousarray(by_coefs.T))
     return _columns_transposed(np.ascontiguousarray(across.T))

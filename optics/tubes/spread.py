@@ -23,7 +23,7 @@ def triangle_area(xa: float, ya: float, xb: float, yb: float, xc: float, yc: flo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def densities(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
-    """density (2, columns) of the two triangles of each square [light per pixel area]; returns the light reflected.
+    """Compute density (2, columns) of the two triangles of each square [light per pixel area]; return light reflected.
 
     Negative where a triangle arrives turned over, so that its coverage counts up. A triangle without an area on the
     screen, reflected or focused on a point, has density 0; the point's light is added to acc at once.
@@ -58,7 +58,9 @@ def _odd_triangles(below: Array, above: Array, light: Array, density: Array, acc
 
 @njit(cache=True, nogil=True)
 def pixels_of(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Array) -> None:
-    """pixel (columns + 1,): where in the flat acc the pixel is that a ray hits, -1: none; corner (2, ..): its x, y."""
+    """Compute pixel (columns + 1,): where in the flat acc the pixel is that a ray hits, -1: none; corner (2, ..): x,
+    y.
+    """
     for c in range(pixel.size):
         x, y = hit[0, c], hit[1, c]
         pixel[c] = -1
@@ -70,7 +72,7 @@ def pixels_of(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Ar
 
 @njit(cache=True, nogil=True, inline="always")
 def _put(flat: Array, pixel: int, weight: float, share: float) -> None:
-    """An edge's piece within a pixel: signed density x rise; share of it that the right neighbour takes on."""
+    """Add an edge's piece within a pixel: signed density x rise; share of it that the right neighbour takes on."""
     flat[pixel] += weight - weight * share
     flat[pixel + 1] += weight * share
 
@@ -80,7 +82,9 @@ def _add_edge_between(
     acc: Array, flat: Array, pa: int, pb: int, la: float, lb: float, ja: float, jb: float,
     xa: float, ya: float, xb: float, yb: float, density: float,
 ) -> None:  # fmt: skip
-    """One edge from pixel pa, whose corner is (la, ja), to pb: cut in two where they are neighbours, as most are."""
+    """Add one edge from pixel pa, whose corner is (la, ja), to pb: cut in two where they are neighbours, as most
+    are.
+    """
     if pa >= 0 and pb >= 0:
         if ja == jb and abs(la - lb) == 1.0:
             middle = max(la, lb)
@@ -103,7 +107,7 @@ def edges_of_row(
     below: Array, above: Array, p_below: NDArray[np.int64], p_above: NDArray[np.int64], k_below: Array, k_above: Array,
     density: Array, beneath: Array, acc: Array, flat: Array,
 ) -> None:  # fmt: skip
-    """The edges of a row of squares that start on its lower side; beneath: densities of the triangles under it.
+    """Add the edges of a row of squares that start on its lower side; beneath: densities of the triangles under it.
 
     p, k : pixels of the lattice points, and those pixels' corners
     """
@@ -173,6 +177,6 @@ def spread_tubes(row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Ar
 
 @njit(cache=True, nogil=True)
 def close_off(below: Array, beneath: Array, acc: Array) -> None:
-    """The edges above the last row of squares."""
+    """Add the edges above the last row of squares."""
     for c in range(beneath.size):
         add_edge(acc, below[0, c], below[1, c], below[0, c + 1], below[1, c + 1], -beneath[c])

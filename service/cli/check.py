@@ -76,10 +76,10 @@ def check_programs(
     folder = programs[0].parent
     if not settings.says_anything and job_files.is_job_folder(folder):
         job = load_stored_job(folder)
-        tasks, stock, machine = _of_the_job(programs, folder, job)
+        tasks, stock, machine = _read_job_tasks(programs, folder, job)
     else:
         job = None
-        tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
+        tasks, stock, machine = _make_option_tasks(programs, heightfield, settings)
     _require_programs([path for paths, _ in tasks for path in paths])  # the job's earlier ones, too
     watch, verdicts = Stopwatch(reporter), []
     stock_top = first_stock(stock) if job is None else around.raw_stock(job.spec)
@@ -94,7 +94,7 @@ def check_programs(
                     assert job is not None  # nothing else knows of these
                     result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that no mill should be given
-                verdicts.append(_unreadable(path, error))
+                verdicts.append(_judge_unreadable(path, error))
                 break
         stock_top = result.stock_top
         verdicts.append(
@@ -118,14 +118,17 @@ def _require_programs(paths: Sequence[Path]) -> None:
             raise InputError(f"{path}: there is no such program")
 
 
-def _unreadable(path: Path, error: CamError) -> Verdict:
+def _judge_unreadable(path: Path, error: CamError) -> Verdict:
     sentence = " ".join(str(error).split())
     return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
-def _of_the_job(programs: Sequence[Path], folder: Path, job: ResolvedJob) -> tuple[list[Task], Stock, MachineProfile]:
-    """Passes by file name from the job's report and spec; passes before the last one asked for are run as well, and all
-    parts of a pass."""
+def _read_job_tasks(
+    programs: Sequence[Path], folder: Path, job: ResolvedJob
+) -> tuple[list[Task], Stock, MachineProfile]:
+    """Return passes by file name from the job's report and spec; passes before the last one asked for are run, too, and
+    all parts of a pass.
+    """
     spec, rows = job.spec, job_files.programs_in_order(job_files.read_report(folder))
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
@@ -141,15 +144,15 @@ def _of_the_job(programs: Sequence[Path], folder: Path, job: ResolvedJob) -> tup
     return tasks, cam_stock_of(spec), job.machine
 
 
-def _of_the_command_line(
+def _make_option_tasks(
     programs: Sequence[Path], heightfield: Heightfield, settings: CheckSettings
 ) -> tuple[list[Task], Stock, MachineProfile]:
-    """Passes from options, what is left out from the job spec's defaults."""
+    """Return passes from options, what is left out from the job spec's defaults."""
     count = len(programs)
-    radii = _each("--radius-mm", settings.radius_mm, count)
-    pitches = _each("--pitch-mm", settings.pitch_mm, count)
-    leaves = _each("--stock-to-leave-mm", settings.stock_to_leave_mm or (0.0,), count)
-    downs: Sequence[float | None] = _each("--step-down-mm", settings.step_down_mm or (None,), count)
+    radii = _repeat_value("--radius-mm", settings.radius_mm, count)
+    pitches = _repeat_value("--pitch-mm", settings.pitch_mm, count)
+    leaves = _repeat_value("--stock-to-leave-mm", settings.stock_to_leave_mm or (0.0,), count)
+    downs: Sequence[float | None] = _repeat_value("--step-down-mm", settings.step_down_mm or (None,), count)
     rows = [
         {"radius_mm": radius, "pitch_mm": pitch, "stock_to_leave_mm": leave}
         | ({} if down is None else {"step_down_mm": down})
@@ -171,7 +174,7 @@ def _of_the_command_line(
     return tasks, cam_stock_of(job.spec), job.machine
 
 
-def _each(option: str, values: Sequence[T], count: int) -> list[T]:
+def _repeat_value(option: str, values: Sequence[T], count: int) -> list[T]:
     if len(values) == 1:
         return list(values) * count
     if not values:

@@ -56,9 +56,9 @@ def coupon(
                 print(line)
             print(f"figures for a job's spec: {output / piece.FIT_SNIPPET}; the curve: {output / piece.FIT_PICTURE}")
         return
-    from service.server.worker import warmup as preparing
+    from service.server.worker import warmup
 
-    with preparing.compile_beside(JOBS):
+    with warmup.compile_beside(JOBS):
         from service.job.coupon import piece, programs
 
         overrides = list(set_ or ())

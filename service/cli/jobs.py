@@ -1,4 +1,4 @@
-"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in run_commands.
+"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in runs.
 
 Everything is imported inside the commands, so that --help answers at once.
 """
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli import runs as run_commands
+from service.cli import runs
 from service.cli.options import JobArgument, QuietOption, ServerOption, TokenOption
 
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")]
@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
     app.command()(submit)
     app.command()(get)
     app.add_typer(jobs_app, name="jobs")
-    run_commands.register(app)
+    runs.register(app)
 
 
 def submit(
@@ -54,8 +54,7 @@ def submit(
     quiet: QuietOption = False,
 ) -> None:
     """Hand a picture to the job server. Prints the job's id."""
-    from service.client.submit import Submission, spec_text
-    from service.client.submit import submit as submitted
+    from service.client.submit import Submission, spec_text, submit_job
 
     text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
     order = Submission(picture=picture, spec=text, priority=priority)
@@ -64,12 +63,12 @@ def submit(
             from service.client.download import require_folder
 
             require_folder(output)
-        job_id = str(submitted(link, order)["id"])
+        job_id = str(submit_job(link, order)["id"])
         print(job_id, flush=True)
         if follow or output is not None:
             _follow(link, job_id, quiet=quiet, fetched=output is not None)
         if output is not None:
-            _got(link, job_id, output, (), quiet)
+            _download(link, job_id, output, (), quiet)
 
 
 def get(
@@ -82,7 +81,7 @@ def get(
 ) -> None:
     """Download the files of a job. Goes on where an earlier try was cut off; every file is checked by its hash."""
     with _connect(server, token_file) as link:
-        _got(link, job, output, tuple(only or ()), quiet)
+        _download(link, job, output, tuple(only or ()), quiet)
 
 
 @jobs_app.callback()
@@ -125,13 +124,13 @@ def jobs_follow(
 @jobs_app.command("cancel")
 def jobs_cancel(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """End a job."""
-    _told(job, "cancel", server, token_file)
+    _send_command(job, "cancel", server, token_file)
 
 
 @jobs_app.command("retry")
 def jobs_retry(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Start a failed or cancelled job again; what it had finished is kept."""
-    _told(job, "retry", server, token_file)
+    _send_command(job, "retry", server, token_file)
 
 
 @jobs_app.command("delete")
@@ -142,7 +141,7 @@ def jobs_delete(job: JobArgument, server: ServerOption = None, token_file: Token
     print(f"{job} deleted")
 
 
-def _told(job: str, verb: str, server: str | None, token_file: Path | None) -> None:
+def _send_command(job: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.jobs import state_words
 
     with _connect(server, token_file) as link:
@@ -162,7 +161,7 @@ def _follow(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> No
         _print([f"succeeded{hint}", *program_lines(job)])
 
 
-def _got(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: bool) -> None:
+def _download(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: bool) -> None:
     from service.client.download import get_files
 
     get_files(link, job_id, folder, only=only, quiet=quiet)

@@ -31,7 +31,7 @@ def run_machines(name: str | None = None, *, check: bool = False) -> int:
 
 
 def list_machines(*, check: bool = False, name: str | None = None) -> tuple[list[str], list[str]]:
-    """(lines to show, problems found). A file that cannot be used is a problem even without `check`."""
+    """Return (lines to show, problems found). A file that cannot be used is a problem even without `check`."""
     sources = profile_sources()
     if name is not None and name not in sources:
         raise InputError(str(UnknownProfileError(name, tuple(sources))))
@@ -42,10 +42,12 @@ def list_machines(*, check: bool = False, name: str | None = None) -> tuple[list
         except ProfileError as error:
             problems.append(str(error))
     if check:
-        problems += [problem for profile in profiles for problem in _port_problems(profile)]
-    lines = _in_full(profiles[0], sources[profiles[0].name]) if name and profiles else _table(profiles, sources)
+        problems += [problem for profile in profiles for problem in _find_port_problems(profile)]
+    lines = (
+        _describe_profile(profiles[0], sources[profiles[0].name]) if name and profiles else _table(profiles, sources)
+    )
     if name is None:
-        lines += ["", *_where_to_add()]
+        lines += ["", *_explain_own_machines()]
     if check and not problems:
         lines.append(f"no problem found in {len(profiles)} profile{'s' * (len(profiles) != 1)}")
     return lines, problems
@@ -63,7 +65,7 @@ def _table(profiles: list[MachineProfile], sources: dict[str, str]) -> list[str]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
-def _in_full(profile: MachineProfile, source: str) -> list[str]:
+def _describe_profile(profile: MachineProfile, source: str) -> list[str]:
     link = profile.link
     rows = {
         "name": profile.name,
@@ -91,7 +93,7 @@ def _in_full(profile: MachineProfile, source: str) -> list[str]:
     return [f"{key.ljust(width)}  {value}".rstrip() for key, value in rows.items()]
 
 
-def _where_to_add() -> list[str]:
+def _explain_own_machines() -> list[str]:
     folders = [str(folder) for folder in user_folders()]
     if not folders:
         return ["your own machines: set CAUSTICMILL_CONFIG_DIR and put TOML files into its folder machines/"]
@@ -115,8 +117,8 @@ def _triple(values: tuple[float, float, float], unit: str) -> str:
     return " ".join(f"{axis} {value:g}" for axis, value in zip("XYZ", values, strict=True)) + f" {unit}"
 
 
-def _port_problems(profile: MachineProfile) -> list[str]:
-    """Is the port of the profile there? Ports behind a URL are not tried."""
+def _find_port_problems(profile: MachineProfile) -> list[str]:
+    """Return a sentence where the port of the profile is not there. Ports behind a URL are not tried."""
     port = profile.link.port
     if port is None or "://" in port or profile.link.driver in _NOT_SERIAL or Path(port).exists():
         return []

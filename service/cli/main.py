@@ -23,7 +23,7 @@ _SOON_S = 0.01
 
 
 def main() -> None:
-    """What the installed command calls."""
+    """Run what the installed command calls."""
     gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
     code = run(sys.argv[1:])
     for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
@@ -38,11 +38,11 @@ def main() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code; every error becomes one line on stderr."""
-    with _interrupts() as signals:
+    with _raise_interrupts() as signals:
         code, error, interrupted = EXIT_FAILURE, None, False
         try:
             try:
-                code = _command(arguments)
+                code = _run_command(arguments)
             except Exception as raised:
                 error = raised
             signals.over = True
@@ -50,14 +50,14 @@ def run(arguments: Sequence[str]) -> int:
             interrupted = True
         signals.over = True  # from here on nothing is raised: the last words are not cut short
         if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
-            return _told(error)
-        if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.came):
+            return _report_error(error)
+        if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.received):
             # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
             return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)
-        return code if error is None else _told(error)
+        return code if error is None else _report_error(error)
 
 
-def _command(arguments: Sequence[str]) -> int:
+def _run_command(arguments: Sequence[str]) -> int:
     use_current_kernels()
     from service.cli.make import app
 
@@ -65,8 +65,10 @@ def _command(arguments: Sequence[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-def _told(error: Exception) -> int:
-    """What ended a command as a line on stderr, and its exit code. An error of the program itself is raised again."""
+def _report_error(error: Exception) -> int:
+    """Return what ended a command as a line on stderr, and its exit code. An error of the program itself is raised
+    again.
+    """
     match error:
         case ServiceError():
             return _fail(str(error), error.exit_code)
@@ -89,16 +91,16 @@ def _fail(text: str, code: int) -> int:
 
 
 class _Signals:
-    """`came`: the numbers so far; `over`: the command has ended, and a signal changes nothing any more."""
+    """`received`: the numbers so far; `over`: the command has ended, and a signal changes nothing any more."""
 
     def __init__(self) -> None:
-        self.came: list[int] = []
+        self.received: list[int] = []
         self.over = False
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[_Signals]:
-    """SIGTERM and a lost terminal end a command as Ctrl-C does. A signal that is ignored (nohup) stays so.
+def _raise_interrupts() -> Iterator[_Signals]:
+    """End a command on SIGTERM and a lost terminal as Ctrl-C does. A signal that is ignored (nohup) stays so.
 
     More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
     interrupt, so an alarm raises it again until the command has ended. The compiler is let finish first: its callbacks
@@ -109,13 +111,13 @@ def _interrupts() -> Iterator[_Signals]:
     def interrupt(number: int, frame: FrameType | None) -> None:
         if signals.over:
             return
-        signals.came.append(number)
-        if len(signals.came) == 1:
+        signals.received.append(number)
+        if len(signals.received) == 1:
             sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
-        if len(signals.came) > 1 and number != signal.SIGALRM:
+        if len(signals.received) > 1 and number != signal.SIGALRM:
             return
-        if _compiles(frame):
+        if _is_compiling(frame):
             signal.setitimer(signal.ITIMER_REAL, _SOON_S, _AGAIN_S)
         else:
             raise KeyboardInterrupt
@@ -136,8 +138,8 @@ def _interrupts() -> Iterator[_Signals]:
             signal.signal(kind, handler)
 
 
-def _compiles(frame: FrameType | None) -> bool:
-    """Whether this frame was called by the compiler, or is part of it."""
+def _is_compiling(frame: FrameType | None) -> bool:
+    """Return whether this frame was called by the compiler, or is part of it."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith("llvmlite."):
             return True

@@ -1,7 +1,7 @@
 """The commands `make`, `design`, `cam`, `caustic`, `check` and `version`: their arguments, and what each one calls.
 
-Those that drive mills are in `mill_commands`. Everything heavy is imported inside the commands, so that --help answers
-at once.
+Those that drive mills are in `service.cli.mill`. Everything heavy is imported inside the commands, so that --help
+answers at once.
 """
 
 from __future__ import annotations
@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli import coupon as coupon_command
-from service.cli import jobs as client_commands
-from service.cli import look as look_command
-from service.cli import mill as mill_commands
-from service.cli import plan_options as plan_commands
-from service.cli import serve as host_commands
-from service.cli import tokens as token_commands
+from service.cli import coupon, jobs, look, mill, plan_options, serve, tokens
 from service.errors import EXIT_FAILURE
 from service.processes.kernel_cache import JOBS, LENSES
 
@@ -65,16 +59,16 @@ def make(
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens, checked programs, previews and setup sheet."""
-    from service.server.worker import warmup as preparing
+    from service.server.worker import warmup
 
-    with preparing.compile_beside(JOBS):
+    with warmup.compile_beside(JOBS):
         from service.job import pipeline
-        from service.job.spec import loading as spec_files
+        from service.job.spec.loading import resolve_job
 
-        resolved = spec_files.resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
-        with _reporter(quiet) as reporter:
+        resolved = resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _open_reporter(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
-    _summary(output, report, quiet)
+    _print_summary(output, report, quiet)
 
 
 @app.command()
@@ -89,16 +83,16 @@ def design(
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
-    from service.server.worker import warmup as preparing
+    from service.server.worker import warmup
 
-    with preparing.compile_beside(LENSES):
+    with warmup.compile_beside(LENSES):
         from service.job import pipeline
-        from service.job.spec import loading as spec_files
+        from service.job.spec.loading import resolve_job
 
-        resolved = spec_files.resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
-        with _reporter(quiet) as reporter:
+        resolved = resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _open_reporter(quiet) as reporter:
             report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
-    _summary(output, report, quiet)
+    _print_summary(output, report, quiet)
 
 
 @app.command()
@@ -111,24 +105,24 @@ def cam(
 ) -> None:
     """Lens to checked programs, in the folder of an earlier design or make."""
     from service.job import pipeline
-    from service.job.spec import loading as spec_files
+    from service.job.spec.loading import resolve_for_lens
 
-    resolved = spec_files.resolve_for_lens(folder, file=spec, preset=preset, overrides=set_ or ())
-    with _reporter(quiet) as reporter:
+    resolved = resolve_for_lens(folder, file=spec, preset=preset, overrides=set_ or ())
+    with _open_reporter(quiet) as reporter:
         report = pipeline.cam(folder, resolved, reporter=reporter)
-    _summary(folder, report, quiet)
+    _print_summary(folder, report, quiet)
 
 
 @app.command()
 def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
     """Simulate the light of an earlier design again: scores, caustic, through-focus."""
     from service.job import pipeline
-    from service.job.spec import loading as spec_files
+    from service.job.spec.loading import load_stored_job
 
-    stored = spec_files.load_stored_job(folder)
-    with _reporter(quiet) as reporter:
+    stored = load_stored_job(folder)
+    with _open_reporter(quiet) as reporter:
         report = pipeline.caustic(folder, stored, reporter=reporter)
-    _summary(folder, report, quiet)
+    _print_summary(folder, report, quiet)
 
 
 @app.command()
@@ -154,9 +148,9 @@ def check(
 
     Beside a job's spec.json all settings come from there, and the job's earlier passes are run first.
     """
-    from service.cli import check as checking
+    from service.cli.check import CheckSettings, check_programs
 
-    settings = checking.CheckSettings(
+    settings = CheckSettings(
         radius_mm=tuple(radius_mm or ()),
         pitch_mm=tuple(pitch_mm or ()),
         stock_to_leave_mm=tuple(stock_to_leave_mm or ()),
@@ -165,8 +159,8 @@ def check(
         margin_mm=margin_mm,
         machine=machine,
     )
-    with _reporter(quiet) as reporter:
-        verdicts = checking.check_programs(programs, heightfield, settings, reporter=reporter)
+    with _open_reporter(quiet) as reporter:
+        verdicts = check_programs(programs, heightfield, settings, reporter=reporter)
     for verdict in verdicts:
         if not quiet or not verdict.ok:
             print(verdict.line(), file=sys.stdout if verdict.ok else sys.stderr)
@@ -183,14 +177,14 @@ def version() -> None:
 
 
 @contextlib.contextmanager
-def _reporter(quiet: bool) -> Iterator[Reporter]:
+def _open_reporter(quiet: bool) -> Iterator[Reporter]:
     from service.progress import report_progress
 
     with report_progress(quiet) as reporter:
         yield reporter
 
 
-def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
+def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
     if quiet:
         return
     from service.cli.summary import summary_lines
@@ -199,10 +193,5 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
         print(line)
 
 
-plan_commands.register(app)
-coupon_command.register(app)
-look_command.register(app)
-mill_commands.register(app)
-token_commands.register(app)
-client_commands.register(app)
-host_commands.register(app)
+for module in (plan_options, coupon, look, mill, tokens, jobs, serve):
+    module.register(app)

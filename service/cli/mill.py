@@ -48,13 +48,13 @@ def mill(
     ] = False,
 ) -> None:
     """The agent of one mill: owns its port, keeps program and journal, and is told what to do over HTTP."""
-    with _machine_errors():
+    with _translate_errors():
         from service.milling.agent.main import run_agent
-        from service.milling.agent.settings import agent_settings
+        from service.milling.agent.settings import make_agent_settings
         from service.milling.connect import machine_and_port
 
         profile, port_url = machine_and_port(machine, port)
-        settings = agent_settings(
+        settings = make_agent_settings(
             machine=machine,
             port_url=port_url,
             own_port=profile.link.port,
@@ -81,7 +81,7 @@ def stream(
     ] = False,
 ) -> None:
     """Run a program on a mill, watched from this terminal. Ctrl-C holds the mill and asks."""
-    with _machine_errors():
+    with _translate_errors():
         from service.milling.connect import machine_and_port
         from service.milling.terminal.stream import StreamOrder, stream_program
 
@@ -118,7 +118,7 @@ def sim_mill(
     seed: Annotated[int, typer.Option("--seed", help="Seed of the faults.")] = 0,
 ) -> None:
     """A simulated mill that behaves, and misbehaves, like real firmware. Stops with Ctrl-C."""
-    with _machine_errors():
+    with _translate_errors():
         from service.cli.simulator import run_sim_mill
 
         if pty and tcp is not None:
@@ -142,7 +142,7 @@ def machines(
     check: Annotated[bool, typer.Option("--check", help="Check profiles; with NAME its port, too.")] = False,
 ) -> None:
     """List the machine profiles, show one, or check them."""
-    with _machine_errors():
+    with _translate_errors():
         from service.cli.machines import run_machines
 
         if code := run_machines(name, check=check):
@@ -150,8 +150,8 @@ def machines(
 
 
 @contextlib.contextmanager
-def _machine_errors() -> Iterator[None]:
-    """Errors of the machine layer as errors of the service: what the person gave, or what failed."""
+def _translate_errors() -> Iterator[None]:
+    """Translate errors of the machine layer into errors of the service: what the person gave, or what failed."""
     from machines.errors import JournalError, MachineError, PortLostError
     from machines.profiles import UnknownProfileError
 

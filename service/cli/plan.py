@@ -13,7 +13,7 @@ from cam.planning.planner import Candidate
 from service.errors import InputError, SpecError
 from service.job import arrays
 from service.job import files as job_files
-from service.job.errors import in_the_services_words
+from service.job.errors import translate_errors
 from service.job.picture.limits import OWN_PICTURE
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
@@ -43,7 +43,7 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     """Plan, write picture and spec where asked for, and say what was found."""
     if request.output is not None and request.output.suffix.lower() != ".png":
         raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
-    with in_the_services_words():
+    with translate_errors():
         planned, job = _make_plan(request)
     spec = job.spec
     fragment = spec_fragment(planned, spec)
@@ -64,14 +64,14 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     yield from reasons(planned)
     yield from (f"warning: {sentence}" for sentence in blur_warnings(planned))
     if request.source.is_file() and planned.score(planned.chosen).psnr_db < RECOGNISABLE_DB:
-        yield from _what_shows_more(job, request.source)
+        yield from _suggest_changes(job, request.source)
     yield from (written or ["", *fragment.splitlines()])
 
 
-def _what_shows_more(job: ResolvedJob, picture: Path) -> Iterator[str]:
-    from service.job.planning.estimate import what_shows_more
+def _suggest_changes(job: ResolvedJob, picture: Path) -> Iterator[str]:
+    from service.job.planning.estimate import suggest_changes
 
-    found = sorted(what_shows_more(job, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
+    found = sorted(suggest_changes(job, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
     yield "what shows more:" if found else "no single change shows plainly more"
     for change, seen in found:
         values = " ".join(
@@ -88,14 +88,14 @@ def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
     if request.source.is_dir():
         base: dict[str, Any] = {**load_stored_spec(request.source).plain(), "preset": "recommended"}
         base.pop("passes", None)
-        job = _job(request, base)
+        job = _resolve_plan_job(request, base)
         lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
         target = arrays.load_target(request.source / job_files.MAP)
         return plan_for_lens(job, lens, target), job
     from service.job.picture.reading import read_picture
     from service.job.planning.preparation import aim_at_picture
 
-    job = _job(request, {})
+    job = _resolve_plan_job(request, {})
     spec = job.spec
     width_mm, height_mm = spec.optics.screen_size_mm
     picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
@@ -103,8 +103,8 @@ def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
     return plan_for_picture(job, target), job
 
 
-def _job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
-    """The job that is planned: what was given, its passes left open."""
+def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
+    """Resolve the job that is planned: what was given, its passes left open."""
     given = read_spec_file(request.spec) if request.spec is not None else {}
     given.pop("passes", None)
     goal = {key: value for key, value in request.goal.items() if value is not None}
@@ -121,7 +121,7 @@ def _job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
 
 
 def table(planned: Planned) -> Iterator[str]:
-    """The best plans by time; the chosen one is marked."""
+    """Yield the best plans by time; the chosen one is marked."""
     head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "REST", "BEFORE")
     rows = [head, *(_row(planned, one) for one in planned.plan.front)]
     if all(one.rest is None for one in planned.plan.front):
@@ -154,7 +154,7 @@ def _balls(passes: Sequence[PassSpec]) -> str:
 
 
 def spec_fragment(planned: Planned, spec: JobSpec) -> str:
-    """TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
+    """Return TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
     usual = JobSpec(passes=(), preset="recommended").model_dump(mode="json", exclude_none=True)
     data = spec.plain()
     lines = [

@@ -58,7 +58,7 @@ def tools(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A library to read and show.")] = None,
 ) -> None:
     """List the ball end mills that plans choose from."""
-    from service.job.spec import tools as library
+    from service.job.spec.tools import library_file, load_tools, table
 
-    for line in library.table(library.load_tools(file), library.library_file(file)):
+    for line in table(load_tools(file), library_file(file)):
         print(line)

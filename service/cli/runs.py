@@ -73,7 +73,7 @@ def runs_park(
 
     with _connect(server, token_file) as link:
         body = {"job": job} | ({"program": program} if program is not None else {})
-        run = link.post_once(f"/v1/machines/{quote(machine, safe='')}/runs", body)
+        run = link.post_idempotent(f"/v1/machines/{quote(machine, safe='')}/runs", body)
     _print(run_lines(run))
 
 
@@ -87,7 +87,7 @@ def runs_start(
     token_file: TokenOption = None,
 ) -> None:
     """Start a parked run, after its setup was shown and confirmed."""
-    _by_a_person(run, "start", confirm, operator, follow, server, token_file)
+    _send_confirmed(run, "start", confirm, operator, follow, server, token_file)
 
 
 @runs_app.command("recover")
@@ -100,7 +100,7 @@ def runs_recover(
     token_file: TokenOption = None,
 ) -> None:
     """Go on with an interrupted or aborted run, after the way back was shown and confirmed."""
-    _by_a_person(run, "recover", confirm, operator, follow, server, token_file)
+    _send_confirmed(run, "recover", confirm, operator, follow, server, token_file)
 
 
 @runs_app.command("hold")
@@ -133,7 +133,7 @@ def runs_follow(run: RunArgument, server: ServerOption = None, token_file: Token
         _follow(link, run)
 
 
-def _by_a_person(
+def _send_confirmed(
     run: str,
     verb: str,
     confirm: list[str] | None,
@@ -164,23 +164,23 @@ def _by_a_person(
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    """The way back; what stands in its way ends the command."""
-    from service.client.server import shown
+    """Print the way back; what stands in its way ends the command."""
+    from service.client.server import clean
     from service.errors import InputError
 
     obstacles = [*plan.get("refusals", ()), *(need["words"] for need in plan.get("needs", ()))]
     if obstacles:
-        raise InputError(*(shown(words) for words in obstacles))
-    _print([shown(words) for words in plan.get("words", ())])
+        raise InputError(*(clean(words) for words in obstacles))
+    _print([clean(words) for words in plan.get("words", ())])
 
 
 def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
-    """As `_told`; where the order may not have reached the mill, the person is sent to its own stop."""
+    """Send a stop as `_send_command`; where it may not have arrived, the person is sent to the mill's own stop."""
     from service.client.server import GoneError, RefusedError
     from service.errors import FailedError
 
     try:
-        _told(run, verb, server, token_file)
+        _send_command(run, verb, server, token_file)
     except (GoneError, RefusedError) as error:
         if isinstance(error, RefusedError) and error.status < 500:
             raise
@@ -188,7 +188,7 @@ def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> N
         raise FailedError(*str(error).split("\n"), doubt) from None
 
 
-def _told(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
+def _send_command(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.runs import state_line
 
     with _connect(server, token_file) as link:

@@ -83,7 +83,7 @@ def serve(
         log_level=_log_level(verbose),
     )
     arguments = ["worker="] if no_worker else []
-    _become(
+    _exec_module(
         "service.server.supervisor.supervisor", arguments, settings.environment() | {"CAUSTICMILL_BEGAN": str(began)}
     )
 
@@ -107,7 +107,7 @@ def worker(
         executor=executor,
         log_level=_log_level(verbose),
     )
-    _become("service.server.worker.main", [], settings.environment())
+    _exec_module("service.server.worker.main", [], settings.environment())
 
 
 @service_commands.command()
@@ -125,19 +125,19 @@ def install(
 ) -> None:
     """Write a systemd unit that starts the server, or the agent of a mill, with the computer."""
     from service.errors import InputError
-    from service.server.maintenance import systemd as units
+    from service.server.maintenance.systemd import UnitOrder, install, unit_text
 
     if system and user:
         raise InputError("--system and --user exclude each other; allowed: one of them")
     if mill_port is not None and machine is None:
         raise InputError("--mill-port: is the port of a mill; allowed: with --machine NAME")
-    order = units.UnitOrder(
+    order = UnitOrder(
         data=_settings(data=data).data.absolute(), system=system, account=account, machine=machine, mill_port=mill_port
     )
     if only_print:
-        print(units.unit_text(order), end="")
+        print(unit_text(order), end="")
         return
-    for line in units.install(order, force=force):
+    for line in install(order, force=force):
         print(line)
 
 
@@ -162,9 +162,9 @@ def restore(
     ] = False,
 ) -> None:
     """A backup into an empty data folder; every hash is checked, every token revoked. `serve` goes on with its jobs."""
-    from service.server.maintenance.restore import restore as restored
+    from service.server.maintenance.restore import restore_backup
 
-    for line in restored(source, _settings(data=data), keep_tokens=keep_tokens):
+    for line in restore_backup(source, _settings(data=data), keep_tokens=keep_tokens):
         print(line, file=sys.stderr)
 
 
@@ -187,13 +187,13 @@ def _settings(**given: object) -> ServerSettings:
 
 
 def _log_level(verbose: bool) -> str | None:
-    """On a terminal only what a person should know, unless they say otherwise."""
+    """Return the level for a terminal: only what a person should know, unless they say otherwise."""
     if verbose:
         return "info"
     return "warning" if sys.stderr.isatty() and "CAUSTICMILL_LOG_LEVEL" not in os.environ else None
 
 
-def _become(module: str, arguments: list[str], environment: dict[str, str]) -> None:
+def _exec_module(module: str, arguments: list[str], environment: dict[str, str]) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os.execve(sys.executable, [sys.executable, "-P", "-m", module, *arguments], environment)

@@ -35,7 +35,7 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
-    """What will be seen: as milled, and as finished where the job has a finish."""
+    """Yield what will be seen: as milled, and as finished where the job has a finish."""
     for key, words in (("as_milled", "as milled"), ("as_finished", "as finished")):
         if (seen := report.get(key) or {}).get("psnr_db") is not None:
             detail_mm = seen.get("smallest_detail_mm")
@@ -44,7 +44,7 @@ def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:
-    """What was done for the picture beside the design itself, and what the set-up must keep to."""
+    """Yield what was done for the picture beside the design itself, and what the set-up must keep to."""
     done = []
     if closing := optics.get("closing"):
         lost = closing["psnr_db_without"] - closing["psnr_db_with"]

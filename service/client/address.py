@@ -26,7 +26,7 @@ class Target:
 
 
 def target_of(*, server: str | None, token_file: Path | None, environment: Mapping[str, str] = os.environ) -> Target:
-    """What was given, else the environment, else this computer and the token file, where there is one."""
+    """Return what was given, else the environment, else this computer and the token file, where there is one."""
     url = _address(server, "--server") if server else _address(environment.get(SERVER_VARIABLE, ""), SERVER_VARIABLE)
     if token_file is not None:
         return Target(url, _token(_read(token_file), f"--token-file {token_file}"))
@@ -39,7 +39,7 @@ def target_of(*, server: str | None, token_file: Path | None, environment: Mappi
 
 
 def own_token_files(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
-    """Where a person may keep the token: `token` beside the folder of the machine profiles."""
+    """Return where a person may keep the token: `token` beside the folder of the machine profiles."""
     return tuple(folder.parent / "token" for folder in user_folders(environment))
 
 

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import httpx
 
 from service.client.follow import explain_interrupt
-from service.client.server import GoneError, ServerClient, shown
+from service.client.server import GoneError, ServerClient, clean
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.files import is_drawing
 
@@ -44,18 +44,20 @@ class RemoteFile:
 
     @classmethod
     def of(cls, item: dict[str, Any]) -> RemoteFile:
-        """FailedError for what no file of ours can be: the server does not choose where this computer writes."""
+        """Make it from the server's answer. FailedError for a name no file of ours has: it chooses no place to
+        write.
+        """
         try:
             file = cls(str(item["name"]), str(item["sha256"]), int(item["bytes"]), str(item["url"]))
         except (KeyError, TypeError, ValueError):
             raise FailedError("the server's list of files cannot be read; use the same version on both sides") from None
         if not _NAME.fullmatch(file.name) or not _HASH.fullmatch(file.sha256) or file.bytes < 0:
-            raise FailedError(f"the server offers a file that cannot be one: '{shown(file.name)}'")
+            raise FailedError(f"the server offers a file that cannot be one: '{clean(file.name)}'")
         return file
 
 
 def files_of(server: ServerClient, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
-    """What the job offers but for what only the operator page draws; or those that were asked for by name."""
+    """Return what the job offers but for what only the operator page draws; or those that were asked for by name."""
     listing = server.get(f"/v1/jobs/{job_id}/artifacts")
     files = [RemoteFile.of(item) for item in listing["artifacts"]]
     known = {file.name for file in files}
@@ -66,7 +68,7 @@ def files_of(server: ServerClient, job_id: str, only: Sequence[str] = ()) -> lis
 
 
 def download(server: ServerClient, file: RemoteFile, folder: Path, on_bytes: OnBytes) -> bool:
-    """The file in the folder, whole; False if it was there already. `on_bytes` is told how many there are so far."""
+    """Download the file into the folder; False if it was there already. `on_bytes` is called with the bytes so far."""
     target = folder / file.name
     try:
         if target.is_file() and target.stat().st_size == file.bytes and _hash_of(target).hexdigest() == file.sha256:
@@ -85,7 +87,7 @@ def download(server: ServerClient, file: RemoteFile, folder: Path, on_bytes: OnB
 
 
 def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
-    """All bytes into `part`, going on after lost connections as long as something comes."""
+    """Fetch all bytes into `part`, going on after lost connections as long as something comes."""
     heard_s, size = time.monotonic(), -1
     while True:
         try:
@@ -101,7 +103,7 @@ def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
 
 
 def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
-    """One request, from where the part ends."""
+    """Send one request, from where the part ends."""
     have = part.stat().st_size if part.exists() else 0
     if have > file.bytes:
         part.unlink()
@@ -122,7 +124,7 @@ def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
         if answer.status_code == 416:
             part.unlink(missing_ok=True)
             raise GoneError("the server did not go on where this file ends", begun=True)
-        server.demand_good(answer)
+        server.raise_for_status(answer)
         _append(answer, part, file, on_bytes, whole=answer.status_code != 206)
 
 
@@ -147,7 +149,7 @@ def _hash_of(path: Path) -> Any:
 
 
 def require_folder(folder: Path) -> None:
-    """The folder, made where there is none."""
+    """Make the folder where there is none."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -162,7 +164,7 @@ class _Bars(Protocol):
 def get_files(
     server: ServerClient, job_id: str, folder: Path, *, only: Sequence[str] = (), quiet: bool = False
 ) -> None:
-    """The files in `folder`. FailedError where the job has none yet."""
+    """Download the files into `folder`. FailedError where the job has none yet."""
     files = files_of(server, job_id, only)
     if not files:
         raise FailedError(f"job {job_id} has no files yet; `causticmill jobs follow {job_id}` waits for them")

@@ -25,7 +25,7 @@ class ServerEvent:
 
 
 def parse_events(lines: Iterable[str]) -> Iterator[ServerEvent]:
-    """The messages in the lines of an event stream; one whose data is no JSON object is passed over."""
+    """Yield the messages in the lines of an event stream; one whose data is no JSON object is passed over."""
     fields: dict[str, str] = {}
     for line in lines:
         if line.startswith(":"):
@@ -48,7 +48,7 @@ def stream_events(
     on_back: Callable[[], None],
     patience_s: float = 600.0,
 ) -> Iterator[ServerEvent | None]:
-    """Messages until the server has no more (204). None: the connection is new, ask for the present state.
+    """Yield messages until the server has no more (204). None: the connection is new, ask for the present state.
 
     `on_lost` is told once for each time the connection is lost; GoneError when it stays away for `patience_s`.
     """
@@ -57,7 +57,7 @@ def stream_events(
         try:
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last_id} if last_id else {})
             with server.stream_answer(path, headers=headers, read_s=_SILENCE_S) as answer:
-                server.demand_good(answer)
+                server.raise_for_status(answer)
                 if lost_s is not None:
                     on_back()
                     lost_s = None

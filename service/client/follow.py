@@ -10,7 +10,7 @@ from typing import Any
 
 from service.client.events import stream_events
 from service.client.jobs import state_words
-from service.client.server import ServerClient, shown
+from service.client.server import ServerClient, clean
 from service.errors import EXIT_INTERRUPTED, FailedError, ServiceError, printable
 from service.progress import PlainReporter, QuietReporter, Reporter, TerminalReporter
 
@@ -24,7 +24,7 @@ class LeftError(ServiceError):
 
 
 def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, Any]:
-    """The job as it is at its end."""
+    """Follow the job; return it as it is at its end."""
     with explain_interrupt(f"the job goes on; `causticmill jobs follow {job_id}` shows it, `jobs cancel` ends it"):
         events = stream_events(
             server,
@@ -45,11 +45,11 @@ def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, An
 
 
 def require_success(job: dict[str, Any]) -> None:
-    """FailedError, in the words of the server, unless the job has succeeded."""
-    job_id = shown(job["id"])
+    """Raise FailedError, in the words of the server, unless the job has succeeded."""
+    job_id = clean(job["id"])
     if job["state"] == "failed":
         error = job.get("error") or {}
-        where = f" in stage {shown(error['stage'])}" if error.get("stage") else ""
+        where = f" in stage {clean(error['stage'])}" if error.get("stage") else ""
         lines = str(error.get("detail") or "no reason given").split("\n")
         raise FailedError(f"job {job_id} failed{where}: {lines[0]}", *lines[1:])
     if job["state"] == "cancelled":
@@ -58,7 +58,7 @@ def require_success(job: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def explain_interrupt(words: str) -> Iterator[None]:
-    """Ctrl-C inside says what becomes of the thing watched."""
+    """Say on Ctrl-C what becomes of the thing watched."""
     try:
         yield
     except KeyboardInterrupt:
@@ -78,16 +78,16 @@ class JobScreen:
             print(printable(line), flush=True)  # rich moves its bars out of the way
 
     def take(self, kind: str, data: dict[str, Any]) -> None:
-        stage = shown(data.get("stage", ""))
+        stage = clean(data.get("stage", ""))
         match kind:
             case "stage.started":
                 self._begin(stage)
             case "progress" if stage in self._begun:
-                self.reporter.reached(stage, _number(data.get("share")))
+                self.reporter.report_share(stage, _number(data.get("share")))
             case "stage.committed":
                 self._begin(stage)
                 self._begun.discard(stage)
-                self.reporter.ended(stage, _number(data.get("seconds")))
+                self.reporter.end_stage(stage, _number(data.get("seconds")))
             case "stage.reused":
                 self.say(f"{stage}: done before, taken over")
             case "stage.interrupted":
@@ -99,7 +99,7 @@ class JobScreen:
     def _begin(self, stage: str) -> None:
         if stage not in self._begun:
             self._begun.add(stage)
-            self.reporter.started(stage)
+            self.reporter.start_stage(stage)
 
 
 @contextlib.contextmanager

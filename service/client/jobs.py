@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from service.client.server import ServerClient, shown
+from service.client.server import ServerClient, clean
 
 _PAGE = 100
 
 
 def list_jobs(server: ServerClient, *, states: Sequence[str] = (), limit: int = 20) -> Iterator[dict[str, Any]]:
-    """Jobs, newest first, page by page."""
+    """Yield jobs, newest first, page by page."""
     asked: dict[str, Any] = {"limit": min(limit, _PAGE)} | ({"state": list(states)} if states else {})
     address, left = "/v1/jobs", limit
     while left > 0:
@@ -27,11 +27,11 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
     rows = [("ID", "STATE", "DONE", "CREATED", "NAME")]
     rows += [
         (
-            shown(job["id"]),
+            clean(job["id"]),
             state_words(job),
             f"{100 * float(job['progress']):.0f} %",
             when(job["created_at"]),
-            shown(job["name"]),
+            clean(job["name"]),
         )
         for job in jobs
     ]
@@ -39,40 +39,40 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def state_words(job: dict[str, Any]) -> str:
-    """running (pass-1), queued (3 before it), cancelling, ..."""
-    state = shown(job["state"])
+    """Return the state in words: running (pass-1), queued (3 before it), cancelling, ..."""
+    state = clean(job["state"])
     if job.get("cancel_requested") and state == "running":
         return "cancelling"
     if state == "running" and job.get("stage"):
-        return f"running ({shown(job['stage'])})"
+        return f"running ({clean(job['stage'])})"
     if state == "queued" and int(job.get("queue_position") or 1) > 1:
         return f"queued ({int(job['queue_position']) - 1} before it)"
     return state
 
 
 def job_lines(job: dict[str, Any]) -> list[str]:
-    """One job, in full."""
-    lines = [f"{shown(job['id'])}  {shown(job['name'])}", f"state:    {state_words(job)}"]
+    """Return one job, in full."""
+    lines = [f"{clean(job['id'])}  {clean(job['name'])}", f"state:    {state_words(job)}"]
     lines += [f"{name + ':':9} {when(job[key])}" for name, key in _TIMES if job.get(key)]
     if job.get("attempt", 1) > 1:
         lines.append(f"attempt:  {job['attempt']}")
     if error := job.get("error"):
-        where = f"in stage {shown(error['stage'])}: " if error.get("stage") else ""
-        lines += [f"error:    {where}{shown(line)}" for line in str(error.get("detail", "")).split("\n")]
-    stages = [(shown(stage["name"]), shown(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
+        where = f"in stage {clean(error['stage'])}: " if error.get("stage") else ""
+        lines += [f"error:    {where}{clean(line)}" for line in str(error.get("detail", "")).split("\n")]
+    stages = [(clean(stage["name"]), clean(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
     lines += ["", *table([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
     return [*lines, *program_lines(job)]
 
 
 def program_lines(job: dict[str, Any]) -> list[str]:
     programs = job.get("programs") or ()
-    rows = [(str(p["number"]), shown(p["name"]), f"{p['bytes']:,} bytes", shown(p["sha256"])) for p in programs]
+    rows = [(str(p["number"]), clean(p["name"]), f"{p['bytes']:,} bytes", clean(p["sha256"])) for p in programs]
     return ["", *table([("PROGRAM", "FILE", "SIZE", "SHA-256"), *rows])] if rows else []
 
 
 def when(text: object) -> str:
-    """2026-11-21T08:00:00.123Z without what nobody reads."""
-    return shown(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
+    """Return 2026-11-21T08:00:00.123Z without what nobody reads."""
+    return clean(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
 
 
 def _seconds(stage: dict[str, Any]) -> str:
@@ -84,6 +84,6 @@ _TIMES = (("created", "created_at"), ("started", "started_at"), ("ended", "ended
 
 
 def table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows of one length as lines, each column as wide as its widest cell."""
+    """Return rows of one length as lines, each column as wide as its widest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -9,7 +9,7 @@ from typing import Any
 from service.client.events import stream_events
 from service.client.follow import explain_interrupt
 from service.client.jobs import table, when
-from service.client.server import ServerClient, shown
+from service.client.server import ServerClient, clean
 from service.errors import FailedError, InputError
 
 QUESTIONS = {
@@ -27,11 +27,11 @@ def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     rows = [("ID", "MACHINE", "STATE", "DONE", "PROGRAM", "CREATED")]
     rows += [
         (
-            shown(run["id"]),
-            shown(run["machine"]),
-            shown(run["state"]),
+            clean(run["id"]),
+            clean(run["machine"]),
+            clean(run["state"]),
             f"{100 * float(run['share']):.0f} %",
-            shown(run["program"]["name"]),
+            clean(run["program"]["name"]),
             when(run["created_at"]),
         )
         for run in runs
@@ -40,57 +40,57 @@ def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def run_lines(run: dict[str, Any]) -> list[str]:
-    """One run, with what a person sets up for it."""
+    """Return one run, with what a person sets up for it."""
     program = run["program"]
     lines = [
-        f"{shown(run['id'])}  {shown(program['name'])} (program {program['number']} of job {shown(run['job'])})",
-        f"machine:  {shown(run['machine'])}",
+        f"{clean(run['id'])}  {clean(program['name'])} (program {program['number']} of job {clean(run['job'])})",
+        f"machine:  {clean(run['machine'])}",
         f"state:    {state_line(run)}",
     ]
     if run.get("unreachable"):
-        lines.append(f"mill:     not reachable: {shown(run.get('unreachable_words') or '')}")
-    lines += [f"warning:  {shown(words)}" for words in run.get("warnings") or ()]
+        lines.append(f"mill:     not reachable: {clean(run.get('unreachable_words') or '')}")
+    lines += [f"warning:  {clean(words)}" for words in run.get("warnings") or ()]
     return [*lines, *setup_lines(run)]
 
 
 def state_line(run: dict[str, Any]) -> str:
-    words = f": {shown(run['words'])}" if run.get("words") else ""
+    words = f": {clean(run['words'])}" if run.get("words") else ""
     if run["state"] in ("running", "holding", "held", "recovering"):
         left_s = run.get("time_left_s")
         left = f", {_duration(left_s)} left" if isinstance(left_s, int | float) else ""
         return f"{run['state']}, {100 * float(run['share']):.1f} % of {run.get('lines') or 0:,} lines{left}{words}"
-    return f"{shown(run['state'])}{words}"
+    return f"{clean(run['state'])}{words}"
 
 
 def setup_lines(run: dict[str, Any]) -> list[str]:
-    """Tool, block and zero of a run that waits; and what comes after one that is done."""
+    """Return tool, block and zero of a run that waits; and what comes after one that is done."""
     setup = run.get("setup") or {}
     lines = []
     if run["state"] in ("preparing", "parked"):
         tool, stock = setup.get("tool") or {}, setup.get("stock") or {}
         size = " x ".join(f"{stock.get(name) or 0:g}" for name in ("width_mm", "height_mm", "thickness_mm"))
         lines += [
-            f"tool:     {shown(tool.get('shape'))}, radius {tool.get('radius_mm')} mm, {tool.get('spindle_rpm')} rpm",
-            f"stock:    {size} mm, {shown(stock.get('material'))}",
-            f"zero:     {shown(setup.get('zero'))}",
+            f"tool:     {clean(tool.get('shape'))}, radius {tool.get('radius_mm')} mm, {tool.get('spindle_rpm')} rpm",
+            f"stock:    {size} mm, {clean(stock.get('material'))}",
+            f"zero:     {clean(setup.get('zero'))}",
         ]
         if change := setup.get("change"):
-            lines.append(f"change:   {shown(change.get('words'))}")
-        lines += [f"left out: {shown(one['name'])} was not finished on this mill" for one in run.get("left_out") or ()]
+            lines.append(f"change:   {clean(change.get('words'))}")
+        lines += [f"left out: {clean(one['name'])} was not finished on this mill" for one in run.get("left_out") or ()]
     if run["state"] == "finished" and (following := run.get("next")):
-        lines.append(f"next:     program {following['number']}, {shown(following['name'])}")
+        lines.append(f"next:     program {following['number']}, {clean(following['name'])}")
     return lines
 
 
 def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
-    """The checks that the run needs: those given on the command line, else a person is asked for each."""
+    """Return the checks that the run needs: those given on the command line, else a person is asked for each."""
     needed = [str(check) for check in run.get("required_checks") or ()]
     if not needed:
-        raise InputError(f"run {shown(run['id'])} is {state_line(run)}; there is nothing to confirm")
+        raise InputError(f"run {clean(run['id'])} is {state_line(run)}; there is nothing to confirm")
     words = {word for text in given for word in text.replace(",", " ").split()}
     if words:
         if unknown := sorted(words - set(needed)):
-            raise InputError(f"--confirm: '{shown(unknown[0])}' is not asked for; allowed: {', '.join(needed)}")
+            raise InputError(f"--confirm: '{clean(unknown[0])}' is not asked for; allowed: {', '.join(needed)}")
         if missing := [check for check in needed if check not in words]:
             raise InputError(f"--confirm: not confirmed: {', '.join(missing)}; the mill was not moved")
         return needed
@@ -98,12 +98,12 @@ def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
         raise InputError(f"a person has to confirm this: run it on a terminal, or give --confirm {','.join(needed)}")
     from service.milling.terminal.confirm import ask_person
 
-    ask_person({check: QUESTIONS.get(check, shown(check)) for check in needed})
+    ask_person({check: QUESTIONS.get(check, clean(check)) for check in needed})
     return needed
 
 
 def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
-    """The run at its end, a line for each change on the way."""
+    """Return the run at its end, a line for each change on the way."""
     told, state, reached = "", "", 0.0
     with explain_interrupt(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
         for event in stream_events(
@@ -129,7 +129,7 @@ def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
 
 def require_finished(run: dict[str, Any]) -> None:
     if run["state"] != "finished":
-        raise FailedError(f"run {shown(run['id'])} is {state_line(run)}")
+        raise FailedError(f"run {clean(run['id'])} is {state_line(run)}")
 
 
 def _duration(seconds: float) -> str:

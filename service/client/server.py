@@ -67,15 +67,15 @@ class ServerClient:
         self.http.close()
 
     def get(self, path: str, **parameters: Any) -> Any:
-        """The JSON of an answer. A server that is just being restarted is waited for a little."""
-        return self.patiently(lambda: self._json("GET", path, params=parameters))
+        """Get the JSON of an answer. A server that is just being restarted is waited for a little."""
+        return self.retry(lambda: self._json("GET", path, params=parameters))
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """One order, sent once."""
+        """Send one order, once."""
         return self._json("POST", path, json=body)
 
     def order(self, machine: str, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """An order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
+        """Send an order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
         begun_s = suspend_aware_clock_s()
         granted = self._json("POST", f"/v1/machines/{quote(machine, safe='')}/grants")
         if suspend_aware_clock_s() - begun_s > _GRANT_WAIT_S:
@@ -83,38 +83,38 @@ class ServerClient:
         headers = {GRANT: str(granted["grant"])}
         return self._json("POST", path, json=dict(body or {}), headers=headers)
 
-    def post_once(self, path: str, body: Mapping[str, Any]) -> Any:
-        """An order that may be sent again: its key tells the server that it is the same one."""
+    def post_idempotent(self, path: str, body: Mapping[str, Any]) -> Any:
+        """Send an order that may be sent again: its key tells the server that it is the same one."""
         headers = {"Idempotency-Key": str(uuid.uuid4())}
-        return self.patiently(lambda: self._json("POST", path, json=dict(body), headers=headers), patience_s=60.0)
+        return self.retry(lambda: self._json("POST", path, json=dict(body), headers=headers), timeout_s=60.0)
 
     def delete(self, path: str) -> None:
         self._json("DELETE", path)
 
     def send(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """One request, answered well; else GoneError or RefusedError."""
-        with self._lines():
+        """Send one request and return a good answer; else GoneError or RefusedError."""
+        with self._translate_errors():
             answer = self.http.request(method, path, **options)
-        self.demand_good(answer)
+        self.raise_for_status(answer)
         return answer
 
     @contextlib.contextmanager
     def stream_answer(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
-        """An answer read piece by piece. Inside, a lost connection is a GoneError, too.
+        """Open an answer that is read piece by piece. Inside, a lost connection is a GoneError, too.
 
         Another server than ours (an artifact store) is not shown the token.
         """
         own = url.startswith(f"{self.url}/") or (url.startswith("/") and not url.startswith("//"))
         opened = self.http.stream if own else httpx.stream
         timeout = httpx.Timeout(read_s, connect=_CONNECT_S)
-        with self._lines(), opened("GET", url, headers=dict(headers), timeout=timeout) as answer:
+        with self._translate_errors(), opened("GET", url, headers=dict(headers), timeout=timeout) as answer:
             if answer.status_code >= 400:
                 answer.read()
             yield answer
 
-    def patiently(self, ask: Callable[[], Any], *, patience_s: float = 10.0) -> Any:
-        """`ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
-        give_up_s, tries = time.monotonic() + patience_s, 0
+    def retry(self, ask: Callable[[], Any], *, timeout_s: float = 10.0) -> Any:
+        """Call `ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
+        give_up_s, tries = time.monotonic() + timeout_s, 0
         while True:
             try:
                 return ask()
@@ -130,18 +130,18 @@ class ServerClient:
             time.sleep(_AGAIN_S[min(tries, len(_AGAIN_S) - 1)])
             tries += 1
 
-    def demand_good(self, answer: httpx.Response) -> None:
-        """RefusedError for an answer that is a refusal, or that no job server gives."""
+    def raise_for_status(self, answer: httpx.Response) -> None:
+        """Raise RefusedError for an answer that is a refusal, or that no job server gives."""
         if answer.status_code < 400:
             return
         problem = _problem(answer)
         if problem is None:
             if answer.status_code in _TRY_AGAIN:  # a proxy before a server that is not there
                 raise RefusedError(answer.status_code, f"{self.url} is not ready: HTTP {answer.status_code}")
-            raise RefusedError(answer.status_code, self._foreign(answer))
+            raise RefusedError(answer.status_code, self._explain_mismatch(answer))
         raise RefusedError(
             answer.status_code,
-            *self._words(answer.status_code, problem),
+            *self._problem_lines(answer.status_code, problem),
             field=str(problem.get("field", "")),
             wait_s=_seconds(answer.headers.get("Retry-After")),
         )
@@ -153,11 +153,11 @@ class ServerClient:
         try:
             return answer.json()
         except ValueError:
-            raise RefusedError(500, self._foreign(answer)) from None
+            raise RefusedError(500, self._explain_mismatch(answer)) from None
 
     @contextlib.contextmanager
-    def _lines(self) -> Iterator[None]:
-        """httpx's errors as ours."""
+    def _translate_errors(self) -> Iterator[None]:
+        """Translate httpx's errors into ours."""
         try:
             yield
         except (httpx.ConnectError, httpx.ConnectTimeout):
@@ -169,8 +169,8 @@ class ServerClient:
             words = " ".join(str(error).split()) or type(error).__name__
             raise GoneError(f"the connection to {self.url} was lost: {words}", begun=True) from None
 
-    def _words(self, status: int, problem: Mapping[str, Any]) -> list[str]:
-        """A problem of the server as lines; each names the key it is about."""
+    def _problem_lines(self, status: int, problem: Mapping[str, Any]) -> list[str]:
+        """Return a problem of the server as lines; each names the key it is about."""
         parts = [part for part in problem.get("problems") or () if isinstance(part, dict)] or [dict(problem)]
         lines = []
         for part in parts:
@@ -181,8 +181,8 @@ class ServerClient:
             lines.append("a token is needed: --token-file FILE, CAUSTICMILL_TOKEN, or `causticmill token create`")
         return lines
 
-    def _foreign(self, answer: httpx.Response) -> str:
-        """Who is it that answers like this?"""
+    def _explain_mismatch(self, answer: httpx.Response) -> str:
+        """Explain who it is that answers like this."""
         version = answer.headers.get(VERSION_HEADER)
         if version is None:
             return f"{self.url} answers (HTTP {answer.status_code}), but is no causticmill job server"
@@ -196,9 +196,9 @@ def own_version() -> str:
     return metadata.version("causticmill")
 
 
-def misunderstood(server: ServerClient, answer: httpx.Response) -> RefusedError:
-    """The error for an answer that lacks what this version needs."""
-    return RefusedError(500, server._foreign(answer))
+def make_mismatch_error(server: ServerClient, answer: httpx.Response) -> RefusedError:
+    """Return the error for an answer that lacks what this version needs."""
+    return RefusedError(500, server._explain_mismatch(answer))
 
 
 def _problem(answer: httpx.Response) -> dict[str, Any] | None:
@@ -215,6 +215,6 @@ def _seconds(text: str | None) -> float | None:
     return min(60.0, float(text)) if text and text.isdigit() else None
 
 
-def shown(value: object) -> str:
-    """What a server sent, fit for a line on a terminal."""
+def clean(value: object) -> str:
+    """Return what a server sent, fit for a line on a terminal."""
     return printable(str(value))

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from service.client.follow import LeftError
-from service.client.server import ServerClient, misunderstood
+from service.client.server import ServerClient, make_mismatch_error
 from service.errors import InputError, sentence_of_os_error
 from service.job.spec.loading import spec_data
 
 PRIORITIES = ("low", "normal", "high")
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,18 +28,18 @@ class Submission:
     priority: str = "normal"
 
 
-def submit(server: ServerClient, order: Submission) -> dict[str, Any]:
-    """The new job. The same key goes with every try, so that the server makes one job of them."""
+def submit_job(server: ServerClient, order: Submission) -> dict[str, Any]:
+    """Submit a job. The same key goes with every try, so that the server makes one job of them."""
     if order.priority not in PRIORITIES:
         raise InputError(f"--priority: '{order.priority}' is not allowed; allowed: {', '.join(PRIORITIES)}")
     key = str(uuid.uuid4())
     try:
-        return dict(server.patiently(lambda: _post(server, order, key), patience_s=_PATIENCE_S))
+        return dict(server.retry(lambda: _post_form(server, order, key), timeout_s=_TIMEOUT_S))
     except KeyboardInterrupt:
         raise LeftError("interrupted before the server had answered; `causticmill jobs` tells if it is known") from None
 
 
-def _post(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
+def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
     form = {"priority": order.priority} | ({"spec": order.spec} if order.spec is not None else {})
     try:
         with order.picture.open("rb") as picture:
@@ -59,14 +59,14 @@ def _post(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
     except ValueError:
         job = None
     if not isinstance(job, dict) or "id" not in job:
-        raise misunderstood(server, answer)
+        raise make_mismatch_error(server, answer)
     return job
 
 
 def spec_text(
     *, file: Path | None, preset: str | None, overrides: Sequence[str], light_picture: Path | None = None
 ) -> str | None:
-    """JSON of file, preset, overrides and the picture of the light together; None where nothing was given.
+    """Return JSON of file, preset, overrides and the picture of the light; None where nothing was given.
 
     Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
     """
@@ -77,7 +77,7 @@ def spec_text(
 
 
 def _plain(value: Any) -> Any:
-    """TOML has numbers that JSON has not: they go as words, and the server names the key that holds them."""
+    """Return values as JSON allows: numbers that only TOML has go as words, and the server names the key."""
     match value:
         case dict():
             return {str(key): _plain(below) for key, below in value.items()}

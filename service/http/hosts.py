@@ -22,7 +22,7 @@ def is_loopback(host: str) -> bool:
 
 
 def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
-    """InputError where what passes to and from an address can be read on the way, and nobody vouches that it cannot.
+    """Raise InputError where traffic with an address can be read on the way, and nobody vouches that it cannot.
 
     vouched : somebody has said that there is TLS, or no way on which others are; allowed: how that can be
     """
@@ -31,12 +31,12 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
 
 
 def own_names() -> frozenset[str]:
-    """Names under which this computer may be called."""
+    """Return names under which this computer may be called."""
     return frozenset({"localhost", socket.gethostname().lower()})
 
 
 def is_own_host(header: str, names: frozenset[str]) -> bool:
-    """True for a Host header, lower case, that holds one of the names or an address, with or without a port."""
+    """Return whether a Host header, lower case, holds one of the names or an address, with or without a port."""
     name = header.rpartition("]")[0].removeprefix("[") if header.startswith("[") else header.partition(":")[0]
     if name in names:
         return True

@@ -9,8 +9,8 @@ import socket
 from service.errors import InputError, printable
 
 
-def bound(host: str, port: int) -> socket.socket:
-    """A bound address that does not listen yet; InputError where it cannot be had."""
+def bind_address(host: str, port: int) -> socket.socket:
+    """Bind an address that does not listen yet; InputError where it cannot be had."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -28,18 +28,18 @@ def bound(host: str, port: int) -> socket.socket:
 
 
 def url_of(listener: socket.socket) -> str:
-    """Where a person on this computer finds it."""
+    """Return where a person on this computer finds it."""
     return f"http://{_authority(*_nearest(listener))}"
 
 
-def answers(listener: socket.socket, path: str, *, patience_s: float) -> bool:
-    """True where GET of the path is answered with 200. Any other answer, or none in time, is False."""
-    return _answer(listener, path, patience_s, most_bytes=64).split(b" ")[1:2] == [b"200"]
+def is_answering(listener: socket.socket, path: str, *, timeout_s: float) -> bool:
+    """Return whether GET of the path is answered with 200. Any other answer, or none in time, is False."""
+    return _fetch(listener, path, timeout_s, most_bytes=64).split(b" ")[1:2] == [b"200"]
 
 
-def complaint(listener: socket.socket, path: str, *, patience_s: float) -> str | None:
-    """What /readyz finds wrong, e.g. `disk: 3 MB are free`; None where it does not say so."""
-    body = _answer(listener, path, patience_s, most_bytes=65536).partition(b"\r\n\r\n")[2]
+def read_complaint(listener: socket.socket, path: str, *, timeout_s: float) -> str | None:
+    """Return what /readyz finds wrong, e.g. `disk: 3 MB are free`; None where it does not say so."""
+    body = _fetch(listener, path, timeout_s, most_bytes=65536).partition(b"\r\n\r\n")[2]
     try:
         checks = json.loads(body)["checks"]
         return "; ".join(printable(f"{name}: {words}") for name, words in checks.items() if words != "ok") or None
@@ -47,12 +47,12 @@ def complaint(listener: socket.socket, path: str, *, patience_s: float) -> str |
         return None
 
 
-def _answer(listener: socket.socket, path: str, patience_s: float, *, most_bytes: int) -> bytes:
-    """The beginning of the answer to GET of the path; nothing where none comes in time."""
+def _fetch(listener: socket.socket, path: str, timeout_s: float, *, most_bytes: int) -> bytes:
+    """Return the beginning of the answer to GET of the path; nothing where none comes in time."""
     host, port = _nearest(listener)
     come = b""
     try:
-        with socket.create_connection((host, port), timeout=patience_s) as link:
+        with socket.create_connection((host, port), timeout=timeout_s) as link:
             link.sendall(
                 f"GET {path} HTTP/1.1\r\nHost: {_authority(host, port)}\r\nConnection: close\r\n\r\n".encode("ascii")
             )

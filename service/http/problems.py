@@ -151,7 +151,7 @@ class Problem(Exception):
 
 
 def problem_of(error: Exception) -> Problem:
-    """The refusal that tells of an error of the machine layer or of the disk."""
+    """Return the refusal that tells of an error of the machine layer or of the disk."""
     match error:
         case Problem():
             return error
@@ -173,7 +173,9 @@ def problem_of(error: Exception) -> Problem:
 
 
 def _problem_of_order(error: OrderRefusedError) -> Problem:
-    """With what a program tells refusals apart by, and who has control where that is the reason."""
+    """Return the problem of a refused order, with what a program tells refusals apart by, and who has control if that
+    is why.
+    """
     of_control = error.code in (Refusal.HELD, Refusal.LOST, Refusal.NOBODY, Refusal.LEASE)
     more = {"control": None if error.holder is None else error.holder.as_dict()} if of_control else {}
     field = "Causticmill-Control" if of_control else "Causticmill-Grant" if error.code.startswith("grant") else ""
@@ -192,7 +194,7 @@ def problem_response(problem: Problem) -> Response:
 
 
 def problem_body(problem: Problem) -> dict[str, object]:
-    """The members of RFC 9457, `field`, and `code` with its `values`."""
+    """Return the members of RFC 9457, `field`, and `code` with its `values`."""
     body: dict[str, object] = {
         "type": f"urn:causticmill:problem:{problem.kind}",
         "title": _TITLES.get(problem.status, "Refused"),
@@ -204,12 +206,12 @@ def problem_body(problem: Problem) -> dict[str, object]:
 
 
 async def on_error(_request: Request, error: Exception) -> Response:
-    """Exception handler of the app."""
+    """Handle an exception of the app."""
     return problem_response(problem_of(error))
 
 
 async def on_http_error(_request: Request, error: Exception) -> Response:
-    """Exception handler for what the router itself refuses (404, 405)."""
+    """Handle what the router itself refuses (404, 405)."""
     status = getattr(error, "status_code", 500)
     words = {404: "no such address; GET /v1/status shows the mill", 405: "this address does not take that method"}
     return problem_response(Problem(status, words.get(status, str(getattr(error, "detail", "")))))

@@ -22,7 +22,9 @@ _SEND_WAIT_S = 20.0
 
 
 def event_bytes(kind: str, data: str, event_id: str = "") -> bytes:
-    """An event. data: JSON in one line; event_id: what a reader comes back with, empty for one that is not repeated."""
+    """Return an event. data: JSON in one line; event_id: what a reader comes back with, empty for one that is not
+    repeated.
+    """
     number = f"id: {event_id}\n" if event_id else ""
     return f"{number}event: {kind}\ndata: {data}\n\n".encode()
 

@@ -20,7 +20,7 @@ def heightfield_bytes(heightfield: Heightfield) -> bytes:
 
 
 def load_heightfield(path: Path) -> Heightfield:
-    """A heightfield from its .npz; InputError where the file is none."""
+    """Load a heightfield from its .npz; InputError where the file is none."""
     arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
     rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
     try:
@@ -38,7 +38,7 @@ def stock_bytes(stock_top: StockGrid) -> bytes:
 
 
 def load_stock(path: Path) -> StockGrid:
-    """The stock an earlier pass has left."""
+    """Load the stock that an earlier pass has left."""
     arrays = load_arrays(path, ("place_mm", "top_mm"))
     x0_mm, y0_mm, cell_mm = (float(value) for value in arrays["place_mm"])
     return StockGrid(x0_mm=x0_mm, y0_mm=y0_mm, cell_mm=cell_mm, top_mm=arrays["top_mm"])
@@ -49,7 +49,7 @@ def picture_bytes(linear: Array) -> bytes:
 
 
 def load_picture(path: Path) -> Array:
-    """The picture (ny, nx) in linear light, row 0 on top."""
+    """Return the picture (ny, nx) in linear light, row 0 on top."""
     return load_arrays(path, ("linear",))["linear"]
 
 
@@ -58,12 +58,14 @@ def target_bytes(target: Array) -> bytes:
 
 
 def load_target(path: Path) -> Array:
-    """The exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again later."""
+    """Return the exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again
+    later.
+    """
     return load_arrays(path, ("target",))["target"]
 
 
 def load_original(path: Path) -> Array | None:
-    """The picture as it was given, of a map.npz whose target is a prepared one; None where the target is that."""
+    """Load the picture as given from a map.npz whose target is a prepared one; None where the target is that."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             if "original" not in stored:
@@ -80,7 +82,7 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
 
 
 def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
-    """Those arrays of an .npz file; InputError where one is missing, or the file is none."""
+    """Load those arrays of an .npz file; InputError where one is missing, or the file is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             there = (*names, *(name for name in optional if name in stored))

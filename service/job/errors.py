@@ -33,8 +33,8 @@ class ReliefTooDeep(SolidError):
 
 
 @contextmanager
-def in_the_services_words() -> Iterator[None]:
-    """InputError or FailedError, one line, in place of a package's own error."""
+def translate_errors() -> Iterator[None]:
+    """Raise InputError or FailedError, one line, in place of a package's own error."""
     try:
         yield
     except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError

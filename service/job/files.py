@@ -65,12 +65,12 @@ class WrittenProgram:
 
 
 def program_name(number: int, name: str, suffix: str, part: int | None = None) -> str:
-    """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot. Part: pass-1-rough-02.nc."""
+    """Return pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix. Part: pass-1-rough-02.nc."""
     return f"pass-{number}-{name}{suffix}" if part is None else f"pass-{number}-{name}-{part:02d}{suffix}"
 
 
 def stock_name(number: int) -> str:
-    """The file that holds the stock that pass `number` has left; 0: the facing before all of them."""
+    """Return the file that holds the stock that pass `number` has left; 0: the facing before all of them."""
     return f".stock-{number}.npz"
 
 
@@ -78,24 +78,24 @@ FACED_STOCK, LAST_STOCK = stock_name(0), ".stock-last.npz"
 
 
 def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows of all programs in the order in which they are run: face, passes, cut-out."""
+    """Return the rows of all programs in the order in which they are run: face, passes, cut-out."""
     around = report.get("around", {})
     first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
     return [*first, *report.get("passes", ()), *last]
 
 
 def path_name(number: int) -> str:
-    """The file from which the operator page draws a pass."""
+    """Return the file from which the operator page draws a pass."""
     return f"pass-{number}.path"
 
 
 def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(name, sha256) of the programs of one row of report `passes`, in the order in which they are run."""
+    """Return (name, sha256) of the programs of one row of report `passes`, in the order in which they are run."""
     return [(part["file"], part["sha256"]) for part in row.get("parts") or [row]]
 
 
 def names_of_pass(row: Mapping[str, Any]) -> list[str]:
-    """The names alone."""
+    """Return the names alone."""
     return [part["file"] for part in row.get("parts") or [row]]
 
 
@@ -104,23 +104,23 @@ def is_program(name: str) -> bool:
 
 
 def run_order(name: str) -> tuple[int, int, str]:
-    """Programs sorted by this are in the order in which they are run."""
+    """Return the key that sorts programs into the order in which they are run."""
     pass_number, _, rest = name.removeprefix("pass-").partition("-")
     return int(pass_number), len(rest), rest  # a hundredth part has one more digit
 
 
 def is_drawing(name: str) -> bool:
-    """True for what only the operator page reads: nobody wants it in a folder."""
+    """Return whether only the operator page reads the file: nobody wants it in a folder."""
     return name in (SURFACE, FOCUS, THUMBNAIL) or _PATH.fullmatch(name) is not None
 
 
 def is_known(name: str) -> bool:
-    """True for the name of any file this program writes into a job's folder."""
+    """Return whether this program writes a file of this name into a job's folder."""
     return name in _KNOWN or is_program(name) or is_drawing(name)
 
 
 def is_job_folder(folder: Path) -> bool:
-    """True for a folder that an earlier command of this program filled."""
+    """Return whether an earlier command of this program filled the folder."""
     try:
         report = read_report(folder)
     except (OSError, InputError):
@@ -144,13 +144,15 @@ def require_usable_output(folder: Path, *, force: bool) -> None:
 
 
 def _is_cut_short(folder: Path) -> bool:
-    """True where a job was killed while it was put in place: its files and no other, without the report."""
+    """Return whether a job was killed while it was put in place: its files and no other, without the report."""
     names = {path.name for path in set(folder.absolute().iterdir()) - _find_staging_folders(folder)}
     return SPEC in names and REPORT not in names and all(map(is_known, names))
 
 
 def zip_entry(name: str) -> zipfile.ZipInfo:
-    """A file in an archive that depends on its files alone: the earliest date that zip knows, readable by all."""
+    """Return a file in an archive that depends on its files alone: the earliest date that zip knows, readable by
+    all.
+    """
     entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
     entry.external_attr = 0o644 << 16
     return entry
@@ -168,7 +170,7 @@ def write_json(path: Path, data: object) -> None:
 
 @contextlib.contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes its name when the block ends well, and is removed when it does not.
+    """Open a file that takes its name when the block ends well, and is removed when it does not.
 
     Raises FailedError, one line, where the disk refuses.
     """
@@ -200,14 +202,14 @@ def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:
 
 
 def read_chunks(path: Path, chunk_bytes: int = 1 << 22) -> Iterator[bytes]:
-    """The bytes of a file, a few megabytes at a time."""
+    """Yield the bytes of a file, a few megabytes at a time."""
     with path.open("rb") as file:
         while chunk := file.read(chunk_bytes):
             yield chunk
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """report.json of a folder; empty when there is none. InputError where it is damaged."""
+    """Read report.json of a folder; empty when there is none. InputError where it is damaged."""
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -228,7 +230,7 @@ def _is_report(report: object) -> bool:
 
 @contextlib.contextmanager
 def stage_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
-    """A hidden folder to work in, put in place of `output` when the block ends well.
+    """Open a hidden folder to work in, put in place of `output` when the block ends well.
 
     keep : names of files of `output` that the job goes on from; they appear in the hidden folder (as links).
     The earlier job's other files disappear when the new ones are put in place; foreign files stay. While one process
@@ -289,7 +291,7 @@ def _link(source: Path, target: Path) -> None:
 
 @contextlib.contextmanager
 def _lock_folder(folder: Path) -> Iterator[None]:
-    """Holds a lock on the folder for as long as this process works in it."""
+    """Hold a lock on the folder for as long as this process works in it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):  # some network file systems have no locks
@@ -319,7 +321,7 @@ def _clear_abandoned(output: Path, *, mine: Path) -> None:
 
 
 def _find_staging_folders(output: Path) -> set[Path]:
-    """Hidden folders of jobs for this output, running or killed: beside it and in it."""
+    """Find hidden folders of jobs for this output, running or killed: beside it and in it."""
     output = output.absolute()
     name = re.compile(rf"\.{re.escape(output.name)}\.[0-9a-f]{{8}}{re.escape(_STAGING)}")
     places = [place for place in (output.parent, output) if place.is_dir()]
@@ -328,7 +330,7 @@ def _find_staging_folders(output: Path) -> set[Path]:
 
 @contextlib.contextmanager
 def _defer_signals() -> Iterator[None]:
-    """What stops a command does nothing in this short block, which ends the job anyway (main thread only)."""
+    """Ignore what stops a command in this short block, which ends the job anyway (main thread only)."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

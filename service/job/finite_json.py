@@ -8,7 +8,7 @@ from typing import Any
 
 
 def plain(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The same figures with null in place of what is infinite or unknown, which JSON cannot say."""
+    """Return the same figures with null in place of what is infinite or unknown, which JSON cannot say."""
     return {key: _value(value) for key, value in record.items()}
 
 
@@ -21,5 +21,5 @@ def _value(value: Any) -> Any:
 
 
 def table(value: Any) -> Mapping[str, Any]:
-    """A part of the report or of the spec; an empty one where there is none."""
+    """Return a part of the report or of the spec; an empty one where there is none."""
     return value if isinstance(value, Mapping) else {}

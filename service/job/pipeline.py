@@ -14,12 +14,12 @@ from typing import Any
 
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
-from service.job.errors import in_the_services_words
+from service.job.errors import translate_errors
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob
-from service.job.stages.context import Workshop
-from service.job.stages.lens import require_fit_in_stock, solid_block
+from service.job.stages.context import StageContext
+from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.so_far import JobSoFar
 from service.job.stages.table import stage_of
@@ -46,13 +46,13 @@ class FolderJob:
 
     def run(self, name: str) -> None:
         if name == _LAST:
-            self.work(lambda shop: shop.picture_queue.finish())
+            self.work(lambda context: context.picture_queue.finish())
         stage = stage_of(name)
         self.work(stage.load(), number=stage.number)
 
-    def work(self, function: Callable[[Workshop], None], *, number: int = 0) -> None:
+    def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
         """Call a stage's function and add what it makes to the report and the notes."""
-        shop = Workshop(
+        context = StageContext(
             job=self.so_far.job,
             folder=self.folder,
             watch=Stopwatch(self.reporter),
@@ -64,13 +64,13 @@ class FolderJob:
             picture_name=self.picture.name,
             desk=self.desk,
         )
-        with in_the_services_words():
-            function(shop)
-        self.so_far.add({**shop.report, "timings_s": shop.watch.timings_s}, shop.notes)
+        with translate_errors():
+            function(context)
+        self.so_far.add({**context.report, "timings_s": context.watch.timings_s}, context.notes)
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """The whole chain. Returns what report.json holds."""
+    """Return the whole chain. Returns what report.json holds."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -81,7 +81,7 @@ def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, f
 
 
 def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """The lens and its light, no programs; programs of an earlier lens disappear with it."""
+    """Return the lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -91,11 +91,11 @@ def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter,
 
 
 def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """Programs for the lens in a job's folder."""
+    """Write programs for the lens in a job's folder."""
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _job(output, job, reporter, keep=kept) as folder_job:
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
-        folder_job.work(lambda shop: require_fit_in_stock(shop, lens))
+        folder_job.work(lambda context: require_fit_in_stock(context, lens))
         if job.spec.to_be_planned:
             from service.job.stages.passes import passes_for_lens
 
@@ -104,14 +104,14 @@ def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]
         folder_job.work(_note_shortage)
         for stage in folder_job.so_far.stages():
             if stage == _LAST:
-                folder_job.work(lambda shop: solid_block(shop, lens))  # the stock may have changed
+                folder_job.work(lambda context: write_solid_block(context, lens))  # the stock may have changed
             if stage not in _LENS:
                 folder_job.run(stage)
     return folder_job.so_far.report
 
 
 def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """The light behind the lens in a job's folder, simulated again."""
+    """Return the light behind the lens in a job's folder, simulated again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
     with _job(output, job, reporter, keep=kept) as folder_job:
@@ -122,19 +122,21 @@ def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, 
     return folder_job.so_far.report
 
 
-def _note_shortage(shop: Workshop) -> None:
-    from service.job.planning.fit import shortage  # what it stands on is slow to import: a lens alone does without
+def _note_shortage(context: StageContext) -> None:
+    from service.job.planning.fit import (
+        check_disk_space,  # what it stands on is slow to import: a lens alone does without
+    )
 
-    disk = f"the disk of {shop.folder.parent}"
-    if sentence := shortage(shop.folder, disk, cam_stock_of(shop.spec), cam_passes_of(shop.spec)):
-        shop.note("passes", sentence)
+    disk = f"the disk of {context.folder.parent}"
+    if sentence := check_disk_space(context.folder, disk, cam_stock_of(context.spec), cam_passes_of(context.spec)):
+        context.note("passes", sentence)
 
 
 @contextmanager
 def _job(
     output: Path, job: ResolvedJob, reporter: Reporter, *, picture: Path = Path(), keep: Iterable[str] = ()
 ) -> Iterator[FolderJob]:
-    """A job in a staging folder."""
+    """Open a job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
     with job_files.stage_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
@@ -145,7 +147,7 @@ def _job(
 
 
 def _take_over(so_far: JobSoFar, earlier: dict[str, Any], *, programs: bool) -> None:
-    """What an earlier report says of the parts that this command does not make anew."""
+    """Take over what an earlier report says of the parts that this command does not make anew."""
     keys = ("source", "image", "optics", "timings_s", *(("passes", "around", "as_milled") if programs else ()))
     so_far.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})

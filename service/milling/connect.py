@@ -15,7 +15,9 @@ _FIND_THEMSELVES = ("roland-usb", "none")  # "none" says itself that it cannot b
 
 
 def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, str]:
-    """The profile, and where the mill is: as given, else as the profile says; "" where the driver finds it itself."""
+    """Return the profile, and where the mill is: as given, else as the profile says; "" where the driver finds it
+    itself.
+    """
     profile = load_profile(machine)
     url = port or profile.link.port
     if not url and profile.link.driver not in _FIND_THEMSELVES:
@@ -27,7 +29,7 @@ def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, st
 
 
 def demand_blocks(facts: Preflight, name: str) -> None:
-    """An empty file, or one of comments only, would be `finished` at once: never what was meant."""
+    """Refuse an empty file, or one of comments only: it would be `finished` at once, which was never meant."""
     if facts.blocks == 0:
         raise ProgramRefusedError(0, "", f"{name}: {facts.lines} lines and not one block in them; allowed: a program")
 

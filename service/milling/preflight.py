@@ -8,6 +8,7 @@ has not been touched. That key proves nothing: while streaming, each piece is ha
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import os
@@ -15,7 +16,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache as once
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +38,11 @@ class PreflightError(MachineError):
 
 
 def default_cache() -> Path:
-    """$XDG_CACHE_HOME/causticmill/preflight."""
+    """Return $XDG_CACHE_HOME/causticmill/preflight."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill" / "preflight"
 
 
-def preflight(
+def run_preflight(
     path: Path,
     profile: MachineProfile,
     *,
@@ -50,7 +50,7 @@ def preflight(
     cache: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Preflight:
-    """What is known of the program at `path` before it may run on this mill.
+    """Return what is known of the program at `path` before it may run on this mill.
 
     settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
                what the program would leave of the travel at the present work zero (never kept: a zero moves)
@@ -66,9 +66,9 @@ def preflight(
             raise PreflightError(f"{path}: not a file")
         quick = folder / f"quick-{_digest([stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns])}.txt"
         held_against = _digest([limits.to_dict(), _sources()])
-        found = _recall(folder, held_against, _read_note(quick))
+        found = _load_kept(folder, held_against, _read_note(quick))
         if found is None and list(folder.glob(f"{held_against}-{stat.st_size}-*.json")):
-            found = _recall(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
+            found = _load_kept(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
         if found is None:
             found = _compute(path, limits, folder, held_against, on_progress)
             _forget_oldest(folder)
@@ -94,7 +94,7 @@ def _compute(
         text=True,
     )
     try:
-        answer = _conversation(child, request, on_progress)
+        answer = _exchange(child, request, on_progress)
         if refused := answer.get("refused"):
             raise ProgramRefusedError(refused["line"], refused["text"], refused["reason"])
         if "done" not in answer:
@@ -114,7 +114,7 @@ def _compute(
         staging.unlink(missing_ok=True)
 
 
-def _conversation(
+def _exchange(
     child: subprocess.Popen[str], request: str, on_progress: Callable[[float], None] | None
 ) -> dict[str, Any]:
     """Give the request, pass shares on, return the last answer."""
@@ -133,8 +133,8 @@ def _conversation(
     return answer
 
 
-def _recall(folder: Path, held_against: str, content: str | None) -> Preflight | None:
-    """The kept result for this content, if it is there and whole."""
+def _load_kept(folder: Path, held_against: str, content: str | None) -> Preflight | None:
+    """Load the kept result for this content, if it is there and whole."""
     if content is None:
         return None
     kept = folder / f"{held_against}-{content}.json"
@@ -181,9 +181,9 @@ def _digest(values: list[Any]) -> str:
     return hashlib.blake2b(json.dumps(values, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
-@once
+@functools.cache
 def _sources() -> str:
-    """State of the code that judges: a new version judges anew."""
+    """Return the state of the code that judges: a new version judges anew."""
     machines = _ROOT / "machines"
     files = [file for pattern in ("gcode/*.py", "preflight/*.py", "roland/rml*.py") for file in machines.glob(pattern)]
     own = (_ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py")

@@ -152,7 +152,7 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
 
 
 def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]) -> Iterator[bytes]:
-    """The file in pieces, hashed on the way, with its share told."""
+    """Yield the file in pieces, hashed on the way, with its share told."""
     with path.open("rb", buffering=0) as file:
         size, done = max(1, os.fstat(file.fileno()).st_size), 0
         while chunk := file.read(_CHUNK_BYTES):
@@ -163,7 +163,7 @@ def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]
 
 
 def _write(target: Path, found: Preflight) -> None:
-    """Whole or not at all."""
+    """Write the file whole or not at all."""
     staging = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         staging.write_text(found.to_json(), encoding="utf-8")

@@ -40,7 +40,7 @@ class PageFiles:
         self._known: dict[str, tuple[tuple[int, int], PageFile]] = {}
 
     def file(self, path: str) -> PageFile | None:
-        """The file; None where there is none, or none that belongs to the page."""
+        """Return the file; None where there is none, or none that belongs to the page."""
         kind = _PATH.fullmatch(path)
         if kind is None:
             return None

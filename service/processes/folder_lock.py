@@ -14,7 +14,7 @@ _NAME = "serve.lock"
 
 
 def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
-    """The locked file, to be kept open; the folder is made if need be. InputError where another process has it."""
+    """Lock a file, to be kept open; the folder is made if need be. InputError where another process has it."""
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"--data {folder} is a file; allowed: a folder")

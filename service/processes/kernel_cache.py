@@ -55,7 +55,9 @@ def _delete_unused(folder: Path) -> None:
 
 
 def ready_mark(task: str) -> Path:
-    """A file beside the kernels: there once all that this task needs is compiled, as our sources and numba are now."""
+    """Return a file beside the kernels: there once all that this task needs is compiled, as our sources and numba are
+    now.
+    """
     return _folder() / f"{task}-{version('numba')}-{_state_of_sources()}.ready"
 
 

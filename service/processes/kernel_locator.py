@@ -74,7 +74,7 @@ def _cache_folder() -> str:
 
 
 def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
-    """Hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
+    """Return hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
     found: dict[tuple[str, str], str] = {}
     waiting = [(module, name)]
     while waiting:
@@ -89,8 +89,8 @@ def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
 
 @cache
 def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """The statements that bind a module's top-level name, as text without docstrings, and the names of modules of ours
-    that they use. A whole module where the name is "".
+    """Return the statements that bind a module's top-level name, as text without docstrings, and the names of modules
+    of ours that they use. A whole module where the name is "".
     """
     names, text, uses = _names(root, module), [], []
     for bound in [name] if name else names:
@@ -99,7 +99,7 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
                 for alias in statement.names:
                     if bound == (alias.asname or alias.name):
                         text.append(f"{getattr(statement, 'module', '')}.{alias.name}")
-                        uses += _of_ours(root, text[-1])
+                        uses += _resolve_import(root, text[-1])
                 continue
             for node in ast.walk(statement):
                 if isinstance(node, ast.Name) and node.id in names:
@@ -110,24 +110,24 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
     return "\n".join(text), tuple(uses)
 
 
-def _of_ours(root: Path, imported: str) -> list[tuple[str, str]]:
-    """What an import is: something of a module of ours, or a module, which counts as a whole."""
+def _resolve_import(root: Path, imported: str) -> list[tuple[str, str]]:
+    """Return what an import is: something of a module of ours, or a module, which counts as a whole."""
     module, _, name = imported.rpartition(".")
     return [at for at in ((imported, ""), (module, name)) if _file(root, at[0]).is_file()]
 
 
 @cache
 def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
-    """The statements at a module's top by the names that they bind."""
+    """Return the statements at a module's top by the names that they bind."""
     names: dict[str, list[ast.stmt]] = {}
     for statement in parse(_file(root, module)).body:
         for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING
-            for name in _bound(one):
+            for name in _bound_names(one):
                 names.setdefault(name, []).append(one)
     return names
 
 
-def _bound(statement: ast.stmt) -> Iterator[str]:
+def _bound_names(statement: ast.stmt) -> Iterator[str]:
     match statement:
         case ast.FunctionDef() | ast.ClassDef():
             yield statement.name

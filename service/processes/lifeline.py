@@ -28,21 +28,21 @@ healthy: Callable[[], bool] = lambda: True  # noqa: E731 - replaced by a process
 
 def begin() -> None:
     """Die with the supervisor from now on, and beat as long as `healthy` says so. Nothing outside of `serve`."""
-    descriptor = _taken(BEAT_FD)
+    descriptor = _take_descriptor(BEAT_FD)
     if descriptor is None:
         return
     _die_with(int(os.environ.pop(SUPERVISOR)))
-    threading.Thread(target=_beat, args=(descriptor,), name="lifeline", daemon=True).start()
+    threading.Thread(target=_send_beats, args=(descriptor,), name="lifeline", daemon=True).start()
 
 
 def inherit_socket() -> socket.socket | None:
-    """The address the supervisor has bound; None: this process was not started by it, or is not to serve."""
-    descriptor = _taken(LISTEN_FD)
+    """Return the address the supervisor has bound; None: not started by it, or not to serve."""
+    descriptor = _take_descriptor(LISTEN_FD)
     return None if descriptor is None else socket.socket(fileno=descriptor)
 
 
-def _taken(name: str) -> int | None:
-    """A descriptor named by the environment, from now on this process's alone."""
+def _take_descriptor(name: str) -> int | None:
+    """Take a descriptor named by the environment, from now on this process's alone."""
     text = os.environ.pop(name, None)
     if text is None:
         return None
@@ -57,7 +57,7 @@ def _die_with(supervisor: int) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _beat(descriptor: int) -> None:
+def _send_beats(descriptor: int) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the main thread, which may sleep
     poll = select.poll()
     poll.register(descriptor, 0)  # the other end closed is told in any case

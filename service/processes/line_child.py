@@ -32,7 +32,9 @@ class LineChild:
     """
 
     def __init__(self, module: str, given_up: Callable[[], bool] = lambda: False, *, start_s: float = 20.0) -> None:
-        """given_up: true once nobody wants it any more. ChildDied, ChildLate or OSError where it does not start."""
+        """Start it. given_up: true once nobody wants it any more. ChildDied, ChildLate or OSError where it does not
+        start.
+        """
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(os.getpid())],
             stdin=subprocess.PIPE,
@@ -49,7 +51,7 @@ class LineChild:
             raise
 
     def _await_start(self, given_up: Callable[[], bool], start_s: float) -> None:
-        """On a busy computer this takes long: a server that ends meanwhile does not wait for it."""
+        """Wait for the start, long on a busy computer: a server that ends meanwhile does not wait for it."""
         assert self._process.stdout is not None
         until = time.monotonic() + start_s
         while not select.select([self._process.stdout], [], [], _LOOK_S)[0]:
@@ -58,7 +60,7 @@ class LineChild:
         self._answer(start_s)
 
     def ask(self, asked: dict[str, Any], within_s: float) -> dict[str, Any]:
-        """Its answer; ChildDied, or ChildLate after so many seconds."""
+        """Return its answer; ChildDied, or ChildLate after so many seconds."""
         assert self._process.stdin is not None
         text = json.dumps(asked).encode() + b"\n"
         while text:
@@ -70,7 +72,7 @@ class LineChild:
         return self._process.pid
 
     def kill(self) -> None:
-        """From any thread: whoever waits for its answer gets ChildDied."""
+        """Kill it from any thread: whoever waits for its answer gets ChildDied."""
         self._process.kill()
 
     def end(self) -> None:

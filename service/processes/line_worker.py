@@ -23,7 +23,7 @@ def answer_lines(
     bytes_per_pixel: int,
     barred: Iterable[int] = (resource.RLIMIT_CORE,),
 ) -> None:
-    """Until the input ends. argv: the process to die with.
+    """Answer until the input ends. argv: the process to die with.
 
     beside_bytes, bytes_per_pixel : address space beyond what it starts with: always, and by `max_pixels` of the ask
     barred                        : resources of which it gets nothing
@@ -41,12 +41,12 @@ def answer_lines(
     _say(answers, {"ready": True})
     for line in sys.stdin:
         asked = json.loads(line)
-        _limit(base + beside_bytes + bytes_per_pixel * asked["max_pixels"])
+        _limit_memory(base + beside_bytes + bytes_per_pixel * asked["max_pixels"])
         _say(answers, answer(asked))
 
 
 def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What `answer` gives; in its place {"refused", "kind"} for what people can mend, {"fault"} for all else."""
+    """Return what `answer` gives; in its place {"refused", "kind"} for what people can mend, {"fault"} for all else."""
     try:
         return answer()
     except PictureError as error:
@@ -59,7 +59,7 @@ def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
 
 
-def _limit(most: int) -> None:
+def _limit_memory(most: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))

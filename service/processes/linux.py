@@ -24,24 +24,24 @@ def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 def adopt_orphans() -> None:
-    """From now on, descendants whose parent dies become children of this process."""
+    """Make this process the parent of descendants whose parent dies, from now on."""
     if _LIBC.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_CHILD_SUBREAPER)")
 
 
 def name_process(name: str) -> None:
-    """What `ps` and `top` show of it; at most 15 bytes."""
+    """Set what `ps` and `top` show of it; at most 15 bytes."""
     _LIBC.prctl(_SET_NAME, name.encode(), 0, 0, 0)
 
 
 def give_back_blocks(path: Path, start: int, length: int) -> None:
-    """The file's bytes there become zeros that take no place; nothing, where its file system cannot do that."""
+    """Turn the file's bytes there into zeros that take no place; do nothing where its file system cannot."""
     with path.open("r+b") as file:
         _LIBC.fallocate(file.fileno(), _PUNCH_HOLE, ctypes.c_long(start), ctypes.c_long(length))
 
 
 def own_children() -> list[int]:
-    """Children of this process, dead ones that nobody waited for included."""
+    """Return the children of this process, dead ones that nobody waited for included."""
     found: list[int] = []
     for task in Path("/proc/self/task").iterdir():
         with contextlib.suppress(OSError):  # a thread that has just ended; or a kernel without this list
@@ -66,18 +66,18 @@ def signal_stage(leader: int, number: int) -> None:
 
 
 def list_living_members(group: int) -> list[int]:
-    """Processes of a group that still run; a dead one that nobody has waited for does not."""
+    """List processes of a group that still run; a dead one that nobody has waited for does not."""
     found = ((pid, _state_and_group(pid)) for pid in _all_processes())
     return [pid for pid, (state, its_group) in found if its_group == group and state not in "ZX"]
 
 
 def thread_count() -> int:
-    """Threads of this process."""
+    """Return threads of this process."""
     return len(list(Path("/proc/self/task").iterdir()))
 
 
 def address_space_bytes() -> int:
-    """Address space of this process."""
+    """Return the address space of this process."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 

@@ -13,18 +13,18 @@ def go_first() -> None:
 
     It does so to root, with CAP_SYS_NICE, and as far as RLIMIT_NICE goes; elsewhere nothing changes.
     """
-    _set(min(FIRST, _present()))
+    _set_nice(min(FIRST, _read_nice()))
 
 
 def give_way() -> None:
     """Lower the priority of this thread and all that it starts from now on; one that is further behind stays there."""
-    _set(max(BEHIND, _present()))
+    _set_nice(max(BEHIND, _read_nice()))
 
 
-def _present() -> int:
+def _read_nice() -> int:
     return os.getpriority(os.PRIO_PROCESS, 0)
 
 
-def _set(nice: int) -> None:
+def _set_nice(nice: int) -> None:
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, nice)

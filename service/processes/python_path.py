@@ -9,5 +9,5 @@ _ROOT = Path(__file__).parents[2]
 
 
 def python_path() -> str:
-    """PYTHONPATH for a child: this tree, and what was asked for already."""
+    """Return PYTHONPATH for a child: this tree, and what was asked for already."""
     return os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))

@@ -17,7 +17,7 @@ def parse(path: Path) -> ast.Module:
 
 
 def hash_files(paths: Iterable[Path]) -> str:
-    """Hash of what these files hold, in this order."""
+    """Return hash of what these files hold, in this order."""
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.read_bytes())

@@ -16,17 +16,17 @@ _MEANT = str.maketrans("OIL", "011")
 
 
 def new_offer() -> str:
-    """A new code with an id, as one text: ID:7K3D-0QXM-91TZ."""
+    """Make a new code with an id, as one text: ID:7K3D-0QXM-91TZ."""
     return f"{secrets.token_hex(16)}:{_group(''.join(secrets.choice(ALPHABET) for _ in range(_LENGTH)))}"
 
 
 def code_of(offer: str) -> str:
-    """What a person types."""
+    """Return what a person types."""
     return offer.rpartition(":")[2]
 
 
 def read_code(typed: str) -> str:
-    """What a person has typed, spelled as codes are printed."""
+    """Return what a person has typed, spelled as codes are printed."""
     return _group(re.sub(r"[\s-]", "", typed).upper().translate(_MEANT))
 
 
@@ -38,13 +38,13 @@ _FINE, _PLAIN = tuple("┌─┐│└┘"), tuple("+-+|++")
 
 
 def code_lines(stream: TextIO, url: str, code: str) -> str:
-    """Where the page is, and the code for running mills from it. For a terminal only."""
+    """Return where the page is, and the code for running mills from it. For a terminal only."""
     rows = (f"Open  {url}  in a browser.", f"Code  {code}   (the page asks for it before it runs a mill)")
     return frame_rows(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
 
 
 def frame_rows(rows: tuple[str, ...], *, fine: bool) -> str:
-    """Rows in a box with an empty line before and after it."""
+    """Return rows in a box with an empty line before and after it."""
     left_top, across, right_top, down, left, right = _FINE if fine else _PLAIN
     width = max(map(len, rows)) + 4
     inner = (f"{down}  {row:<{width - 4}}  {down}" for row in rows)

@@ -37,25 +37,27 @@ class Store(Protocol):
         """
 
     def head(self, sha256: str) -> StoredObject:
-        """MissingObjectError where there is none."""
+        """Return the object's size and time; MissingObjectError where there is none."""
 
     def open_range(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
-        """Bytes start to end (exclusive), in pieces of at most a megabyte. MissingObjectError at the call."""
+        """Yield bytes start to end (exclusive), in pieces of at most a megabyte. MissingObjectError at the call."""
 
     def fetch(self, sha256: str, target: Path) -> None:
-        """The object as a read-only file at `target` (a link where that can be). MissingObjectError."""
+        """Fetch the object as a read-only file at `target` (a link where that can be). MissingObjectError."""
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
-        """A short-lived address where a client may fetch the object itself; None: serve it with open_range."""
+        """Return a short-lived address where a client may fetch the object itself; None: serve it with open_range."""
 
     def path(self, sha256: str) -> Path | None:
-        """The object as a file of this computer, to be served by sendfile; None where it is none."""
+        """Return the object as a file of this computer, to be served by sendfile; None where it is none."""
 
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
-        """Nothing happens where there is none, or where it was stored (again) at or after `stored_before`."""
+        """Delete it; nothing happens where there is none, or where it was stored (again) at or after
+        `stored_before`.
+        """
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Every object, or those whose hash begins with these two digits, in no order."""
+        """Yield every object, or those whose hash begins with these two digits, in no order."""
 
     def check(self) -> None:
         """Write, read and remove a small object; FailedError, one line, where that fails."""

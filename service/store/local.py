@@ -40,7 +40,7 @@ class LocalStore:
         self.shared = shared
         self._incoming = self.root / "incoming"
         self._guard = self.root / "guard"
-        with _told(f"cannot use the artifact store {self.root}"):
+        with _translate_errors(f"cannot use the artifact store {self.root}"):
             if not shared:  # a folder of the whole farm is the person's to open and to close
                 make_private(self.root, holding=("guard",))
             self._incoming.mkdir(parents=True, exist_ok=True)
@@ -49,7 +49,7 @@ class LocalStore:
 
     def put_file(self, path: Path) -> StoredObject:
         """Link or copy a file into the store; FailedError, one line, where the disk refuses or the file changes."""
-        with _told("cannot store"), path.open("rb") as file:
+        with _translate_errors("cannot store"), path.open("rb") as file:
             facts = os.fstat(file.fileno())
             if self._may_be_linked(facts):
                 os.fchmod(file.fileno(), 0o400)
@@ -83,7 +83,7 @@ class LocalStore:
 
     def fetch(self, sha256: str, target: Path) -> None:
         source = self._place(sha256)
-        with _told("cannot fetch an artifact to"):
+        with _translate_errors("cannot fetch an artifact to"):
             target.unlink(missing_ok=True)
             try:
                 os.link(source, target)
@@ -104,7 +104,7 @@ class LocalStore:
         return place if place.is_file() else None
 
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
-        with contextlib.suppress(MissingObjectError), _told("cannot delete"), self._lock(fcntl.LOCK_EX):
+        with contextlib.suppress(MissingObjectError), _translate_errors("cannot delete"), self._lock(fcntl.LOCK_EX):
             if stored_before is None or self.head(sha256).stored_at < stored_before:
                 self._place(sha256).unlink(missing_ok=True)
 
@@ -117,7 +117,7 @@ class LocalStore:
 
     def check(self) -> None:
         word = secrets.token_bytes(32)
-        with _told("cannot write to the artifact store"), self._begin_arrival() as (part, file):
+        with _translate_errors("cannot write to the artifact store"), self._begin_arrival() as (part, file):
             file.write(word)
             os.fsync(file.fileno())
             if part.read_bytes() != word:
@@ -132,8 +132,8 @@ class LocalStore:
         return facts.st_dev == self.root.stat().st_dev and facts.st_uid == os.geteuid()
 
     def _link(self, path: Path, sha256: str, size: int) -> bool:
-        """False where this file system does not link."""
-        target = self._ready_place(sha256)
+        """Link; False where this file system does not link."""
+        target = self._prepare_place(sha256)
         with self._lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 try:
@@ -149,13 +149,13 @@ class LocalStore:
         return True
 
     def _rename(self, part: Path, sha256: str, size: int) -> None:
-        target = self._ready_place(sha256)
+        target = self._prepare_place(sha256)
         with self._lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 part.rename(target)
         _sync_folder(target.parent)
 
-    def _ready_place(self, sha256: str) -> Path:
+    def _prepare_place(self, sha256: str) -> Path:
         target = self._place(sha256)
         if not target.parent.is_dir():
             target.parent.mkdir(exist_ok=True)
@@ -170,7 +170,7 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _begin_arrival(self) -> Iterator[tuple[Path, IO[bytes]]]:
-        """A new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
+        """Open a new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
         while True:
             part = self._incoming / f"{secrets.token_hex(8)}.part"
             with part.open("xb", buffering=0) as file:
@@ -224,7 +224,9 @@ def _pieces(file: IO[bytes], start: int, end: int | None) -> Iterator[bytes]:
 
 
 def _renew(target: Path, size: int) -> bool:
-    """True where the object is there already; its time is now. One of another size (a damaged disk) is taken away."""
+    """Renew its time if the object is there already, and return True. One of another size (a damaged disk) is taken
+    away.
+    """
     with contextlib.suppress(FileNotFoundError):
         if target.stat().st_size == size:
             os.utime(target)
@@ -248,7 +250,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def _told(doing: str) -> Iterator[None]:
+def _translate_errors(doing: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:

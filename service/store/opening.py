@@ -15,7 +15,9 @@ _ALLOWED = "allowed: file:///folder, s3://bucket/prefix, or nothing for a folder
 
 
 def open_store(settings: ServerSettings) -> Store:
-    """InputError where it is none, or where workers on other hosts could not reach it; FailedError where it fails."""
+    """Open the store; InputError where it is none or out of reach of workers on other hosts; FailedError where it
+    fails.
+    """
     if settings.database_url is not None and urlsplit(settings.database_url).scheme not in _DATABASES:
         raise InputError("CAUSTICMILL_DATABASE_URL: allowed: postgresql://..., or nothing for a SQLite file")
     store = _store(settings)

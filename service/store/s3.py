@@ -56,10 +56,10 @@ class S3Store:
             with path.open("rb") as file:
                 before = os.fstat(file.fileno())
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-                if (there := self._young(sha256, before.st_size)) is not None:
+                if (there := self._find_recent(sha256, before.st_size)) is not None:
                     return there
                 file.seek(0)
-                with self._told("store", sha256):
+                with self._translate_errors("store", sha256):
                     obstore.put(self._bucket, _key(sha256), file, chunk_size=_PART_BYTES, max_concurrency=_AT_ONCE)
                 after = os.fstat(file.fileno())
         except OSError as error:
@@ -73,7 +73,7 @@ class S3Store:
     def head(self, sha256: str) -> StoredObject:
         import obstore
 
-        with self._told("look for", sha256):
+        with self._translate_errors("look for", sha256):
             facts = obstore.head(self._bucket, _key(sha256))
         return StoredObject(sha256=sha256, bytes=facts["size"], stored_at=facts["last_modified"].timestamp())
 
@@ -84,7 +84,7 @@ class S3Store:
         end = size if end is None else min(end, size)
         if start >= end:
             return iter(())
-        with self._told("read", sha256):
+        with self._translate_errors("read", sha256):
             answer = obstore.get(self._bucket, _key(sha256), options={"range": (start, end)})
         return self._pieces(answer.stream(min_chunk_size=_PIECE_BYTES), sha256)
 
@@ -96,10 +96,12 @@ class S3Store:
             raise FailedError(f"cannot fetch an artifact to {target}: {(error.strerror or '').lower()}") from None
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
-        """Signed for ten minutes. The bucket serves bytes named by their hash: obstore signs no other headers."""
+        """Sign an address for ten minutes. The bucket serves bytes named by their hash: obstore signs no other
+        headers.
+        """
         import obstore
 
-        with self._told("sign an address for", sha256):
+        with self._translate_errors("sign an address for", sha256):
             return obstore.sign(self._bucket, "GET", _key(sha256), _LINK_LIFE)
 
     def path(self, sha256: str) -> Path | None:
@@ -110,13 +112,13 @@ class S3Store:
 
         with contextlib.suppress(MissingObjectError):
             if stored_before is None or self.head(sha256).stored_at < stored_before:
-                with self._told("delete", sha256):
+                with self._translate_errors("delete", sha256):
                     obstore.delete(self._bucket, _key(sha256))
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
         import obstore
 
-        with self._told("list", ""):
+        with self._translate_errors("list", ""):
             for page in obstore.list(self._bucket, prefix or None, chunk_size=1000):
                 for facts in page:
                     name = facts["path"].rpartition("/")[2]
@@ -128,15 +130,17 @@ class S3Store:
         import obstore
 
         word, key = secrets.token_bytes(32), f"check/{secrets.token_hex(8)}"
-        with self._told("use", key):
+        with self._translate_errors("use", key):
             obstore.put(self._bucket, key, word)
             answer = bytes(obstore.get(self._bucket, key).bytes())
             obstore.delete(self._bucket, key)
         if answer != word:
             raise FailedError(f"{self._name} does not return what is written to it")
 
-    def _young(self, sha256: str, size: int) -> StoredObject | None:
-        """What is there, whole, and far from being swept; everything else is sent again, which renews its time."""
+    def _find_recent(self, sha256: str, size: int) -> StoredObject | None:
+        """Return what is there, whole, and far from being swept; everything else is sent again, which renews its
+        time.
+        """
         with contextlib.suppress(MissingObjectError):
             there = self.head(sha256)
             if there.bytes == size and there.stored_at > time.time() - _YOUNG_S:
@@ -144,14 +148,14 @@ class S3Store:
         return None
 
     def _pieces(self, answer: Any, sha256: str) -> Iterator[bytes]:
-        with self._told("read", sha256):
+        with self._translate_errors("read", sha256):
             for chunk in answer:
                 view = memoryview(chunk)
                 for at in range(0, len(view), _PIECE_BYTES):
                     yield bytes(view[at : at + _PIECE_BYTES])
 
     @contextlib.contextmanager
-    def _told(self, doing: str, sha256: str) -> Iterator[None]:
+    def _translate_errors(self, doing: str, sha256: str) -> Iterator[None]:
         from obstore import exceptions
 
         try:
@@ -190,7 +194,7 @@ def _open_bucket(bucket: str, prefix: str) -> Bucket:
 
 
 def _first_words(error: Exception) -> str:
-    """Without what only the library's authors can use."""
+    """Return the words without what only the library's authors can use."""
     text = str(error).split("\n")[0]
     if _NOBODY.search(text):
         return "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"

@@ -28,8 +28,8 @@ from service.job.spec.loading import resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import look_up
-from service.job.stages.as_milled import as_milled
-from service.job.stages.context import Workshop, peak_rss_mb
+from service.job.stages.as_milled import run_as_milled
+from service.job.stages.context import StageContext, peak_rss_mb
 from service.job.stages.picture_queue import PictureQueue
 from service.progress import QuietReporter, Stopwatch
 from tests.benchmarks import milled_windows
@@ -109,15 +109,17 @@ def run(folder: Path) -> dict[str, Any]:
     rows = [{"file": PROGRAM} for _ in job.spec.passes]
     started, cpu = time.perf_counter(), time.process_time()
     with PictureQueue() as picture_queue:
-        shop = Workshop(job=job, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows})
-        as_milled(shop)
+        context = StageContext(
+            job=job, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows}
+        )
+        run_as_milled(context)
         picture_queue.finish()
     return {
         "wall_s": time.perf_counter() - started,
         "cpu_s": time.process_time() - cpu,
         "peak_gb": peak_rss_mb() / 1e3,
         "parts_s": watch.timings_s,
-        "report": shop.report["as_milled"],
+        "report": context.report["as_milled"],
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optics.bench import Bench
-from optics.black import advice
+from optics.black import find_advice
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.errors import TotalReflectionError
@@ -64,7 +64,7 @@ def ending(hard: Hard, *, side_mm: float = 100.0, throw_mm: float = 100.0, corre
         converged=lens.converged,
         turned=path.levels[-1].turned,
         misplaced=score_caustic(light.irradiance, target).misplaced_light,
-        advised=bool(advice(target, bench, RADIUS_MM)),
+        advised=bool(find_advice(target, bench, RADIUS_MM)),
         cpu_s=cpu_s,
     )
 

@@ -45,7 +45,7 @@ def test_agents_go_first_and_whatever_computes_gives_way(tmp_path: Path) -> None
             asked = {"spec": "{}"}
             answer = client.post("/v1/estimates", data=asked, files={"image": ("p.png", png(40))})
             assert answer.status_code in (200, 422), answer.text
-        computing = {"cm-nursery", "cm-stage", "cm-pictures", "cm-estimates"}
+        computing = {"cm-forkserver", "cm-stage", "cm-pictures", "cm-estimates"}
         running = seen(
             lambda: names(descendants(floor.serving.pid)), lambda found: computing <= set(found), every_s=0.02
         )

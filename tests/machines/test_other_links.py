@@ -25,7 +25,7 @@ from machines.roland.simulated_serial import SimulatedSerialMill
 from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
 from machines.runs import START_CHECKS, Confirmation, RunState
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 
 YES = Confirmation("ann", START_CHECKS)
 MDX = load_profile("roland-mdx-40a", ())
@@ -117,7 +117,7 @@ class Shop:
         self.link, self.machine = link, link.machine
         path = folder / "part"
         path.write_bytes(link.text)
-        self.facts: Preflight = preflight(path, link.profile, cache=folder / "cache")
+        self.facts: Preflight = run_preflight(path, link.profile, cache=folder / "cache")
         self.lines = list(ProgramReader(path, self.facts.index).lines())
         self.mill = Mill(
             name="far",

@@ -58,7 +58,7 @@ def test_bytes_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch, threads
             bounds = [rows * s // strips for s in range(strips + 1)]
             return [kernel(lo, hi, *arguments) for lo, hi in pairwise(bounds)]
 
-        monkeypatch.setattr(anderson, "over_rows", in_strips)
+        monkeypatch.setattr(anderson, "run_on_rows", in_strips)
         rng = np.random.default_rng(0)
         memory, shape = Anderson(300 * 321, 4, np.float32), (300, 321)
         for _ in range(7):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optics.bench import Bench
-from optics.black import advice, choose_branch, dark_leak_estimate, fine_detail
+from optics.black import choose_branch, dark_leak_estimate, find_advice, fine_detail
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -83,30 +83,30 @@ def test_measured_leak_is_the_estimate_and_what_the_grid_loses(radius_mm: float)
 def test_soft_pictures_need_no_words() -> None:
     y, x = np.mgrid[0:64, 0:64] / 63
     target = 0.3 + x * y + np.exp(-((x - 0.4) ** 2 + (y - 0.6) ** 2) / 0.02)
-    assert advice(target / target.mean(), BENCH, 2.0) == ()
+    assert find_advice(target / target.mean(), BENCH, 2.0) == ()
 
 
 def test_each_difficulty_gets_its_words() -> None:
     dots = np.zeros((64, 64))
     dots[20, 30] = dots[50, 40] = 64 * 64 / 2
     noise = np.random.default_rng(1).integers(0, 2, (64, 64)) * 2.0
-    (leak,) = advice(ring(), BENCH, 2.0)
+    (leak,) = find_advice(ring(), BENCH, 2.0)
     assert "a ball of half the radius or a wall twice as far away" in leak.words
     assert not any(digit in leak.words for digit in "0123456789")
     assert "Ø 4" in leak.figures
     assert str(leak) == f"{leak.words} ({leak.figures})"
-    assert any("thin strokes, dots, noise" in one.words for one in advice(noise, BENCH, 0.1))
-    assert any("2048 times the mean" in one.words for one in advice(dots, BENCH, 0.1))
+    assert any("thin strokes, dots, noise" in one.words for one in find_advice(noise, BENCH, 0.1))
+    assert any("2048 times the mean" in one.words for one in find_advice(dots, BENCH, 0.1))
     assert fine_detail(dots) > fine_detail(noise) > 0.3 > fine_detail(ring())
-    assert not any("grid" in one.words for one in advice(noise, BENCH, 0.1, vertices_per_pixel=4))
+    assert not any("grid" in one.words for one in find_advice(noise, BENCH, 0.1, vertices_per_pixel=4))
 
 
 def test_a_notched_outline_gets_its_words_and_a_convex_one_none() -> None:
     soft = np.ones((32, 32))
     diamond = np.array([[50.0, 0.0], [100.0, 50.0], [50.0, 100.0], [0.0, 50.0]])
     arrow = np.array([[50.0, 0.0], [100.0, 100.0], [50.0, 75.0], [0.0, 100.0]])  # a quarter of its hull is notch
-    assert advice(soft, replace(BENCH, outline_mm=diamond), 0.5) == ()
-    (notched,) = advice(soft, replace(BENCH, outline_mm=arrow), 0.5)
+    assert find_advice(soft, replace(BENCH, outline_mm=diamond), 0.5) == ()
+    (notched,) = find_advice(soft, replace(BENCH, outline_mm=arrow), 0.5)
     assert "leaves out 25 % of its convex hull" in notched.words
 
 

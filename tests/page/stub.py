@@ -23,7 +23,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.http.listener import bound, url_of
+from service.http.listener import bind_address, url_of
 from service.http.problems import Problem
 from service.server.api.errors import install_problems
 from service.server.api.routes import page, root
@@ -210,7 +210,7 @@ def running_stub() -> Iterator[Stub]:
     install_problems(app)
     app.include_router(page.router)
     app.include_router(root.router)
-    with contextlib.closing(bound("127.0.0.1", 0)) as listener:
+    with contextlib.closing(bind_address("127.0.0.1", 0)) as listener:
         stub = Stub(url_of(listener))
 
         async def answer(request: Request) -> Response:

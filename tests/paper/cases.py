@@ -16,7 +16,7 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
-from optics.paper.flow import FlowSettings, PaperFlow, held_to_the_frame, pixel_vertices
+from optics.paper.flow import FlowSettings, PaperFlow, pixel_vertices, project_to_frame
 from optics.paper.flow_rules import face_intensities
 from optics.paper.mesh import TriangleMesh
 from optics.paper.poisson import NeumannPoisson
@@ -143,7 +143,7 @@ def first_step(name: str, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     faces = mesh.dual_areas()
     wanted, _ = face_intensities(target(name, pixels), faces, FlowSettings().floor)
     phi = NeumannPoisson(mesh).solve(mesh, (1.0 - wanted) * faces, tolerance=1e-6).values
-    velocity = held_to_the_frame(mesh.vertex_gradients(phi, mesh.areas()), shape)
+    velocity = project_to_frame(mesh.vertex_gradients(phi, mesh.areas()), shape)
     return (1.0 - wanted).reshape(shape), phi.reshape(shape), velocity.reshape(*shape, 2)
 
 

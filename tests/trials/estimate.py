@@ -12,8 +12,8 @@ from machines.grbl.driver import GrblDriver
 from machines.profiles import load_profile
 from machines.simulated import GRBL_11, MemoryPort, Recording, SimulatedMill
 from service.job import pipeline
-from service.job.spec import loading as spec_files
-from service.milling.preflight import preflight
+from service.job.spec.loading import resolve_job
+from service.milling.preflight import run_preflight
 from service.progress import QuietReporter
 
 PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"
@@ -24,16 +24,14 @@ def compared(width_mm: float) -> Iterator[tuple[str, float, float]]:
     with tempfile.TemporaryDirectory() as folder:
         job = Path(folder) / "job"
         sizes = (f"optics.width_mm={width_mm}", f"optics.height_mm={width_mm}", "image.pixels=64", "optics.throw_mm=30")
-        pipeline.make(
-            PICTURE, job, spec_files.resolve_job(file=None, preset="paper", overrides=sizes), reporter=QuietReporter()
-        )
+        pipeline.make(PICTURE, job, resolve_job(file=None, preset="paper", overrides=sizes), reporter=QuietReporter())
         for program in sorted(job.glob("*.nc")):
             mill = SimulatedMill(GRBL_11, recording=Recording(keep=False))
             driver = GrblDriver(MemoryPort(mill, baud=115200))
             driver.connect()
             while driver.status.state is not MillState.IDLE or driver.settings.values == {}:
                 driver.poll(0.1)
-            facts = preflight(program, load_profile("grbl"), settings=driver.settings, cache=Path(folder) / "cache")
+            facts = run_preflight(program, load_profile("grbl"), settings=driver.settings, cache=Path(folder) / "cache")
             began_s = mill.now_s
             driver.start(ProgramReader(program, facts.index).lines())
             while not _ended(driver):

@@ -17,7 +17,7 @@ from machines.preflight.preflight import Preflight
 from machines.profiles import load_profile
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 from tests.trials.judge import Verdict, judge
 from tests.trials.programs import waves_mm
 
@@ -193,7 +193,7 @@ def _minus(a: tuple[float, float, float], b: tuple[float, float, float]) -> tupl
 def matrix(kinds: tuple[str, ...], seeds: range, *, traits: Traits = TRAITS) -> Iterator[Trial]:
     with tempfile.TemporaryDirectory() as folder:
         program = write_program(Path(folder) / "trial.nc")
-        facts = preflight(program, load_profile("grbl"), cache=Path(folder) / "cache")
+        facts = run_preflight(program, load_profile("grbl"), cache=Path(folder) / "cache")
         for kind in kinds:
             for seed in seeds:
                 yield one_fault(kind, seed, facts, program, traits=traits)

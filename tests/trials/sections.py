@@ -12,7 +12,7 @@ from pathlib import Path
 
 from machines.gcode.program import ProgramReader
 from machines.profiles import load_profile
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 from tests.benchmarks.timing import Figure
 from tests.service.server.fleet.test_order_laws import run_histories
 from tests.trials import estimate as estimates
@@ -133,7 +133,7 @@ def big() -> Iterator[Figure]:
         state = Path(folder)
         program = live.write_program(state / "big.nc", BIG_CUTS)
         began_s = time.monotonic()
-        facts = preflight(program, load_profile("grbl"), cache=state / "cache")
+        facts = run_preflight(program, load_profile("grbl"), cache=state / "cache")
         yield Figure("1 GB: pre-flight, first time", time.monotonic() - began_s, "s", f"{facts.lines:,} lines")
         _, first_s = live.watch_stream(program, state, seconds=240.0, enough=lambda s: s[-1].lines > 50)
         yield Figure("1 GB: start of `stream` to first motion, never seen", first_s, "s")

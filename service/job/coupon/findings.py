@@ -91,7 +91,7 @@ class CouponResult:
     notes: tuple[CouponFinding, ...]
 
     def values(self) -> dict[str, Any]:
-        """What it means for a job's spec, by dotted key."""
+        """Return what it means for a job's spec, by dotted key."""
         return {
             "finish.process": NONE,
             "finish.k0_rad_per_mm": float(f"{self.fit.k0_rad_per_mm:.3g}"),
@@ -100,7 +100,7 @@ class CouponResult:
         }
 
     def report(self) -> dict[str, Any]:
-        """As coupon-fit.json holds it."""
+        """Return the result as coupon-fit.json holds it."""
         fit, found = self.fit, self.placed.registration
         return {
             "finish": {
@@ -138,25 +138,25 @@ def measure_photo(
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
-    """What the photograph says of that test piece. PhotoRefused where it says nothing."""
-    reached = on_progress or (lambda share: None)
+    """Return what the photograph says of that test piece. PhotoRefused where it says nothing."""
+    on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
     placed = _place(name, photo, foretold, template, job)
-    reached(0.4)
+    on_progress(0.4)
     finished, folds = _choose_finished_half(name, placed, foretold, job)
     fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
-    reached(0.6)
+    on_progress(0.6)
     if finished == "left" and (nearest := _nearest_template(fit)) != template:
         placed = _place(name, photo, foretold, nearest, job)
         folds = fold_all(placed.picture, coupon)
         fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
-    reached(0.9)
+    on_progress(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
         raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, CouponFinding("not_finished", {}))
     rows = _row_errors(placed, foretold, job, fit, finished)
-    reached(1.0)
+    on_progress(1.0)
     notes = tuple(_notes(fit, placed, finished, job))
     return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
 
@@ -180,7 +180,7 @@ def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, job:
 def _choose_finished_half(
     name: str, placed: Placed, foretold: ForetoldPiece, job: ResolvedJob
 ) -> tuple[Half, tuple[Fold, ...]]:
-    """Which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
+    """Return which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
     coupon = coupon_of(job)
     folds = fold_all(placed.picture, coupon)
     for half in HALVES:
@@ -200,7 +200,7 @@ def _choose_finished_half(
 
 
 def _nearest_template(fit: FinishFit) -> int:
-    """The finish foretold that leaves half of about the same ripple."""
+    """Return the finish foretold that leaves half of about the same ripple."""
     half = fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order - 0.5)
     return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
 
@@ -240,7 +240,7 @@ def _notes(fit: FinishFit, placed: Placed, finished: Half, job: ResolvedJob) -> 
 
 
 def snippet(result: CouponResult) -> str:
-    """Figures ready for a job's spec."""
+    """Return figures ready for a job's spec."""
     lines, table = ["# measured on a test piece"], ""
     for key, value in result.values().items():
         before, table = table, key.partition(".")[0]
@@ -250,7 +250,7 @@ def snippet(result: CouponResult) -> str:
 
 
 def print_findings(result: CouponResult) -> Iterator[str]:
-    """What the command prints."""
+    """Yield what the command prints."""
     fit, rows = result.fit, result.rows
     yield (
         f"finish: k0 {fit.k0_rad_per_mm:.2f} rad/mm ({fit.k0_range[0]:.2f} to {fit.k0_range[1]:.2f}), "

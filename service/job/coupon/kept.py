@@ -38,7 +38,7 @@ def keep_coupon(folder: Path, machine: str) -> Path:
 
 
 def _pack(piece: Path) -> bytes:
-    """All that is needed to mill the piece, and to measure its photograph elsewhere."""
+    """Pack all that is needed to mill the piece, and to measure its photograph elsewhere."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(piece.iterdir()):

@@ -24,8 +24,8 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
     watch = Stopwatch(reporter)
     with watch.stage("photograph"):
         shot = read_photo(photo)
-    with watch.stage("fit") as reached:
-        result = fit_photo(str(photo), shot, folder, on_progress=reached)
+    with watch.stage("fit") as on_progress:
+        result = fit_photo(str(photo), shot, folder, on_progress=on_progress)
     with watch.stage("figure"):
         picture = draw_fit(result, viewed_from_lens=job.spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)
@@ -37,14 +37,14 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
 def fit_photo(
     name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
-    """What a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
+    """Return what a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
     job = load_stored_job(folder)
     foretold = load_foretold(folder / PROFILES, coupon_of(job))
     return measure_photo(name, shot, foretold, job, on_progress=on_progress)
 
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
-    """coupon-fit.png."""
+    """Draw coupon-fit.png."""
     from service.job.report.figures.coupon import coupon_fit_png  # what it stands on is slow to import
 
     picture, level = result.placed.picture, result.placed.level

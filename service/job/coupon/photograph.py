@@ -50,7 +50,9 @@ class Placed:
 
 
 def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
-    """Along x, in the middle of either half, of a photograph whose pixel is (u, v) at each place (ny, nx)."""
+    """Return the sizes along x, in the middle of either half, of a photograph whose pixel is (u, v) at each place (ny,
+    nx).
+    """
     row = u.shape[0] // 2
     sizes = []
     for x_mm in (HALF_MM / 2, 1.5 * HALF_MM):
@@ -61,7 +63,9 @@ def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
 
 
 def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> Photo:
-    """A photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its path."""
+    """Read a photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its
+    path.
+    """
     name = name or str(path)
     image = decode_picture(path, limits, name)
     try:
@@ -77,7 +81,7 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
 
 
 def place_photo(photo: Photo, predicted: Array, *, viewed_from: ViewedFrom) -> Placed:
-    """The photograph over the piece. ValueError where it shows no light.
+    """Return the photograph over the piece. ValueError where it shows no light.
 
     predicted (ny, nx) : light of the piece on its screen, work frame
     """

@@ -30,7 +30,9 @@ _STOCK_MM = 10.0
 def coupon_job(
     *, machine: str | None, throw_mm: float | None, file: Path | None, overrides: Sequence[str]
 ) -> ResolvedJob:
-    """The job of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is set."""
+    """Return the job of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is
+    set.
+    """
     for text in overrides:
         steps, _ = parse_override(text)
         if steps[0] == "optics" and steps[-1] in _FIXED:
@@ -58,7 +60,9 @@ def coupon_job(
 
 
 def coupon_of(job: ResolvedJob) -> Coupon:
-    """The piece for this mill, wall and material; its ripples are whole steps of the mill high where it has steps."""
+    """Make the piece for this mill, wall and material; its ripples are whole steps of the mill high where it has
+    steps.
+    """
     spec, machine = job.spec, job.machine
     digits = POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
     return Coupon(
@@ -70,7 +74,7 @@ def coupon_of(job: ResolvedJob) -> Coupon:
 
 
 def require_coupon(folder: Path) -> ResolvedJob:
-    """The job of the test piece in a folder; InputError where there is none."""
+    """Return the job of the test piece in a folder; InputError where there is none."""
     if not (folder / PROFILES).is_file():
         raise InputError(
             f"--output: {folder} holds no test piece ({PROFILES}); allowed: the folder that "
@@ -80,13 +84,13 @@ def require_coupon(folder: Path) -> ResolvedJob:
 
 
 def list_finish_programs(folder: Path, spec: JobSpec) -> list[Path]:
-    """The programs of the last pass, in the order in which they are run."""
+    """Return the programs of the last pass, in the order in which they are run."""
     rows = read_report(folder).get("passes", [])
     return [folder / name for name in names_of_pass(rows[len(spec.passes) - 1])]
 
 
 def sheet_lines(job: ResolvedJob, report: Mapping[str, Any]) -> Iterator[str]:
-    """The setup sheet: block, mill, finish, photograph."""
+    """Yield the setup sheet: block, mill, finish, photograph."""
     yield "TEST PIECE: measures what your mill leaves and what your finish takes off"
     yield ""
     for number, step in enumerate(_steps(job, report), 1):
@@ -134,7 +138,7 @@ def _steps(job: ResolvedJob, report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
-    """What the command prints when the programs are written."""
+    """Yield what the command prints when the programs are written."""
     for row in report["passes"]:
         yield (
             f"{', '.join(names_of_pass(row))}: {row['lines']} lines, {row['path_length_mm'] / 1000:.1f} m, "

@@ -99,16 +99,16 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
 
 
 def _foretell(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
-    """Both pictures; and coupon.npz, what photographs are compared with."""
-    with watch.stage("heights as milled") as reached:
+    """Write both pictures, and coupon.npz, what photographs are compared with."""
+    with watch.stage("heights as milled") as on_progress:
         profiles = profiles_of_milled(mill_piece(folder, job, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
-        reached(0.5)
+        on_progress(0.5)
         made, clean = mill_piece(folder, job, seed=_SEEDS[1]), mill_piece(folder, job, seed=None)
-    with watch.stage("photograph foretold") as reached:
+    with watch.stage("photograph foretold") as on_progress:
         finish = finish_of(job.spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
         light = predict_light(
-            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
+            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=on_progress
         )
         without_errors = predict_light(job, clean, (finishes[0],))[0]
     for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
@@ -136,7 +136,7 @@ class ForetoldPiece:
 
 
 def load_foretold(path: Path, coupon: Coupon) -> ForetoldPiece:
-    """From coupon.npz; InputError where it is none."""
+    """Load coupon.npz; InputError where it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
     lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]
@@ -157,13 +157,13 @@ def _usual(k0_rad_per_mm: float) -> Transfer:
 
 
 def _halve(light: Array) -> Array:
-    """At half as many pixels either way."""
+    """Return the picture at half as many pixels either way."""
     ny, nx = light.shape
     return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
 
 def mill_piece(folder: Path, job: ResolvedJob, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
-    """The piece as its programs are cut by the mill of the job; seed None: by one without errors."""
+    """Cut the piece's programs with the mill of the job; seed None: with one without errors."""
     spec, machine, coupon = job.spec, job.machine, coupon_of(job)
     passed = cam_passes_of(spec)[-1]
     noise = None if seed is None else Noise.of_pass(passed, machine.z_noise_mm, seed=seed)
@@ -195,7 +195,7 @@ def predict_light(
     pixels_per_mm: float = PIXELS_PER_MM,
     on_progress: Callable[[float], None] | None = None,
 ) -> list[Array]:
-    """Irradiance (ny, nx) on the wall for each finish of the left half (None: as milled); 1 goes straight.
+    """Predict irradiance (ny, nx) on the wall for each finish of the left half (None: as milled); 1 goes straight.
 
     throw_mm : of the wall, where it is not that of the job
     """
@@ -228,10 +228,10 @@ def _pixels(per_mm: float) -> tuple[int, int]:
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
-    from service.job.report.figures import base as figures  # what it stands on is slow to import
+    from service.job.report.figures.base import picture_png  # what it stands on is slow to import
 
     seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
-    job_files.write_bytes(path, figures.picture_png(seen, white=3.0))
+    job_files.write_bytes(path, picture_png(seen, white=3.0))
 
 
 def _as_reals(values: Complex) -> Array:

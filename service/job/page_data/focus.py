@@ -27,7 +27,7 @@ def focus_bytes(
     white: float,
     viewed_from: ViewedFrom,
 ) -> bytes:
-    """Header, then uint8 (k, ny, nx) sRGB grey as the viewer sees it, row 0 on top; `white` becomes 255.
+    """Return header, then uint8 (k, ny, nx) sRGB grey as the viewer sees it, row 0 on top; `white` becomes 255.
 
     shape : (ny, nx) of the job's picture
     """
@@ -45,7 +45,7 @@ def focus_bytes(
 
 
 def _coarser(lens: Heightfield) -> Heightfield:
-    """The same surface with fewer vertices, where it has more than can be seen."""
+    """Return the same surface with fewer vertices, where it has more than can be seen."""
     ny, nx = lens.z_mm.shape
     share = _MOST_VERTICES / max(ny, nx)
     if share >= 1.0:

@@ -45,7 +45,7 @@ class Level:
             self._write_chunks(Points.joined(self._held), least=CHUNK_POINTS)
 
     def finish(self) -> None:
-        """Nothing more is coming."""
+        """Write what is held; nothing more is coming."""
         if self._held:
             self._write_chunks(Points.joined(self._held), least=1)
         self._held = []
@@ -55,13 +55,13 @@ class Level:
         return np.concatenate(self._rows) if self._rows else np.empty(0, dtype=INDEX)
 
     def blocks(self, size: int = 1 << 22) -> Iterator[bytes]:
-        """The points as they stand in the file."""
+        """Yield the points as they stand in the file."""
         self._file.seek(0)
         while piece := self._file.read(size):
             yield piece
 
     def chunks(self) -> Iterator[Points]:
-        """The points again, as the file has them; none twice."""
+        """Yield the points again, as the file has them; none twice."""
         self._file.seek(0)
         for number, row in enumerate(self.index):
             data = self._file.read(8 * int(row["count"]))
@@ -84,7 +84,7 @@ class Level:
 
 
 def encode_chunk(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]:
-    """A chunk's row of the index, and its points."""
+    """Return a chunk's row of the index, and its points."""
     low, high = _box(chunk)
     times = chunk.time_s[[0, -1]].astype("<f4")
     row = np.array([(first, len(chunk), chunk.line[[0, -1]], low, high, times)], dtype=INDEX)
@@ -97,7 +97,9 @@ def encode_chunk(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]
 
 
 def decode_chunk(row: NDArray[np.void], data: NDArray[np.uint16]) -> Points:
-    """The points of a chunk; of its lines only the first and the last are known, the others are spread between."""
+    """Decode the points of a chunk; of its lines only the first and the last are known, the others are spread
+    between.
+    """
     low, high, (begin_s, end_s) = (row[name].astype(np.float64) for name in ("low", "high", "time"))
     time_s = begin_s + (data[:, 3] >> _TIME_SHIFT) / _TIMES * (end_s - begin_s)
     line0, line1 = (int(line) for line in row["lines"])
@@ -112,7 +114,7 @@ def decode_chunk(row: NDArray[np.void], data: NDArray[np.uint16]) -> Points:
 
 
 def _box(chunk: Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Corners in single precision that hold all points."""
+    """Return corners in single precision that hold all points."""
     low, high = corners = no_box()
     widen(corners, chunk.mm, chunk.kind, 0)
     low4, high4 = low.astype("<f4"), high.astype("<f4")
@@ -121,7 +123,7 @@ def _box(chunk: Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _shares(values: Array, low: NDArray[np.float32], high: NDArray[np.float32], levels: int) -> NDArray[np.uint16]:
-    """Where values lie between low and high, as whole numbers from 0 to levels."""
+    """Return where values lie between low and high, as whole numbers from 0 to levels."""
     from_, span = np.float64(low), np.float64(high) - np.float64(low)
     share = (values - from_) * (levels / np.where(span > 0, span, 1.0))
     return np.asarray(np.clip(np.rint(share), 0, levels), dtype=np.uint16)

@@ -39,7 +39,7 @@ class PathDrawing:
     """Takes the moves of a pass as they are read; `write` makes the file. Use it in a `with`."""
 
     def __init__(self, folder: Path, *, kinematics: Kinematics, side_mm: float) -> None:
-        """folder: for what does not fit into memory; side_mm: the longer one of the lens."""
+        """Begin. folder: for what does not fit into memory; side_mm: the longer one of the lens."""
         self._folder = folder
         self._side_mm = side_mm
         self._moves = MovePoints(kinematics)
@@ -62,7 +62,7 @@ class PathDrawing:
         self._take(self._moves.add(batch))
 
     def write(self, path: Path, facts: Mapping[str, Any]) -> None:
-        """The file; facts: of the pass, for its header."""
+        """Write the file; facts: of the pass, for its header."""
         self._take(self._moves.rest())
         self._finish()
         levels = self._worth_having()
@@ -90,7 +90,7 @@ class PathDrawing:
             level.add(points)
 
     def _finish(self) -> None:
-        """What the chords still hold goes from each level to the next."""
+        """Pass what the chords still hold from each level to the next."""
         self._full.finish()
         points = Points.none()
         for level, chords in zip(self._levels, self._chords, strict=True):
@@ -99,7 +99,7 @@ class PathDrawing:
             level.finish()
 
     def _worth_having(self) -> list[Level]:
-        """The levels of the file, coarsest first."""
+        """Return the levels of the file, coarsest first."""
         levels = [self._full, *self._levels]
         small = next((n for n, level in enumerate(levels) if level.points <= MOST_POINTS), None)
         levels = levels[: small + 1] if small is not None else [*levels, self._glance()]
@@ -110,7 +110,7 @@ class PathDrawing:
         return chosen[::-1]
 
     def _glance(self) -> Level:
-        """The level for a picture of the whole."""
+        """Return the level for a picture of the whole."""
         tolerance_mm = self._side_mm * _GLANCE
         while (level := self._thin(tolerance_mm)).points > MOST_POINTS:
             level.close()
@@ -118,8 +118,8 @@ class PathDrawing:
         return level
 
     def _thin(self, tolerance_mm: float) -> Level:
-        """From a level fine enough that neighbouring rows still are alike: half of the tolerance for what is left out,
-        the rest for that level's error and for chords.
+        """Thin out from a level so fine that neighbouring rows still are alike: half of the tolerance for what is left
+        out, the rest for that level's error and for chords.
         """
         level, finer = self._level(tolerance_mm), self._levels[_THINNED]
         thinner = Thinner(_EXACT * tolerance_mm / 2, self._bounds["all"][:, :2])
@@ -138,7 +138,7 @@ class PathDrawing:
 
 
 def _share(number: int) -> float:
-    """Of a level's tolerance that its own chords may use: the level before has had the rest."""
+    """Return the share of a level's tolerance that its own chords may use: the level before has had the rest."""
     return 1.0 if number == 0 else 1.0 - 1.0 / _RATIO
 
 
@@ -149,7 +149,7 @@ def _as_bounds(corners_mm: Array) -> dict[str, list[float]] | None:
 
 
 def _header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
-    """Offsets depend on the header's length, which grows with their digits: a few rounds settle it."""
+    """Make the header. Its offsets depend on its length, which grows with their digits: a few rounds settle it."""
     length = 0
     while True:
         line = header_line({**facts, "levels": list(_rows(levels, length))})

@@ -68,7 +68,7 @@ class Chords:
         self._waiting = Points.none()
 
     def add(self, points: Points) -> Points:
-        """Those of the points so far that are certain to stay, each once."""
+        """Add points; return those so far that are certain to stay, each once."""
         held = Points.joined([self._waiting, points])
         if not len(held):
             return held
@@ -79,14 +79,14 @@ class Chords:
         return held[fresh]
 
     def rest(self) -> Points:
-        """The last point, where it has not been told of."""
+        """Return the last point, where it has not been returned yet."""
         waiting, self._waiting = self._waiting, Points.none()
         return waiting[-1:] if len(waiting) > 1 else Points.none()
 
 
 @njit(cache=True, nogil=True)
 def _choose(mm, kind, most2, longest, kept):  # type: ignore[no-untyped-def]
-    """Numbers of points to keep after the first, which is kept; how many, and the last of them."""
+    """Choose the numbers of points to keep after the first, which is kept; return how many, and the last of them."""
     count = anchor = 0
     for k in range(1, len(kind)):
         if k - anchor == 1:
@@ -100,7 +100,7 @@ def _choose(mm, kind, most2, longest, kept):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _is_near(mm, first, last, most2):  # type: ignore[no-untyped-def]
-    """Is every point between within the tolerance of the chord?"""
+    """Return whether every point between lies within the tolerance of the chord."""
     ux, uy, uz = mm[last, 0] - mm[first, 0], mm[last, 1] - mm[first, 1], mm[last, 2] - mm[first, 2]
     square = ux * ux + uy * uy + uz * uz
     for k in range(last - 1, first, -1):
@@ -114,7 +114,7 @@ def _is_near(mm, first, last, most2):  # type: ignore[no-untyped-def]
 
 
 def no_box() -> Array:
-    """Corners (2, 3) to be widened."""
+    """Return corners (2, 3) to be widened."""
     return np.array([[np.inf] * 3, [-np.inf] * 3])
 
 
@@ -157,7 +157,7 @@ class MovePoints:
         return Points.joined([first, _set_times(held[: len(ends_s)], ends_s)])
 
     def rest(self) -> Points:
-        """What was waiting for moves that do not come any more."""
+        """Return what was waiting for moves that do not come any more."""
         waiting, self._waiting = self._waiting, Points.none()
         return _set_times(waiting, self._model.list_waiting_s())
 
@@ -174,7 +174,7 @@ def _begin_points(batch: MoveBatch) -> Points:
 
 
 def _set_times(points: Points, ends_s: np.ndarray) -> Points:
-    """With those times; without stops that take no time."""
+    """Return the points with those times; without stops that take no time."""
     timed = Points(mm=points.mm, time_s=ends_s, line=points.line, kind=points.kind)
     stops = timed.kind == PAUSE
     if not stops.any():

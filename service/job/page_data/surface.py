@@ -16,7 +16,9 @@ _LEVELS = 65535
 def surface_bytes(
     lens: Heightfield, *, thickness_mm: float, margin_mm: float, outline_mm: Sequence[Sequence[float]] | None
 ) -> bytes:
-    """Header, then uint16 (ny, nx), row 0 at the lowest y: z = z0 + dz u. Both rims of the aperture are sampled."""
+    """Return header, then uint16 (ny, nx), row 0 at the lowest y: z = z0 + dz u. Both rims of the aperture are
+    sampled.
+    """
     longer_mm = max(lens.width_mm, lens.height_mm)
     nx, ny = (max(2, round((_MOST_SAMPLES - 1) * side / longer_mm) + 1) for side in (lens.width_mm, lens.height_mm))
     x_mm = np.linspace(lens.x_mm[0], lens.x_mm[-1], nx)

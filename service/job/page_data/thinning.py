@@ -32,7 +32,7 @@ class Thinner:
         self._left_out = False
 
     def add(self, points: Points) -> Points:
-        """The next points of the path; those that are drawn, and unseen the ends of what is left out."""
+        """Add the next points of the path; return those drawn, and in `unseen` the ends of what is left out."""
         if not len(points):
             return points
         first, last = self._last is None, self._last
@@ -54,7 +54,7 @@ class Thinner:
         return _unseen(held[kept], hidden[kept])
 
     def rest(self) -> Points:
-        """Where the path ends, at its time."""
+        """Return where the path ends, at its time."""
         if self._last is None or not self._left_out:
             return Points.none()
         return _unseen(self._last, np.full(1, HIDDEN, dtype=np.uint8))
@@ -65,7 +65,7 @@ def _unseen(points: Points, hidden: np.ndarray) -> Points:
 
 
 def stretch_ends(mm: Array, longest_mm: float) -> np.ndarray:
-    """Last points of stretches of about that length; the last of all is the last point."""
+    """Return the last points of stretches of about that length; the last of all is the last point."""
     if len(mm) < 2:
         return np.empty(0, dtype=np.int64)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(mm, axis=0), axis=1))])
@@ -87,7 +87,7 @@ def _decide(mm, kind, ends, heights, corner, unit, drawn):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _samples(mm, k, unit):  # type: ignore[no-untyped-def]
-    """How many samples the move to point k has."""
+    """Return how many samples the move to point k has."""
     square = 0.0
     for d in range(3):
         square += (mm[k, d] - mm[k - 1, d]) ** 2
@@ -96,7 +96,7 @@ def _samples(mm, k, unit):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _place(mm, k, f, corner, cell):  # type: ignore[no-untyped-def]
-    """Where the share f of the move to point k ends: x and y in cells from the corner, z."""
+    """Return where the share f of the move to point k ends: x and y in cells from the corner, z."""
     x = (mm[k - 1, 0] + f * (mm[k, 0] - mm[k - 1, 0]) - corner[0]) / cell
     y = (mm[k - 1, 1] + f * (mm[k, 1] - mm[k - 1, 1]) - corner[1]) / cell
     return x, y, mm[k - 1, 2] + f * (mm[k, 2] - mm[k - 1, 2])

@@ -11,7 +11,7 @@ SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last one fits eve
 
 
 def thumbnail_png(picture: Array, *, white: float) -> bytes:
-    """`figures.picture_png` with the same exposure; averages of light, and never enlarged.
+    """Return `figures.picture_png` with the same exposure; averages of light, and never enlarged.
 
     picture : (ny, nx) linear irradiance as the viewer sees it, row 0 on top
     """

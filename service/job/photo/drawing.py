@@ -14,7 +14,9 @@ _LINE_IN = 0.19
 
 
 def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> bytes:
-    """rectified, foretold (ny, nx): irradiance as the viewer sees it, of one scale; NaN: the photograph shows none."""
+    """Draw rectified and foretold (ny, nx): irradiance as the viewer sees it, of one scale; NaN: not in the
+    photograph.
+    """
     lines = [line for text in sentences for line in textwrap.wrap(f"• {text}", _COLUMNS, subsequent_indent="   ")]
     white = float(np.quantile(foretold, 0.998))
     high = panel_height(4.0, *foretold.shape)

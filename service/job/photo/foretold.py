@@ -39,7 +39,7 @@ class ForetoldLight:
 
 
 def foretold_of(folder: Path) -> ForetoldLight:
-    """From the folder of a job that has a lens; InputError where it has none, or another program's files."""
+    """Load the predicted light of a job that has a lens; InputError where it has none, or another program's files."""
     if not folder.is_dir():
         raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
     spec = load_stored_spec(folder)
@@ -56,7 +56,9 @@ def foretold_of(folder: Path) -> ForetoldLight:
 
 
 def _picture(path: Path, target: Array) -> Array | None:
-    """Irradiance of a picture of ours, whose white is the target's brightest pixel; None where there is none."""
+    """Return the irradiance of a picture of ours, whose white is the target's brightest pixel; None where there is
+    none.
+    """
     try:
         with Image.open(path, formats=("PNG",)) as image:
             levels = np.asarray(image.convert("L"))

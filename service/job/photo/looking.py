@@ -46,7 +46,7 @@ class Look:
     foretold: Array
 
     def png(self, *, with_words: bool = True) -> bytes:
-        """Photograph, foretold, difference, and what was found in words."""
+        """Draw photograph, prediction, difference, and what was found in words."""
         from service.job.photo.drawing import look_png  # what it stands on is slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
@@ -68,7 +68,7 @@ def look_at(
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("finding the picture"):
         place = _register(photo, foretold, name)
-    with watch.stage("fitting the wall") as reached:
+    with watch.stage("fitting the wall") as on_progress:
         fit = fit_wall(
             photo.light,
             place,
@@ -77,7 +77,7 @@ def look_at(
             foretold.irradiance,
             viewed_from=foretold.viewed_from,
             picture_width_mm=picture_width_mm,
-            on_progress=reached,
+            on_progress=on_progress,
         )
     findings = tuple(_findings(photo, foretold, place, fit))
 
@@ -113,7 +113,7 @@ def _register(photo: WallPhoto, foretold: ForetoldLight, name: str) -> Registrat
 
 
 def _peak(photo: WallPhoto) -> float:
-    """How much brighter than the dark the brightest thousandth is, without its noise."""
+    """Return how much brighter than the dark the brightest thousandth is, without its noise."""
     share = min(1.0, 200 / max(photo.light.shape))
     shape = max(1, round(photo.light.shape[0] * share)), max(1, round(photo.light.shape[1] * share))
     dark, bright = np.quantile(area_average(photo.light, shape), (0.05, 0.999))
@@ -146,13 +146,13 @@ def _distance(foretold: ForetoldLight, throw: Estimate) -> PhotoFinding:
     if throw.exceeds(_SURE):
         code = "wall_too_far" if throw.value > 0 else "wall_too_near"
         return PhotoFinding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
-    if throw.told:
+    if throw.is_determined:
         return PhotoFinding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
     return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
 
 
 def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldLight) -> list[PhotoFinding]:
-    """One finding for both directions together, where one of them is sure and large enough to act on."""
+    """Return one finding for both directions, where one of them is sure and large enough to act on."""
     sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
     if not any(sure):
         return []
@@ -165,7 +165,7 @@ def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldL
 
 
 def _turn_deg(place: Registration) -> float:
-    """Beyond the nearest quarter turn, which is how the camera was held."""
+    """Return the turn beyond the nearest quarter, which is how the camera was held."""
     deg = math.degrees(place.rotation_rad)
     return deg - 90.0 * round(deg / 90.0)
 
@@ -183,7 +183,7 @@ def _softness(foretold: ForetoldLight, place: Registration, fit: WallFit) -> Pho
 
 
 def _surface(foretold: ForetoldLight, fit: WallFit) -> PhotoFinding:
-    told = [one for one in fit.surface_um if one.told]
+    told = [one for one in fit.surface_um if one.is_determined]
     if not told:
         return PhotoFinding(code="surface_unknown")
     sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
@@ -214,7 +214,7 @@ def _figures(
     name: str,
 ) -> dict[str, Any]:
     def degrees_of(one: Estimate) -> dict[str, Any]:
-        return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.told}
+        return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.is_determined}
 
     throw = fit.throw_mm
     return plain(
@@ -238,7 +238,7 @@ def _figures(
             "wall": {
                 "throw_off_mm": throw.value,
                 "throw_deviation_mm": throw.deviation,
-                "throw_told": throw.told,
+                "throw_told": throw.is_determined,
                 "tilt_x": degrees_of(fit.wall_tilt_rad[0]),
                 "tilt_y": degrees_of(fit.wall_tilt_rad[1]),
             },
@@ -247,7 +247,13 @@ def _figures(
             "surface": {
                 "peak_to_valley_um": _peak_to_valley(foretold, fit, 0.0),
                 "terms": [
-                    {"order_x": a, "order_y": b, "um": one.value, "deviation_um": one.deviation, "told": one.told}
+                    {
+                        "order_x": a,
+                        "order_y": b,
+                        "um": one.value,
+                        "deviation_um": one.deviation,
+                        "told": one.is_determined,
+                    }
                     for (a, b), one in zip(ORDERS, fit.surface_um, strict=True)
                 ],
             },
@@ -260,7 +266,7 @@ def _figures(
 def look_at_photo(
     path: Path, job: Path, *, picture_width_mm: float | None = None, reporter: Reporter | None = None
 ) -> Look:
-    """The photograph in one file, of the lens of the job in one folder."""
+    """Return the photograph in one file, of the lens of the job in one folder."""
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("reading"):
         photo, foretold = read_wall_photo(path), foretold_of(job)

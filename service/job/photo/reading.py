@@ -30,7 +30,7 @@ class WallPhoto:
 
 
 def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> WallPhoto:
-    """The photograph at `path`, upright. PictureError, one line, which calls it by `name`, by default its path.
+    """Return the photograph at `path`, upright. PictureError, one line, which calls it by `name`, by default its path.
 
     Pixels in which one colour alone is clipped count as white: how much light there was is not known.
     """
@@ -51,7 +51,7 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
 
 
 def _mask_clipped(image: Image.Image, shape: tuple[int, int]) -> Array:
-    """Where most of a pixel of that shape is clipped in some colour."""
+    """Return where most of a pixel of that shape is clipped in some colour."""
     if image.mode not in ("L", "RGB"):
         image = image.convert("RGB")
     bright = None

@@ -17,28 +17,28 @@ _NEEDS_A_PROGRAM = {"EPS", "WMF"}  # Pillow hands these to Ghostscript or to Win
 
 
 def decode_picture(path: Path, limits: PictureLimits, name: str) -> Image.Image:
-    """The first frame, decoded and upright. PictureError, one line that calls the picture by `name`."""
-    with _refusals(name, limits), _load(path, limits, name) as image:
+    """Return the first frame, decoded and upright. PictureError, one line that calls the picture by `name`."""
+    with _translate_refusals(name, limits), _load(path, limits, name) as image:
         upright = ImageOps.exif_transpose(image)
         return upright.copy() if upright is image else upright
 
 
 def check_picture(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
     """Decode the picture whole, as `decode_picture` does, and keep nothing of it."""
-    with _refusals(name, limits), _load(path, limits, name) as image:
+    with _translate_refusals(name, limits), _load(path, limits, name) as image:
         image.getexif()
         _require_convertible(image, name)
         return PictureFacts(width=image.width, height=image.height, format=image.format or "", mode=image.mode)
 
 
 def one_line(error: Exception) -> str:
-    """What a library says of a picture, short."""
+    """Return what a library says of a picture, short."""
     return printable(" ".join(str(error).split()))[:120] or type(error).__name__
 
 
 @contextmanager
 def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]:
-    """Every refusal that the header allows comes before decoding. The content says what it is, not the file's name."""
+    """Open a picture. Every refusal that the header allows comes before decoding; its name says nothing of its kind."""
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
         if not file.read(1):
@@ -50,7 +50,7 @@ def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]
 
 
 @contextmanager
-def _refusals(name: str, limits: PictureLimits) -> Iterator[None]:
+def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
     try:
         yield
     except PictureError:
@@ -89,7 +89,7 @@ def _require_size(name: str, limits: PictureLimits, width: int, height: int) -> 
 
 
 def _require_convertible(image: Image.Image, name: str) -> None:
-    """One pixel tells whether the mode can be read as tones."""
+    """Refuse a mode that cannot be read as tones: one pixel tells."""
     if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
         try:
             image.crop((0, 0, 1, 1)).convert("RGB")

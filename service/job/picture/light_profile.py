@@ -16,7 +16,7 @@ _MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stay
 
 
 def light_rows(path: Path, *, tone: str) -> list[list[float]]:
-    """Relative strength, brightest 1, top row first, on points from rim to rim.
+    """Return the relative strength, brightest 1, top row first, on points from rim to rim.
 
     Each value is the mean over the box around its point, so that noise and dust are averaged away; at the rims it is
     half a box. The picture shows exactly the aperture.
@@ -36,7 +36,7 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
 
 
 def _points(size: int) -> tuple[int, Span]:
-    """How many points stand along an axis of that many pixels, and the span of the boxes around them."""
+    """Return how many points stand along an axis of that many pixels, and the span of the boxes around them."""
     count = min(size, _MOST_NODES)
     half = size / (count - 1) / 2
     return count, Span(-half, size + half)

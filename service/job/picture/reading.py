@@ -69,7 +69,7 @@ def read_picture(
     limits: PictureLimits = OWN_PICTURE,
     name: str | None = None,
 ) -> Picture:
-    """The picture at `path` as (rows, settings.pixels) linear light for a screen of aspect = width / height.
+    """Return the picture at `path` as (rows, settings.pixels) linear light for a screen of aspect = width / height.
 
     Transparent parts lie over white (mixed in linear light). `pad` adds black: light goes to the picture alone.
     `invert` is a negative in the picture's own tones. Raises PictureError, one line, and nothing else; it
@@ -80,7 +80,7 @@ def read_picture(
 
 
 def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
-    """The same of a picture that is decoded already, as often as it is wanted."""
+    """Make the same of a picture that is decoded already, as often as it is wanted."""
     width, height = image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
@@ -112,7 +112,7 @@ def _with_warnings(picture: Picture, settings: Reading) -> Picture:
 
 
 def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span]:
-    """Which part of the picture, in its own pixels, is spread over the screen: columns and rows."""
+    """Return which part of the picture, in its own pixels, is spread over the screen: columns and rows."""
     across, down = Span(0.0, float(width)), Span(0.0, float(height))
     too_wide = width > height * aspect
     if fit == "stretch" or width == height * aspect:
@@ -125,7 +125,9 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
 def resample_picture(
     image: Image.Image, shape: tuple[int, int], across: Span, down: Span, *, tone: str, invert: bool = False
 ) -> Array:
-    """(rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a whole."""
+    """Return (rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a
+    whole.
+    """
     width, height = image.size
     columns, lines = weights_to_resample(width, across, shape[1]), weights_to_resample(height, down, shape[0])
     scale = value_scale(image)

@@ -24,7 +24,7 @@ class Span:
 
 
 def weights_to_resample(size: int, span: Span, count: int) -> csc_array:
-    """(count, size) sparse weights from `size` source pixels to `count` equal cells of the span.
+    """Return (count, size) sparse weights from `size` source pixels to `count` equal cells of the span.
 
     A cell inside the picture has weights that sum to 1. What lies outside the picture counts as 0 (black).
     """
@@ -33,7 +33,7 @@ def weights_to_resample(size: int, span: Span, count: int) -> csc_array:
 
 
 def _area_weights(size: int, span: Span, count: int) -> csc_array:
-    """Share of each cell that each source pixel covers."""
+    """Return the share of each cell that each source pixel covers."""
     edges = span.low + (span.high - span.low) * np.arange(count + 1) / count
     first = np.floor(edges[:-1]).astype(np.int64)
     width = int(np.ceil(edges[1:] - first).max()) + 1
@@ -43,7 +43,9 @@ def _area_weights(size: int, span: Span, count: int) -> csc_array:
 
 
 def _cubic_weights(size: int, span: Span, count: int) -> csc_array:
-    """Catmull-Rom at the cell centres; at the picture's edge the last pixel is repeated; outside it is black."""
+    """Return Catmull-Rom weights at the cell centres; the picture's last pixel is repeated at its edge; outside is
+    black.
+    """
     centres = span.low + (span.high - span.low) * (np.arange(count) + 0.5) / count
     first = np.floor(centres - 0.5).astype(np.int64)
     t = (centres - 0.5 - first)[:, None]
@@ -68,7 +70,7 @@ def _sparse(weights: Array, pixels: npt.NDArray[np.int64], size: int) -> csc_arr
 
 
 def resize(picture: Array, shape: tuple[int, ...]) -> Array:
-    """The whole picture on (ny, nx) cells: area averages, or cubic where it must be enlarged."""
+    """Return the whole picture on (ny, nx) cells: area averages, or cubic where it must be enlarged."""
     if picture.shape == tuple(shape):
         return picture
     down, across = (

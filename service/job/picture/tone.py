@@ -15,24 +15,24 @@ _SIXTEEN_BIT = 65535
 
 
 def srgb_to_linear(encoded: Array) -> Array:
-    """IEC 61966-2-1, for values in [0, 1]."""
+    """Convert by IEC 61966-2-1, for values in [0, 1]."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((np.maximum(encoded, 0.0) + 0.055) / 1.055) ** 2.4)
 
 
 def linear_to_srgb(linear: Array) -> Array:
-    """IEC 61966-2-1, for values in [0, 1]."""
+    """Convert by IEC 61966-2-1, for values in [0, 1]."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055)
 
 
 def invert_tones(linear: Array, tone: str) -> Array:
-    """The negative: 1 - value in the tones the picture is written in, as an image editor does it."""
+    """Return the negative: 1 - value in the tones the picture is written in, as an image editor does it."""
     if tone == "linear":
         return 1.0 - linear
     return srgb_to_linear(1.0 - linear_to_srgb(np.clip(linear, 0.0, 1.0)))
 
 
 def value_scale(image: Image.Image) -> float:
-    """The stored value that means white.
+    """Return the stored value that means white.
 
     32 bit integers are 16 bit data in practice unless they exceed it; floats above 1 are scaled to their maximum.
     Raises ValueError for floats that are not finite.
@@ -51,7 +51,7 @@ def value_scale(image: Image.Image) -> float:
 
 
 def linear_strip(strip: Image.Image, info: dict[Any, Any], *, tone: str, scale: float) -> Array:
-    """Luminance (rows, columns) in [0, 1] of some rows, in linear light, transparent parts over white.
+    """Return luminance (rows, columns) in [0, 1] of some rows, in linear light, transparent parts over white.
 
     Floating-point pictures ("F") hold linear light whatever the tone says, as such files do by convention.
     """
@@ -86,6 +86,6 @@ def _luminance(pixels: npt.NDArray[np.uint8], tone: str) -> Array:
 
 
 def _table(tone: str) -> Array:
-    """Linear light of the 256 values of one byte."""
+    """Return the linear light of the 256 values of one byte."""
     values = np.arange(256) / 255.0
     return srgb_to_linear(values) if tone == "srgb" else values

@@ -19,7 +19,7 @@ from service.job.spec.resolved import ResolvedJob
 
 
 def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:
-    """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
+    """Yield (name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
     spec, stock, machine = job.spec, cam_stock_of(job.spec), job.machine
     if (facing := facing_task_of(spec)) is not None:
         yield FACE, facing.radius_mm, list(make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
@@ -41,7 +41,7 @@ def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
 
 
 def cut_out_ways(job: ResolvedJob, task: CutOut) -> tuple[Array, Array]:
-    """Corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
+    """Return corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
     outline = job.spec.optics.outline_mm
     corners = aperture_corners(cam_stock_of(job.spec)) if outline is None else np.array(outline, dtype=np.float64)
     digit_mm = POSTS[job.machine.dialect].digits.xy_mm

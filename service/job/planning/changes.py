@@ -25,7 +25,7 @@ class Change:
     values: dict[str, Any]
 
     def apply_to(self, job: ResolvedJob) -> ResolvedJob:
-        """The job with it; SpecError where that is none."""
+        """Return the job with the change; SpecError where that is none."""
         data = without_derived(job)
         for key, value in self.values.items():
             table, _, name = key.rpartition(".")
@@ -36,7 +36,7 @@ class Change:
 
 
 def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
-    """Those that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
+    """Yield changes that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
     spec = job.spec
     if not spec.to_be_planned:
         yield Change(what="passes as recommended", values={"preset": "recommended"})
@@ -63,7 +63,7 @@ def _to_fives(length_mm: float) -> float:
 
 
 def _finer_mill(own: MachineProfile) -> str | None:
-    """The profile whose heights are most exact, by steps and errors; None where the job's own is as good."""
+    """Return the profile whose heights are most exact, by steps and errors; None where the job's own is as good."""
     best, best_mm = None, 0.9 * hypot(own.step_mm, own.z_noise_mm)
     for name in profile_names():
         try:

@@ -29,16 +29,16 @@ from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from service.errors import InputError
-from service.job.errors import in_the_services_words
+from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import picture_of
-from service.job.planning import fit as fitting
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, foretell, told_by
+from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
 from service.job.planning.finished_light import blur_of
+from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import compute_passes, design_for_finishes, simplify
 from service.job.planning.plan import Planned
@@ -95,16 +95,18 @@ class QuickLens:
 def estimate(
     job: ResolvedJob, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False
 ) -> dict[str, Any]:
-    """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
+    """Return the answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at
+    once.
+    """
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
-    with in_the_services_words():
+    with translate_errors():
         specs = [fine] if exactly else [coarse, fine]
         targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
         whole = targets[-1]
         quick = quick_lens(job.with_spec(specs[0]), targets[0], None if exactly else whole)
         passes = _with_around(quick.job, list(_hours(quick)))
-        seen = _foretold(quick, whole, exactly=exactly)
+        seen = _foretell_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
@@ -130,8 +132,10 @@ def estimate(
     }
 
 
-def what_shows_more(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
-    """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
+def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
+    """Yield single changes of a job that show plainly more of its picture, with their estimates; none that is
+    refused.
+    """
     own = estimate(job, path, limits=limits, name=path.name)
     for change in changes_of(job, own["smallest_detail_mm"]):
         try:
@@ -143,7 +147,7 @@ def what_shows_more(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
 
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
-    """What a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
+    """Return what a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
     image = decode_picture(path, limits, name)
     found = []
     for spec in specs:
@@ -154,26 +158,26 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
-    """The same job with a coarser picture."""
+    """Return the same job with a coarser picture."""
     return _with_pixels(spec, PIXELS)
 
 
 def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
-    """With at most so many pixels along the longer side."""
+    """Return the spec with at most so many pixels along the longer side."""
     scale = min(1.0, most / max(spec.image.pixels, spec.pixel_rows))
     pixels = max(16, round(scale * spec.image.pixels))
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
 def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLens:
-    """The lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+    """Return the lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
 
     whole : the same with more pixels, by which finishes are compared
     """
     planned: Planned | None = None
     if job.spec.to_be_planned:
         planned = plan_for_picture(job, target, whole=whole)
-        job = job.with_spec(with_plan(job.spec, {"plan": _plan(planned)}))
+        job = job.with_spec(with_plan(job.spec, {"plan": _make_plan(planned)}))
     spec = job.spec
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
@@ -192,8 +196,8 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     )
 
 
-def _plan(planned: Planned) -> dict[str, Any]:
-    """What `with_plan` takes of a plan, without its pictures and scores."""
+def _make_plan(planned: Planned) -> dict[str, Any]:
+    """Return what `with_plan` takes of a plan, without its pictures and scores."""
     return {
         "passes": planned.rows(),
         "foreseen_blur_mm": planned.foreseen_blur_mm(),
@@ -204,7 +208,7 @@ def _plan(planned: Planned) -> dict[str, Any]:
 
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
-    """Of each pass, from the stock that the one before leaves."""
+    """Yield the hours of each pass, from the stock that the one before leaves."""
     form, mill = quick.form, kinematics_of(quick.job.machine)
     stock_mm: Array | None = None
     for spec in cam_passes_of(quick.spec):
@@ -220,7 +224,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
 
 
 def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same with what is milled around the passes, before and after them."""
+    """Return the same with what is milled around the passes, before and after them."""
     rates = job.machine.max_rate_mm_per_min
     around = {
         name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
@@ -231,7 +235,7 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
-    """Of a pass that others went before; depth_mm (ny, nx): what it takes off."""
+    """Return the seconds of a pass that others went before; depth_mm (ny, nx): what it takes off."""
     form, mill = quick.form, kinematics_of(quick.job.machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
@@ -239,7 +243,9 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
-    """Heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to leave."""
+    """Return heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to
+    leave.
+    """
     spline_z = lens.z_mm
     filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
@@ -275,7 +281,7 @@ def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
 
 
 def _blur_of_milling_mm(quick: QuickLens) -> float:
-    """Of what the tool, or the work by hand after it, leaves."""
+    """Return the blur of what the tool, or the work by hand after it, leaves."""
     if (finish := finish_of(quick.spec)) is not None:
         return blur_of(finish)
     if (slopes := _slopes(quick)) is None:
@@ -285,13 +291,13 @@ def _blur_of_milling_mm(quick: QuickLens) -> float:
     return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
 
 
-def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
-    """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
-    planned, finish, slopes = quick.planned, _finish(quick), _slopes(quick)
+def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
+    """Return what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+    planned, finish, slopes = quick.planned, _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
     if planned is not None and exactly:
-        return told_by(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
+        return describe_light(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
     by_hand = finish_of(quick.spec)
     found = foretell(
         target,
@@ -308,15 +314,15 @@ def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPict
     return found
 
 
-def _finish(quick: QuickLens) -> PassSpec | None:
-    """The last pass that finishes the whole lens."""
+def _find_finish(quick: QuickLens) -> PassSpec | None:
+    """Return the last pass that finishes the whole lens."""
     finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
     return finishes[-1] if finishes else None
 
 
 def _slopes(quick: QuickLens) -> RowSlopes | None:
-    """What the last finishing pass leaves; None where none finishes."""
-    machine, finish = quick.job.machine, _finish(quick)
+    """Return what the last finishing pass leaves; None where none finishes."""
+    machine, finish = quick.job.machine, _find_finish(quick)
     if finish is None:
         return None
     digit_mm = POSTS[machine.dialect].digits.z_mm
@@ -335,7 +341,7 @@ def _floor_mm(quick: QuickLens) -> float:
 
 
 def _refusals(quick: QuickLens) -> Iterator[str]:
-    """Why the job would fail before it has a program."""
+    """Yield reasons why the job would fail before it has a program."""
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
@@ -344,9 +350,9 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
             f"{need_mm} mm, a wall farther away or a smaller lens"
         )
     try:
-        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
-        fitting.require_flutes(quick.lens, passes)
-        fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
+        require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
+        require_flutes(quick.lens, passes)
+        check_ball_fit(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except InputError as error:
         yield str(error)
 

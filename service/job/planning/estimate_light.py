@@ -40,7 +40,7 @@ def foretell(
     by_hand: Finish | None = None,
     design: Design | None = None,
 ) -> ForetoldPicture:
-    """What the milled lens shows of a target (ny, nx), mean 1.
+    """Return what the milled lens shows of a target (ny, nx), mean 1.
 
     missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
     by_hand : what is done after milling
@@ -49,15 +49,15 @@ def foretell(
     light = PictureLight(target, bench, aims=aims)
     light.add(marks.radius_mm, form, missed)
     if by_hand is None:
-        return told_by(light, marks, light.aimed_db(marks))
+        return describe_light(light, marks, light.aimed_db(marks))
     finished = FinishedLight(light, by_hand)
     if design is not None:
         finished.calibrate(marks, design, fine=True)
-    return told_by(finished, marks, finished.psnr_db(marks))
+    return describe_light(finished, marks, finished.psnr_db(marks))
 
 
-def told_by(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
-    """What a plan's light tells of its marks."""
+def describe_light(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
+    """Return what a plan's light tells of its marks."""
     seen = light.smooth_picture(marks)
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
     only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)

@@ -48,7 +48,9 @@ class FinishedPlan:
 
 
 def list_finishings(job: ResolvedJob) -> list[Finishing]:
-    """What the job allows: one where its transfer function is given, else one for each time of work worth trying."""
+    """Return what the job allows: one where its transfer function is given, else one for each time of work worth
+    trying.
+    """
     spec, processes = job.spec, job.figures.processes
     given = spec.finish
     if not given.finishes:
@@ -89,7 +91,7 @@ def plan_finish(
     *,
     exactly: bool,
 ) -> FinishedPlan:
-    """The best plan of all finishings, its guesses corrected by a lens designed for one of the best of them.
+    """Return the best plan of all finishings, its guesses corrected by a lens designed for one of the best of them.
 
     exactly    : and by one as fine as the picture for the best: creases cost more there than on a coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
@@ -110,7 +112,7 @@ def plan_finish(
 
 
 def _quickest_alike(candidates: list[Candidate], light: PictureLight) -> list[Candidate]:
-    """Without a rest pass, and of those that a finish leaves the same of, the quickest: directions and strategies."""
+    """Return, of finishes without a rest pass that leave the same, the quickest: directions and strategies."""
     found: dict[tuple[float, ...], Candidate] = {}
     for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):
         if one.rest is None:
@@ -136,14 +138,16 @@ def _best(
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
-    """The larger the better: a goal that is met, then less time where a quality was asked for, else the picture."""
+    """Return the merit, larger is better: a goal that is met, then less time where a quality was asked for, else the
+    picture.
+    """
     if goal.psnr_db is not None or goal.blur_mm is not None:
         return plan.met, -plan.chosen.hours if plan.met else plan.chosen.psnr_db
     return plan.met, plan.chosen.psnr_db
 
 
 def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
-    """Whether finishing makes the picture better, or the same goal quicker to reach."""
+    """Return whether finishing makes the picture better, or the same goal quicker to reach."""
     met, gain = merit(finished, goal)
     met_without, without = merit(milled, goal)
     if goal.psnr_db is not None or goal.blur_mm is not None:
@@ -152,7 +156,7 @@ def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
 
 
 def is_surely_worth_it(finished: Plan, guessed: Plan, goal: Goal) -> bool:
-    """The same where passes without a finish are chosen by a guess: lenses sharpened for them might choose others."""
+    """Return whether passes guessed without a finish stay the choice: lenses sharpened for them might choose others."""
     if goal.psnr_db is not None or goal.blur_mm is not None:
         return False
     guess_db = guessed.chosen.psnr_db + _GUESS_DB

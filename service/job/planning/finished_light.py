@@ -52,7 +52,7 @@ class Spectra:
         self._lacks: dict[Shown, Array] = {}
 
     def lack_of(self, shown: Shown) -> Array:
-        """(n,) of what a lens misses as it is unmilled."""
+        """Return (n,) of what a lens misses as it is unmilled."""
         if shown not in self._lacks:
             self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
         return self._lacks[shown]
@@ -87,36 +87,38 @@ class FinishedLight(PictureLight):
     aimed_db = unsharpened_db = psnr_db
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
-        """None: the finish takes off what rows blur."""
+        """Return no blur: the finish takes off what rows blur."""
         return 0.0, 0.0
 
     def blur_mm(self, slopes: RowSlopes) -> float:
-        """Of the finish: the standard deviation of a Gaussian that keeps half of the wave that half is left of."""
+        """Return the standard deviation of a Gaussian that keeps half of the wave that the finish leaves half of."""
         return blur_of(self.finish)
 
     def perfect_db(self, radius_mm: float) -> float:
-        """Without any mark of the tool."""
+        """Return the PSNR without any mark of the tool."""
         return self.db_of_error(self._lens_error(radius_mm))
 
     def grain(self, marks: Marks) -> float:
-        """Standard deviation of the light over its mean, by what is left of the rows."""
+        """Return the standard deviation of the light over its mean, by what is left of the rows."""
         spec, form = marks.spec, self.lenses[marks.radius_mm].form
         off_mm, pixel_mm = round(marks.slopes.off_mm, 6), self.across_mm(spec)
         bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, off_mm, self.finish, pixel_mm)
         return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
 
     def is_lit(self, marks: Marks) -> bool:
-        """Whether light was shone through a lens as fine as the picture."""
+        """Return whether light was shone through a lens as fine as the picture."""
         return marks.radius_mm in self._lit
 
     def smooth_picture(self, marks: Marks) -> Array:
-        """Without stripes: as a lens was seen to make it, or what is kept of the picture."""
+        """Return the light without stripes: as a lens was simulated to make it, or what is kept of the picture."""
         if (seen := self._lit.get(marks.radius_mm)) is not None:
             return seen
         return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
     def picture(self, marks: Marks) -> Array:
-        """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by lot."""
+        """Return irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by
+        lot.
+        """
         smooth = self.smooth_picture(marks)
         ny, nx = smooth.shape
         along_x = marks.spec.direction == "x"
@@ -154,7 +156,7 @@ class FinishedLight(PictureLight):
         return simulate_caustic(lens, self.bench, pixels=pixels, tubes_per_cell=tubes, beams=_BEAMS).irradiance
 
     def _lens_error(self, radius_mm: float) -> float:
-        """Mean square of what the picture of the lens for a ball lacks."""
+        """Return the mean square of what the picture of the lens for a ball lacks."""
         if radius_mm not in self._errors:
             kept = _kept_of(self.finish, self._spectra.k_rad_per_mm)
             lost = np.square(1.0 - kept) @ self._spectra.wanted
@@ -164,7 +166,7 @@ class FinishedLight(PictureLight):
 
 
 def _picture_wave_numbers(shape: tuple[int, ...], bench: Bench) -> Array:
-    """Wave numbers (ny, nx) [rad/mm on the lens] of a picture's cosine waves."""
+    """Return wave numbers (ny, nx) [rad/mm on the lens] of a picture's cosine waves."""
     sides = (bench.height_mm, bench.width_mm)
     down, across = (math.pi * np.arange(n) / side for n, side in zip(shape, sides, strict=True))
     return np.asarray(np.hypot(down[:, None], across[None, :]), dtype=np.float64)
@@ -176,17 +178,17 @@ def _kept_of(finish: Finish, k_rad_per_mm: Array) -> Array:
 
 
 def blur_of(finish: Finish) -> float:
-    """Standard deviation [mm on the lens] of the Gaussian that leaves half of the wave of which half is kept."""
+    """Return standard deviation [mm on the lens] of the Gaussian that leaves half of the wave of which half is kept."""
     return math.sqrt(2.0 * math.log(2.0)) / _half_kept(finish)
 
 
 def _half_kept(finish: Finish) -> float:
-    """Wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is GIVEN_UP."""
+    """Return the wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is GIVEN_UP."""
     return finish.k0_rad_per_mm * float(-0.5 * math.log(GIVEN_UP)) ** (1.0 / finish.order)
 
 
 def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
-    """The surface with what the finish leaves of rows that are off in height, the same all along each row."""
+    """Return the surface with what the finish leaves of rows that are off in height, the same all along each row."""
     spec = marks.spec
     along_x = spec.direction == "x"
     places = finished.y_mm if along_x else finished.x_mm
@@ -199,13 +201,14 @@ def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield
 
 
 def _wave_numbers(heights: Array, spacing_mm: float) -> Array:
-    """[rad/mm] of the real transform of heights."""
+    """Return wave numbers [rad/mm] of the real transform of heights."""
     return 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
 
 
 @lru_cache(maxsize=512)
 def _row_spectrum(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Array]:
-    """Wave numbers [rad/mm] of rows, as far as any finish leaves anything, and mean squares [1/mm^2] of curvature.
+    """Return wave numbers [rad/mm] of rows, as far as any finish leaves anything, and mean squares [1/mm^2] of
+    curvature.
 
     Waves within a hundredth of each other count as one, at their own mean: a finish leaves the same of them.
     """
@@ -220,6 +223,6 @@ def _row_spectrum(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Arr
 
 @lru_cache(maxsize=8192)
 def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
-    """Root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
+    """Return the root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
     k, bends = _row_spectrum(radius_mm, pitch_mm, off_mm)
     return float(math.sqrt(np.square(finish.kept(k) * np.sinc(k * pixel_mm / (2.0 * np.pi))) @ bends))

@@ -20,8 +20,10 @@ from service.job.planning.program_size import SURE, pass_bytes
 from service.wording import ball
 
 
-def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
-    """A warning when the finishing ball does not fit everywhere; InputError when it touches too little of the lens."""
+def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
+    """Return a warning when the finishing ball does not fit everywhere; InputError when it touches too little of the
+    lens.
+    """
     radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
     if radius_mm <= facts.min_concave_radius_mm:
         return None
@@ -39,7 +41,7 @@ def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm:
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
-    """InputError where flutes are shorter than one bite, or the lens itself would stand against the shank.
+    """Raise InputError where flutes are shorter than one bite, or the lens itself would stand against the shank.
 
     Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
     """
@@ -66,7 +68,7 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
 def require_travel(
     heightfield: Heightfield, stock: Stock, passes: tuple[PassSpec, ...], machine: MachineProfile
 ) -> None:
-    """InputError when the block, or what the tip travels over it, is longer than an axis of the mill."""
+    """Raise InputError when the block, or what the tip travels over it, is longer than an axis of the mill."""
     around_mm = max(spec.radius_mm for spec in passes)
     lowest_mm = float(heightfield.z_mm.min())
     needed = (
@@ -83,13 +85,13 @@ def require_travel(
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
-    """About how large a program becomes."""
+    """Return about how large a program becomes."""
     size_mm = (stock.width_mm, stock.height_mm)
     return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
 
 
-def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
-    """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
+def check_disk_space(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+    """Return a warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
 
     disk : what the disk of the folder is called
     """

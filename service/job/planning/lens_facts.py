@@ -33,12 +33,12 @@ class LensFacts:
     curvature_per_mm: dict[str, float]
 
     def reached_share(self, radius_mm: float) -> float:
-        """Share of the aperture whose curvature a ball of this radius fits."""
+        """Return the share of the aperture whose curvature a ball of this radius fits."""
         return float(np.count_nonzero(self.curvature <= 1.0 / radius_mm)) / self.curvature.size
 
 
 def measure_lens(heightfield: Heightfield) -> LensFacts:
-    """Curvature on a lattice twice as fine as the vertices, slope at the vertices; both of the C2 spline."""
+    """Measure curvature on a lattice twice as fine as the vertices, slope at the vertices; both of the C2 spline."""
     curvature = concave_curvature(heightfield).ravel()
     found = np.percentile(curvature, _PERCENTILES)
     percentiles = {f"p{share:g}": float(value) for share, value in zip(_PERCENTILES, found, strict=True)}

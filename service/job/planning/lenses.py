@@ -39,7 +39,7 @@ _TUBES, _BEAMS = 2, 7
 Progress = Callable[[float], None]
 
 
-def lit_designs(
+def predict_designs(
     target: Array,
     settings: LensSettings,
     radii_mm: Iterable[float],
@@ -48,7 +48,8 @@ def lit_designs(
     aims: bool = True,
     on_progress: Progress | None = None,
 ) -> PictureLight:
-    """A lens designed for each ball, largest first: where nothing is to be filled, smaller balls have the same one.
+    """Design a lens for each ball, largest first: where nothing is to be filled, smaller balls have the same
+    one.
 
     as_given : the settings alone shape the lens, and each ball leaves of it what it can
     aims     : each lens is to be made sharper by what milling will blur
@@ -58,38 +59,38 @@ def lit_designs(
     solving = Lock()
 
     @cache
-    def solution() -> OpticalPath:
+    def solve_first() -> OpticalPath:
         return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
 
     def first() -> OpticalPath:
-        """Of the picture itself: lenses for all balls begin with it."""
+        """Solve for the picture itself: lenses for all balls begin with it."""
         with solving:
-            return solution()
+            return solve_first()
 
-    def near_first(aim: Array) -> OpticalPath | None:
+    def solve_near_first(aim: Array) -> OpticalPath | None:
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
         return path if path.converged else None
 
-    def shaped_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
+    def shape_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
         made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
         missed = made.best.caustic.irradiance - aim
         return _Shaped(form=LensForm.of(made.best.lens), missed=missed, fits=not made.is_shaped)
 
-    def again(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
+    def redesign(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
         aim = _coarser(aim)
         if as_given:
-            lens = compute_passes(aim, quick, lambda: near_first(aim)).best.lens
+            lens = compute_passes(aim, quick, lambda: solve_near_first(aim)).best.lens
             return lambda light: _add_as_left(light, lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
-        shaped = shaped_for(marks.radius_mm, aim, lambda: near_first(aim))
+        shaped = shape_for(marks.radius_mm, aim, lambda: solve_near_first(aim))
         return lambda light: light.add(marks.radius_mm, shaped.form, shaped.missed)
 
-    light = PictureLight(target, settings.bench, aims=aims, redesign=again)
+    light = PictureLight(target, settings.bench, aims=aims, redesign=redesign)
     if as_given:
         _add_as_left(light, compute_passes(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
     with ThreadPoolExecutor(thread_count()) as pool:
-        coming = [pool.submit(shaped_for, radius_mm, coarse, first) for radius_mm in wanted]
+        coming = [pool.submit(shape_for, radius_mm, coarse, first) for radius_mm in wanted]
         for number, radius_mm in enumerate(wanted):
             shaped = coming[number].result()
             light.add(radius_mm, shaped.form, shaped.missed)
@@ -98,7 +99,7 @@ def lit_designs(
             if shaped.fits:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for smaller_mm in wanted[number + 1 :]:
-                    light.same(smaller_mm, radius_mm)
+                    light.reuse_lens(smaller_mm, radius_mm)
                 break
     return light
 
@@ -113,12 +114,14 @@ class _Shaped:
 
 
 def simplify(settings: LensSettings) -> LensSettings:
-    """For a lens that is only looked at: by transport, corrected once at most, not polished, for no finish."""
+    """Return settings for a quick lens: by transport, corrected once at most, not polished, for no finish."""
     return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
 
 
 def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the job's."""
+    """Return a maker of lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the
+    job's.
+    """
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
 
@@ -133,7 +136,8 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
 def compute_passes(
     target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
 ) -> Corrected:
-    """The passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones again.
+    """Return the passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones
+    again.
 
     first : the target's own solution, or one like it, where there is one
     """
@@ -154,7 +158,7 @@ def _compute_once(wanted: _Wanted) -> Corrected:
     return wanted.make()
 
 
-def lit_lens(
+def predict_lens(
     lens: Heightfield,
     target: Array,
     bench: Bench,
@@ -162,7 +166,7 @@ def lit_lens(
     *,
     on_progress: Progress | None = None,
 ) -> PictureLight:
-    """An existing lens as each ball leaves it: valleys that are tighter stay filled."""
+    """Return an existing lens as each ball leaves it: valleys that are tighter stay filled."""
     light = PictureLight(target, bench)
     _add_as_left(light, lens, target, radii_mm, on_progress)
     return light
@@ -180,7 +184,7 @@ def _add_as_left(
     for number, radius_mm in enumerate(wanted, 1):
         fits = ball_fits(lens, radius_mm)
         if fits and served is not None:
-            light.same(radius_mm, served)
+            light.reuse_lens(radius_mm, served)
             continue
         if fits:
             served = radius_mm
@@ -195,7 +199,7 @@ def _add_as_left(
 
 
 def _valleys(lens: Heightfield, left: Heightfield, bench: Bench, target: Array) -> Valleys | None:
-    """What a ball leaves filled of a lens; None where it is too little for a rest pass."""
+    """Return what a ball leaves filled of a lens; None where it is too little for a rest pass."""
     filled = Filled(lens=lens, over_mm=left.z_mm - lens.z_mm)
     if filled.share == 0:
         return None

@@ -39,7 +39,7 @@ class Planned:
         return self.plan.chosen
 
     def picture(self, candidate: Candidate) -> Array:
-        """Predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
+        """Return the predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
         return self._pictures[self.plan.front.index(candidate)]
 
     @cached_property
@@ -51,24 +51,24 @@ class Planned:
         return tuple(map(self.light.score, self._pictures))
 
     def score(self, candidate: Candidate) -> CausticScore:
-        """PSNR, SSIM and the rest of the predicted light of one of the plan's front."""
+        """Return PSNR, SSIM and the rest of the predicted light of one of the plan's front."""
         return self._scores[self.plan.front.index(candidate)]
 
     def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:
-        """What the lens is to be made sharper for, to the micrometre."""
+        """Return what the lens is to be made sharper for, to the micrometre."""
         return [round(value, 3) for value in self.light.foreseen_blur_mm((candidate or self.chosen).marks)]
 
     def blur_px(self, candidate: Candidate) -> float:
         return candidate.blur_mm / min(self.light.pixel_mm)
 
     def rows(self, candidate: Candidate | None = None) -> list[dict[str, Any]]:
-        """The passes as the job spec takes them."""
+        """Return the passes as the job spec takes them."""
         passes = (candidate or self.chosen).passes
         rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
         return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
     def fragment(self, candidate: Candidate | None = None) -> dict[str, Any]:
-        """What laid over the job's spec, section by section, makes it this plan."""
+        """Return what laid over the job's spec, section by section, makes it this plan."""
         one = candidate or self.chosen
         optics: dict[str, Any] = {"min_radius_mm": one.finish.radius_mm} if self.shapes_lens else {}
         if any(blur_mm := self.foreseen_blur_mm(one)):
@@ -77,7 +77,7 @@ class Planned:
         return {"passes": self.rows(one), "optics": optics, "machine": machine, "finish": self.finish_table()}
 
     def finish_table(self) -> dict[str, Any]:
-        """The finish as the job spec takes it."""
+        """Return the finish as the job spec takes it."""
         if (chosen := self.finishing) is None:
             return {"process": NONE}
         table = {
@@ -91,7 +91,7 @@ class Planned:
         return {key: value for key, value in table.items() if value is not None}
 
     def rest_gain_db(self, one: Candidate) -> float:
-        """What its rest pass brings; 0 without one."""
+        """Return what its rest pass brings; 0 without one."""
         if one.rest is None:
             return 0.0
         return one.psnr_db - self.light.aimed_db(replace(one.marks, rest=None))

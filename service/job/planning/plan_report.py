@@ -12,7 +12,7 @@ from service.job.planning.sentences import blur_warning, blur_warnings, candidat
 
 
 def plan_figures(planned: Planned) -> dict[str, Any]:
-    """For report.json: what was chosen and what else there was, each with all that it takes to have it."""
+    """Return for report.json what was chosen and what else there was, each with all that it takes to have it."""
     chosen = planned.chosen
     return plain(
         {
@@ -38,7 +38,7 @@ def plan_figures(planned: Planned) -> dict[str, Any]:
 
 
 def _rest(planned: Planned, one: Candidate) -> dict[str, Any] | None:
-    """Of the pass that takes out what the finishing ball leaves in valleys."""
+    """Return the figures of the pass that takes out what the finishing ball leaves in valleys."""
     if one.rest is None:
         return None
     lens = planned.light.forms[one.finish.radius_mm]

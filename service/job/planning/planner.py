@@ -21,7 +21,7 @@ from service.job.planning.finish_choice import (
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import design_for_finishes, lit_designs, lit_lens
+from service.job.planning.lenses import design_for_finishes, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import kinematics_of
@@ -40,7 +40,7 @@ def plan_for_picture(
     whole: Array | None = None,
     on_progress: Progress | None = None,
 ) -> Planned:
-    """Passes for a lens that is still to be designed, for the ball that finishes it.
+    """Plan passes for a lens that is still to be designed, for the ball that finishes it.
 
     target : (ny, nx) work frame, mean 1
     whole  : the same with more pixels, where finishes are to be compared by that
@@ -49,28 +49,30 @@ def plan_for_picture(
     settings = lens_settings(spec, branch=branch_of(spec, target))
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
-    light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
+    light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
     return _choose_plan(job, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
 
 
 def plan_for_lens(
     job: ResolvedJob, lens: Heightfield, target: Array, *, on_progress: Progress | None = None
 ) -> Planned:
-    """Passes for a lens that exists."""
+    """Plan passes for a lens that exists."""
     shop = shop_of(job)
     bench = replace(bench_of(job.spec), branch=branch_of(job.spec, target))
-    light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
+    light = predict_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
     return _choose_plan(job, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
 def _score_by(light: PictureLight, plan: Plan) -> Plan:
-    """The plan, its choice scored by another light, without its rest pass."""
+    """Return the plan, its choice scored by another light, without its rest pass."""
     seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
     return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
 
 
 def mill_of(job: ResolvedJob) -> MachineProfile:
-    """The mill as a plan has it run: heights in whole steps where these are coarse, unless the job says otherwise."""
+    """Return the mill as a plan runs it: heights in whole steps where these are coarse, unless the job says
+    otherwise.
+    """
     machine = job.machine
     if job.spec.machine.whole_steps is not None:
         return machine
@@ -78,7 +80,7 @@ def mill_of(job: ResolvedJob) -> MachineProfile:
 
 
 def shop_of(job: ResolvedJob) -> Shop:
-    """Tools, material and mill of a job."""
+    """Return tools, material and mill of a job."""
     machine = mill_of(job)
     digit_mm = POSTS[machine.dialect].digits.z_mm
     return Shop(
@@ -95,7 +97,9 @@ def shop_of(job: ResolvedJob) -> Shop:
 
 
 def _radii(shop: Shop) -> list[float]:
-    """Of the balls that the block has room for; of all, where it has room for none, so that each is refused by name."""
+    """Return the radii of balls that the block has room for; of all, where it has none, so that each is refused by
+    name.
+    """
     radii = {tool.radius_mm for tool in shop.tools}
     return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
@@ -111,7 +115,7 @@ def _choose_plan(
         if finishings and whole is None:
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
         if finishings and whole is not None:
-            seen, plan = light.against(whole), plan_by_score(candidates, left_out, goal)
+            seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
             with ThreadPoolExecutor(1) as beside:
                 guessed = beside.submit(_score_by, seen, plan)
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)

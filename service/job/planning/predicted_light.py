@@ -97,7 +97,7 @@ class PictureLight:
         return {radius: shown.valleys.filled for radius, shown in self.lenses.items() if shown.valleys is not None}
 
     def add(self, radius_mm: float, form: LensForm, missed: Array, *, valleys: Valleys | None = None) -> None:
-        """A lens for a ball; missed: its light less the picture that it aims at, at any size."""
+        """Add a lens for a ball; missed: its light less the picture that it aims at, at any size."""
         error = resize(missed, self.target.shape)
         self.lenses[radius_mm] = Shown(
             form=form,
@@ -106,31 +106,31 @@ class PictureLight:
             valleys=valleys and replace(valleys, shares_past=resize(valleys.shares_past, self.target.shape)),
         )
 
-    def same(self, radius_mm: float, as_of_mm: float) -> None:
-        """The lens for another ball serves this one as well."""
+    def reuse_lens(self, radius_mm: float, as_of_mm: float) -> None:
+        """Use the lens for another ball for this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
 
-    def against(self, target: Array) -> PictureLight:
-        """The same lenses against the picture at another size; what balls leave filled of them is not told."""
+    def retarget(self, target: Array) -> PictureLight:
+        """Return the same lenses against the picture at another size, without what balls leave filled of them."""
         light = PictureLight(target, self.bench, aims=self.aims)
         first: dict[Shown, float] = {}
         for radius_mm, shown in self.lenses.items():
             if shown in first:
-                light.same(radius_mm, first[shown])
+                light.reuse_lens(radius_mm, first[shown])
                 continue
             light.add(radius_mm, shown.form, picture_of_waves(shown.waves - self.goal))
             first[shown] = radius_mm
         return light
 
-    def _seen(self, marks: Marks) -> RowSlopes:
-        """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
+    def _widen_slopes(self, marks: Marks) -> RowSlopes:
+        """Return the slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
         form = self.lenses[marks.radius_mm].form
         reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
         wider = marks.slopes.across.times(form.widen_factor(marks.spec, reach_mm))
         return replace(marks.slopes, across=wider)
 
     def reach_mm(self, form: LensForm) -> float:
-        """How far aside a slope error sends light on the screen, per unit of slope.
+        """Return how far aside a slope error sends light on the screen, per unit of slope.
 
         A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
         much, the mean of along it and across it.
@@ -150,7 +150,9 @@ class PictureLight:
         return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
 
     def psnr_db(self, marks: Marks) -> float:
-        """At a guess: as if darkness had no floor, and the picture no place where its edges' darkness matters more."""
+        """Guess the PSNR as if darkness had no floor, and the picture no place where its edges' darkness matters
+        more.
+        """
         error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
         return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
 
@@ -158,7 +160,7 @@ class PictureLight:
         return self.psnr_of(self.smooth_picture(marks), self.grain(marks))
 
     def unsharpened_db(self, marks: Marks) -> float:
-        """The same of a lens that aims at the picture itself."""
+        """Return the same of a lens that aims at the picture itself."""
         return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
     def settle(self, several: Iterable[Marks]) -> None:
@@ -176,11 +178,11 @@ class PictureLight:
         self._halves.clear()
 
     def perfect_db(self, radius_mm: float) -> float:
-        """What the lens for a ball would show without any mark of the tool."""
+        """Return what the lens for a ball would show without any mark of the tool."""
         return self.lenses[radius_mm].perfect_db
 
     def grain(self, marks: Marks) -> float:
-        """Standard deviation of the light of a pixel over its mean: rows off in height, chords off in slope."""
+        """Return the standard deviation of a pixel's light over its mean: rows off in height, chords off in slope."""
         own = self._grain_of(marks)
         if marks.rest is None:
             return own
@@ -188,7 +190,7 @@ class PictureLight:
         return sqrt((1.0 - through) * own**2 + through * self._grain_of(marks.rest) ** 2)
 
     def across_mm(self, spec: PassSpec) -> float:
-        """A pixel's side across the rows of a pass."""
+        """Return a pixel's side across the rows of a pass."""
         return self.pixel_mm[0 if spec.direction == "x" else 1]
 
     def _grain_of(self, marks: Marks) -> float:
@@ -199,20 +201,22 @@ class PictureLight:
         return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
 
     def picture(self, marks: Marks) -> Array:
-        """Irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the rows."""
+        """Return the irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the
+        rows.
+        """
         smooth = np.maximum(self.smooth_picture(marks), 0.0)
         lot = np.random.default_rng(_SEED).standard_normal(smooth.shape)
         lot = gaussian_filter1d(lot, _GRAIN_PIXELS, axis=1 if marks.spec.direction == "x" else 0)
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot / lot.std(), 0.0))
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
-        """(x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
+        """Return (x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
         nor where contours blur each place in a direction of its own.
         """
         if not self.aims or marks.spec.strategy == "contour":
             return 0.0, 0.0
         form = self.lenses[marks.radius_mm].form
-        slopes = self._seen(marks)
+        slopes = self._widen_slopes(marks)
         across, along = (self.reach_mm(form) * spread.rms for spread in (slopes.across, slopes.along))
         along = along if along > _SEEN_PIXELS * min(self.pixel_mm) else 0.0
         return (along, across) if marks.spec.direction == "x" else (across, along)
@@ -221,7 +225,7 @@ class PictureLight:
         return score_caustic(picture, self.target)
 
     def _error_by_rows(self, marks: Marks) -> float:
-        """Mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
+        """Return the mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
         kept = self._kept(marks)
         lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
         if marks.rest is None:
@@ -231,22 +235,22 @@ class PictureLight:
         return float(np.square(lost * self.goal - (came - kept * self.goal)).mean())
 
     def _error_by_contours(self, marks: Marks) -> float:
-        """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
+        """Return the mean square of waves; each place is blurred in its own direction, so squares are averaged."""
         form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
-        kept, squared = along.kept_by_contours(form, self._seen(marks), self.reach_mm(form))
+        kept, squared = along.kept_by_contours(form, self._widen_slopes(marks), self.reach_mm(form))
         goal, sums = self.goal, self._along.block_sums
         if marks.rest is None:
             own = self.lenses[marks.radius_mm].waves
             error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()
         else:
             own, other = self._half_waves(marks)
-            left = along.kept(form, self._seen(marks.rest), marks.rest.spec, self.reach_mm(form))
+            left = along.kept(form, self._widen_slopes(marks.rest), marks.rest.spec, self.reach_mm(form))
             error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
             error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
         return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
 
     def _half_waves(self, marks: Marks) -> tuple[Array, Array]:
-        """Of the light past the valleys that the finishing ball leaves filled, and of that through them, where a rest
+        """Return waves past the valleys that the finishing ball leaves filled, and through them, where a rest
         pass cuts; the lens is as the smaller ball leaves it."""
         key = (marks.radius_mm, marks.smallest_mm)
         if key not in self._halves:
@@ -260,24 +264,24 @@ class PictureLight:
         return past, waves - past
 
     def smooth_picture(self, marks: Marks) -> Array:
-        """The picture of the lens for that ball, made sharper and then milled, without grain."""
+        """Return the picture of the lens for that ball, made sharper and then milled, without grain."""
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
             waves = waves + waves_of(self._aim(marks) - self.target)
         return self._milled(marks, waves)
 
     def _aim(self, marks: Marks) -> Array:
-        """The target, sharper by what those rows will blur."""
+        """Return the target, sharper by what those rows will blur."""
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
         return sharpen(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
 
     def _milled(self, marks: Marks, waves: Array) -> Array:
-        """Blurred; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
+        """Blur the aim; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
         reach_mm = self.reach_mm(self.lenses[marks.radius_mm].form)
         edges = [
             spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
             for spread, count, pixel_mm in zip(
-                yx_spreads(self._seen(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
+                yx_spreads(self._widen_slopes(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
             )
         ]
         if marks.rest is None:
@@ -288,17 +292,17 @@ class PictureLight:
         return np.asarray(picture_of_waves(blurred) * np.outer(*edges))
 
     def _kept(self, marks: Marks) -> Array:
-        """What is left of each wave (ny, nx)."""
+        """Return what is left of each wave (ny, nx)."""
         form = self.lenses[marks.radius_mm].form
-        return self._along.kept(form, self._seen(marks), marks.spec, self.reach_mm(form))
+        return self._along.kept(form, self._widen_slopes(marks), marks.spec, self.reach_mm(form))
 
     def psnr_of(self, picture: Array, grain: float) -> float:
-        """Of a smooth picture and its grain."""
+        """Return the PSNR of a smooth picture and its grain."""
         error = float(np.square(picture - self.target).mean()) + grain**2 * float(np.square(picture).mean())
         return self.db_of_error(error)
 
     def db_of_error(self, mean_square: float) -> float:
-        """PSNR of a picture that is off by so much."""
+        """Return PSNR of a picture that is off by so much."""
         return float(10 * np.log10(self._peak**2 / max(mean_square, 1e-300)))
 
 

@@ -95,7 +95,7 @@ def score_against(irradiance: Array, original: Array) -> dict[str, float]:
 
 
 def _black_share(spec: JobSpec, original: Array) -> float:
-    """The light in valleys, where the picture has black that comes out of them."""
+    """Return the share of light in valleys, where the picture has black that comes out of them."""
     radius_mm = spec.lens_radius_mm
     if radius_mm <= 0 or not (original < DARK * original.max()).any():
         return 0.0

@@ -9,13 +9,13 @@ SURE = 4.0  # a disk that has less than this part of the estimate does not hold 
 
 
 def pass_bytes(size_mm: tuple[float, float], *, radius_mm: float, pitch_mm: float, finishes: bool) -> float:
-    """One pass over a lens of this width and height."""
+    """Return the bytes of one pass over a lens of this width and height."""
     width_mm, height_mm = (side_mm + 2 * radius_mm for side_mm in size_mm)
     return width_mm * height_mm / pitch_mm * (FINISH_BYTES_PER_MM if finishes else ROUGH_BYTES_PER_MM)
 
 
 def job_bytes(spec: JobSpec) -> float:
-    """All programs of a job."""
+    """Return all programs of a job."""
     size_mm = (spec.optics.width_mm, spec.optics.height_mm)
     return sum(
         pass_bytes(size_mm, radius_mm=row.radius_mm, pitch_mm=row.pitch_mm, finishes=row.stock_to_leave_mm == 0)

@@ -24,14 +24,16 @@ _SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
 
 
 def reasons(planned: Planned) -> list[str]:
-    """Why these passes, most important first."""
+    """Return why these passes, most important first."""
     first = (_aim(planned), _by_hand(planned))
     found = (*first, *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), *_rough(planned))
     return [sentence for sentence in found if sentence]
 
 
 def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
-    """What the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it blurs."""
+    """Return what the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it
+    blurs.
+    """
     found = []
     chosen = planned.chosen
     if not planned.plan.met:
@@ -48,7 +50,7 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
 
 
 def blur_warning(planned: Planned, one: Candidate, remedy: str = "") -> str | None:
-    """What a plan cannot show of the picture, if anything; figures last."""
+    """Return what a plan cannot show of the picture, if anything; figures last."""
     if (pixels := planned.blur_px(one)) <= 1.0:
         return None
     return (
@@ -58,23 +60,23 @@ def blur_warning(planned: Planned, one: Candidate, remedy: str = "") -> str | No
 
 
 def finish_words(finish: PassSpec) -> str:
-    """A finishing pass in a few words."""
+    """Return a finishing pass in a few words."""
     rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
     return f"ball {ball(finish.radius_mm)}, pitch {finish.pitch_mm:g} mm, {rows}"
 
 
 def candidate_words(one: Candidate) -> str:
-    """How a lens is finished, in a few words."""
+    """Return how a lens is finished, in a few words."""
     return "; ".join(filter(None, (finish_words(one.finish), rest_words(one))))
 
 
 def rest_words(one: Candidate) -> str:
-    """Of the rest pass; nothing where there is none."""
+    """Return words on the rest pass; nothing where there is none."""
     return "" if one.rest is None else f"then ball {ball(one.rest.spec.radius_mm)} in what it leaves"
 
 
 def best_possible(planned: Planned) -> str:
-    """What no plan on this mill can surpass."""
+    """Return what no plan on this mill can surpass."""
     best = planned.plan.best
     perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
     return (
@@ -85,7 +87,7 @@ def best_possible(planned: Planned) -> str:
 
 
 def hopeful_db(planned: Planned) -> float | None:
-    """How much the milled picture may fall short of the foretold one; None: more than can be told."""
+    """Return how much the milled picture may fall short of the foretold one; None: more than can be told."""
     radius_mm = planned.chosen.finish.radius_mm
     reach_mm = planned.light.reach_mm(planned.light.forms[radius_mm])
     return HOPEFUL_DB if radius_mm <= _NEAR * reach_mm else None
@@ -108,7 +110,7 @@ def _aim(planned: Planned) -> str:
 
 
 def _by_hand(planned: Planned) -> str:
-    """Which finish, how long, and what the same goal would show without it; nothing where there is none."""
+    """Return which finish, how long, and what the same goal would show without it; nothing where there is none."""
     finishing, without = planned.finishing, planned.unfinished
     if finishing is None:
         return ""
@@ -124,7 +126,7 @@ def _by_hand(planned: Planned) -> str:
 
 
 def _ball(planned: Planned) -> Iterator[str]:
-    """What the ball is chosen for, and which others were not."""
+    """Yield what the ball is chosen for, and which others were not."""
     radius = planned.chosen.finish.radius_mm
     across = 1000 * planned.chosen.slopes.across.rms
     slopes = f"slopes of {across:.1f} µm per mm ({across:.1f} mrad)"
@@ -144,7 +146,7 @@ def _ball(planned: Planned) -> Iterator[str]:
 
 
 def _rest(planned: Planned) -> Iterator[str]:
-    """What is left in valleys too narrow for the ball, and who takes it out."""
+    """Yield what is left in valleys too narrow for the ball, and who takes it out."""
     chosen = planned.chosen
     filled = planned.light.fillings.get(chosen.finish.radius_mm)
     if chosen.rest is not None:
@@ -226,7 +228,7 @@ def _not_met(planned: Planned) -> str:
 
 
 def _remedy(planned: Planned) -> str:
-    """What would help most: a larger ball, or a mill that is off by less."""
+    """Return what would help most: a larger ball, or a mill that is off by less."""
     largest = max(planned.light.lenses)
     if planned.plan.left_out and any(_radius(planned, name) > largest for name, _ in planned.plan.left_out):
         return "a wider margin of the block leaves room for a larger ball"
@@ -236,13 +238,13 @@ def _remedy(planned: Planned) -> str:
 
 
 def _psnr_turned_db(planned: Planned, chosen: Candidate) -> float:
-    """PSNR with the same rows along the other axis."""
+    """Return the PSNR with the same rows along the other axis."""
     other = replace(chosen.finish, direction="y" if chosen.finish.direction == "x" else "x")
     return planned.light.aimed_db(replace(chosen.marks, spec=other))
 
 
 def _speed_at_contact_m_per_min(planned: Planned) -> float:
-    """At the contact on the median slope [m/min]."""
+    """Return the speed at the contact on the median slope [m/min]."""
     finish = planned.chosen.finish
     slope = float(np.median(planned.light.forms[finish.radius_mm].slopes))
     return contact_speed_m_per_min(finish.radius_mm, finish.spindle_rpm, slope)

@@ -40,13 +40,13 @@ class Waves:
         return Waves(along_y=self.along_y[:ny:_BLOCK], along_x=self.along_x[:nx:_BLOCK])
 
     def block_sums(self, values: Array) -> Array:
-        """Of values (ny, nx), one for each wave of `by_blocks`."""
+        """Return block sums of values (ny, nx), one for each wave of `by_blocks`."""
         ny, nx = (count // _BLOCK for count in values.shape)
         whole = values[: ny * _BLOCK, : nx * _BLOCK]
         return np.asarray(whole.reshape(ny, _BLOCK, nx, _BLOCK).sum(axis=(1, 3)))
 
     def kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec, reach_mm: float) -> Array:
-        """(ny, nx) what is left of each wave when a slope of 1 sends light `reach_mm` aside."""
+        """Return (ny, nx) what is left of each wave when a slope of 1 sends light `reach_mm` aside."""
         if spec.strategy == "contour":
             return self.kept_by_contours(form, slopes, reach_mm)[0]
         over_y, over_x = yx_spreads(slopes, spec)
@@ -54,7 +54,7 @@ class Waves:
         return np.outer(*left)
 
     def kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
-        """What is left of each wave, and of its square: rows run along the contour lines, so across them is the
+        """Return what is left of each wave, and of its square: rows run along the contour lines, so across them is the
         gradient's direction, which all places share out.
         """
         edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
@@ -69,12 +69,12 @@ class Waves:
 
 
 def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpread]:
-    """Slope errors along Y and along X of rows; both those across them where rows run along contours."""
+    """Return the slope errors along Y and along X of rows; both those across them where rows run along contours."""
     if spec.strategy == "contour":
         return slopes.across, slopes.across
     return (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
 
 
 def lost_when_sharpened(kept: Array) -> Array:
-    """Part of each wave that is missing in the end, when the lens is sharpened as far as light allows."""
+    """Return the part of each wave missing in the end, when the lens is sharpened as far as light allows."""
     return np.asarray((1.0 - kept) * np.clip(1.0 - kept * kept, 0.0, 1.0) ** _SHARPENING)

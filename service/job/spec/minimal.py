@@ -30,7 +30,7 @@ def reduce_spec(resolved: Mapping[str, Any]) -> Json:
         load = cache(load_profile)  # each try resolves the whole spec, and would read the machine's profile again
         wanted = _resolve(asked, load)
         for place in _places(asked):
-            shorter = _without(asked, place)
+            shorter = _remove(asked, place)
             if shorter is not None and _resolves_to(shorter, wanted, load):
                 asked = shorter
     except SpecError:
@@ -51,7 +51,7 @@ def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
                 yield from ((*start, *rest) for rest in _places(table))
 
 
-def _without(spec: Json, place: Place) -> Json | None:
+def _remove(spec: Json, place: Place) -> Json | None:
     """A copy that lacks what lies at a place; None where that has gone with its table."""
     found: Any = spec
     for step in place:

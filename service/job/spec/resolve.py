@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from cam import passes as cam_passes
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.materials import PMMA, SLOT_FEED, Material
-from cam.passes import PassSpec, Stock
+from cam.passes import PRESETS, PassSpec, Stock
 from machines.profiles import MachineProfile
 from service.errors import SpecError
 from service.job.spec.around import CutOutSpec, FaceSpec
@@ -30,7 +29,7 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     Those of "recommended" are none: they are planned once the picture is known.
     """
     rows = []
-    for spec in cam_passes.PRESETS.get(preset, ()):
+    for spec in PRESETS.get(preset, ()):
         row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
         rows.append({**row, "name": "finish" if spec.finishes else "rough"})
     return rows

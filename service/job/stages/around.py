@@ -31,43 +31,43 @@ from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
 from service.job.spec.resolved import ResolvedJob, setup_of
-from service.job.stages import programs as pass_programs
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
+from service.job.stages.programs import first_stock, part_limits_of, trace_of, write_parts
 
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 
 
-def face(shop: Workshop) -> None:
-    """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
-    facing, stock, machine = facing_task_of(shop.spec), cam_stock_of(shop.spec), shop.machine
-    assert facing is not None and shop.spec.stock.face is not None  # by the plan of stages
+def run_facing(context: StageContext) -> None:
+    """Write the program that faces the stock; its row of report `around`, and the stock that it leaves."""
+    facing, stock, machine = facing_task_of(context.spec), cam_stock_of(context.spec), context.machine
+    assert facing is not None and context.spec.stock.face is not None  # by the plan of stages
     paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
-    written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.job))
-    verdict = _check(shop, written, facing, raw_stock(shop.spec))
-    shop.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **shop.spec.stock.face.model_dump()})}
-    shop.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
+    written = _write(context, 0, FACE, paths, facing, trace=trace_of(context.job))
+    verdict = _check(context, written, facing, raw_stock(context.spec))
+    context.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **context.spec.stock.face.model_dump()})}
+    context.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
-def cut_out(shop: Workshop) -> None:
-    """The program that cuts the lens out; its row of report `around`."""
-    task, stock, machine = cut_out_of(shop.spec), cam_stock_of(shop.spec), shop.machine
-    assert task is not None and shop.spec.stock.cut_out is not None  # by the plan of stages
-    top = shop.receive(LAST_STOCK, arrays.load_stock)
-    loop = cut_out_ways(shop.job, task)[1]
+def run_cut_out(context: StageContext) -> None:
+    """Write the program that cuts the lens out; its row of report `around`."""
+    task, stock, machine = cut_out_of(context.spec), cam_stock_of(context.spec), context.machine
+    assert task is not None and context.spec.stock.cut_out is not None  # by the plan of stages
+    top = context.receive(LAST_STOCK, arrays.load_stock)
+    loop = cut_out_ways(context.job, task)[1]
     top_mm = highest_along(loop, task.radius_mm, top)
     paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
-    written = _write(shop, len(shop.spec.passes) + 1, CUT_OUT, paths, task)
-    verdict = _check(shop, written, task, top)
+    written = _write(context, len(context.spec.passes) + 1, CUT_OUT, paths, task)
+    verdict = _check(context, written, task, top)
     depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm
     if depth_mm > _SLENDER * diameter_mm:
-        shop.note(
+        context.note(
             "passes",
             f"{written[0].file}: a flat end mill of {diameter_mm:g} mm diameter has to reach {depth_mm:g} mm deep in a "
             f"slot, {depth_mm / diameter_mm:.0f} times its diameter; a thicker one (stock.cut_out.radius_mm, with its "
             "margin) or a thinner block bends and breaks less",
         )
-    settings = {"name": CUT_OUT, "tool": "flat", **shop.spec.stock.cut_out.model_dump()}
-    shop.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
+    settings = {"name": CUT_OUT, "tool": "flat", **context.spec.stock.cut_out.model_dump()}
+    context.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
 
 
 def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, stock_top: StockGrid) -> AroundCheck:
@@ -89,8 +89,8 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, sto
 
 
 def raw_stock(spec: JobSpec) -> StockGrid:
-    """The block before the first program, with what is to be faced on its top."""
-    block = pass_programs.first_stock(cam_stock_of(spec))
+    """Return the block before the first program, with what is to be faced on its top."""
+    block = first_stock(cam_stock_of(spec))
     if spec.stock.face is None:
         return block
     top_mm = np.full(block.top_mm.shape, spec.stock.face.above_mm)
@@ -98,7 +98,7 @@ def raw_stock(spec: JobSpec) -> StockGrid:
 
 
 def _write(
-    shop: Workshop,
+    context: StageContext,
     number: int,
     name: str,
     paths: Iterable[ToolPath],
@@ -106,7 +106,7 @@ def _write(
     *,
     trace: tuple[ToolPath, ...] = (),
 ) -> list[WrittenProgram]:
-    stock, machine = cam_stock_of(shop.spec), shop.machine
+    stock, machine = cam_stock_of(context.spec), context.machine
     post, setup = POSTS[machine.dialect], setup_of(machine)
     frame = PassFrame(
         remarks=tuple(_remarks(task, stock)),
@@ -118,9 +118,9 @@ def _write(
         setup=setup if isinstance(task, Facing) else setup.without_warm_up(),
         trace=trace,
     )
-    with shop.watch.stage(f"write {name}"):
-        parts = programs(paths, post, frame, pass_programs.part_limits_of(machine))
-        return pass_programs.write_parts(shop.folder, partial(program_name, number, name, post.suffix), parts)
+    with context.watch.stage(f"write {name}"):
+        parts = programs(paths, post, frame, part_limits_of(machine))
+        return write_parts(context.folder, partial(program_name, number, name, post.suffix), parts)
 
 
 def _remarks(task: Facing | CutOut, stock: Stock) -> Iterator[str]:
@@ -134,11 +134,11 @@ def _remarks(task: Facing | CutOut, stock: Stock) -> Iterator[str]:
     yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm"
 
 
-def _check(shop: Workshop, written: list[WrittenProgram], task: Facing | CutOut, top: StockGrid) -> AroundCheck:
+def _check(context: StageContext, written: list[WrittenProgram], task: Facing | CutOut, top: StockGrid) -> AroundCheck:
     called = written[0].file
-    with shop.watch.stage(f"check {called}"):
+    with context.watch.stage(f"check {called}"):
         try:
-            verdict = simulate([shop.folder / part.file for part in written], task, shop.job, top)
+            verdict = simulate([context.folder / part.file for part in written], task, context.job, top)
         except ProgramError as error:
             raise FailedError(f"{called}: {error}") from error
     if not verdict.ok:

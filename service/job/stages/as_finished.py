@@ -18,7 +18,7 @@ from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
 
 _STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
@@ -26,38 +26,38 @@ _SEEN_MM = 0.1  # of a rim
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
-def as_finished(shop: Workshop) -> None:
-    """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
+def run_as_finished(context: StageContext) -> None:
+    """Simulate light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
     comparison-as-finished.png. Nothing where nothing is finished by hand, or no pass finishes.
     """
-    finish, passes = finish_of(shop.spec), list_finish_passes(shop)
+    finish, passes = finish_of(context.spec), list_finish_passes(context)
     if finish is None or not passes:
         return
-    lens = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
-    target = shop.receive(MAP, arrays.load_target)
-    bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
-    with shop.watch.stage("as finished: surface") as reached:
-        tracks = read_tracks(shop, passes, reached, longest_mm=_STEPPING_MM)
+    lens = context.receive(HEIGHTFIELD, arrays.load_heightfield)
+    target = context.receive(MAP, arrays.load_target)
+    bench, shape = bench_of(context.spec), (target.shape[0], target.shape[1])
+    with context.watch.stage("as finished: surface") as on_progress:
+        tracks = read_tracks(context, passes, on_progress, longest_mm=_STEPPING_MM)
         departure = map_departure(
             tracks,
             lens,
             pitch_mm=max(spec.pitch_mm for _, spec in passes),
-            error_mm=error_of_tips_mm(shop.machine),
+            error_mm=error_of_tips_mm(context.machine),
             finer=cells_per_vertex(lens, finish),
             beyond_mm=max(spec.radius_mm for _, spec in passes),
         )
         del tracks
         finished = finish_departure(lens, finish, departure)
-    with shop.watch.stage("as finished: light"):
+    with context.watch.stage("as finished: light"):
         seen = light_through(finished, bench, shape)
-    _tell(shop, finish, target, seen, bench.screen.width_mm / shape[1])
+    _tell(context, finish, target, seen, bench.screen.width_mm / shape[1])
     if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
-        shop.note("passes", sentence)
-    _draw(shop, target, seen.irradiance)
+        context.note("passes", sentence)
+    _draw(context, target, seen.irradiance)
 
 
 def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
-    """A warning where what is milled around the lens is narrower than the finish reaches."""
+    """Warn where what is milled around the lens is narrower than the finish reaches."""
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None
     return (
@@ -68,13 +68,13 @@ def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
 
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
-    """How many times as fine as the lens's vertices the surface must be known for that finish."""
+    """Return how many times as fine as the lens's vertices the surface must be known for that finish."""
     cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
 def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Heightfield:
-    """The lens as milled and finished."""
+    """Return the lens as milled and finished."""
     return finish_surface(
         lens,
         finish,
@@ -85,30 +85,30 @@ def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap)
 
 
 def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
-    """Light (ny, nx) by way of a surface that is known more finely than the picture."""
+    """Simulate light (ny, nx) by way of a surface that is known more finely than the picture."""
     pixel_mm = min(bench.screen.width_mm / shape[1], bench.screen.height_mm / shape[0])
     tubes = max(2, math.ceil(_TUBES_PER_PIXEL * finished.dx_mm / pixel_mm))
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
 
 
-def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm: float) -> None:
+def _tell(context: StageContext, finish: Finish, target: Array, seen: Caustic, pixel_mm: float) -> None:
     score = asdict(score_caustic(seen.irradiance, target))
-    shop.report["as_finished"] = plain(
+    context.report["as_finished"] = plain(
         {
             **score,
-            **scores_against_original(shop.folder / MAP, seen.irradiance),
+            **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
-            "finish": {**shop.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
+            "finish": {**context.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
         }
     )
 
 
-def _draw(shop: Workshop, target: Array, finished: Array) -> None:
-    from service.job.report.figures import base as figures  # what it stands on is slow to import
+def _draw(context: StageContext, target: Array, finished: Array) -> None:
+    from service.job.report.figures.base import comparison_png, picture_png  # what it stands on is slow to import
 
-    viewed_from, white = shop.spec.optics.viewed_from, float(target.max())
+    viewed_from, white = context.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))
-    shop.draw(AS_FINISHED, lambda: figures.picture_png(view, white=white))
-    shop.draw(COMPARED_FINISHED, lambda: figures.comparison_png(aim, view, title="As finished"))
+    context.draw(AS_FINISHED, lambda: picture_png(view, white=white))
+    context.draw(COMPARED_FINISHED, lambda: comparison_png(aim, view, title="As finished"))

@@ -31,73 +31,73 @@ from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.spec.resolve import cam_passes_of
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
 
 _SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
 _FINER = 4.0  # a quarter of the pitch: as good as no grooves
 
 
-def as_milled(shop: Workshop) -> None:
-    """Light through the surface that the finishing programs leave: report `as_milled`, caustic-as-milled.png, and
+def run_as_milled(context: StageContext) -> None:
+    """Simulate light through the surface that finishing programs leave: report `as_milled`, caustic-as-milled.png, and
     as-milled.png, which shows it beside target and design. Nothing where no pass finishes.
     """
-    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
-    target = shop.receive(MAP, arrays.load_target)
-    passes = list_finish_passes(shop)
+    heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
+    target = context.receive(MAP, arrays.load_target)
+    passes = list_finish_passes(context)
     if not passes:
         return
-    bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
-    with shop.watch.stage("as milled: surface") as reached:
+    bench, shape = bench_of(context.spec), (target.shape[0], target.shape[1])
+    with context.watch.stage("as milled: surface") as on_progress:
         surface = MilledSurface.of_tracks(
-            read_tracks(shop, passes, reached),
+            read_tracks(context, passes, on_progress),
             heightfield,
             pitch_mm=max(spec.pitch_mm for _, spec in passes),
-            error_mm=error_of_tips_mm(shop.machine),
+            error_mm=error_of_tips_mm(context.machine),
         )
-    with shop.watch.stage("as milled: light") as reached:
-        seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
+    with context.watch.stage("as milled: light") as on_progress:
+        seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)
         found = deviations(_sample_facets(surface), heightfield, bench, shape)
     del surface
-    with shop.watch.stage("as milled: causes") as reached:
-        designed = simulate_caustic(surface_in_light(heightfield, finish_of(shop.spec)), bench, pixels=shape)
+    with context.watch.stage("as milled: causes") as on_progress:
+        designed = simulate_caustic(surface_in_light(heightfield, finish_of(context.spec)), bench, pixels=shape)
         # A finish takes the marks off: what each of them alone would bring is no advice.
-        finishes = shop.spec.finish.finishes
-        gains = {} if finishes else _gains(shop, passes[0][1], heightfield, target, designed, reached)
-    _tell(shop, target, seen, designed, found, gains)
-    _draw(shop, target, designed.irradiance, seen.irradiance)
+        finishes = context.spec.finish.finishes
+        gains = {} if finishes else _gains(context, passes[0][1], heightfield, target, designed, on_progress)
+    _tell(context, target, seen, designed, found, gains)
+    _draw(context, target, designed.irradiance, seen.irradiance)
 
 
-def list_finish_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
-    """Those that make the optical surface, with their numbers from 0."""
-    return [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
+def list_finish_passes(context: StageContext) -> list[tuple[int, PassSpec]]:
+    """List the passes that make the optical surface, with their numbers from 0."""
+    return [(number, spec) for number, spec in enumerate(cam_passes_of(context.spec)) if spec.finishes]
 
 
 def read_tracks(
-    shop: Workshop,
+    context: StageContext,
     passes: list[tuple[int, PassSpec]],
-    reached: Callable[[float], None],
+    on_progress: Callable[[float], None],
     *,
     longest_mm: float = math.inf,
 ) -> list[Tracks]:
-    """The written programs of these passes as the mill runs them, with its steps and errors.
+    """Return the written programs of these passes as the mill runs them, with its steps and errors.
 
     longest_mm : an axis stands on a step at least so often, within moves, too
     """
-    machine, rows = shop.machine, shop.so_far["passes"]
+    machine, rows = context.machine, context.so_far["passes"]
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
-        paths = [shop.folder / name for name in names_of_pass(rows[number])]
+        paths = [context.folder / name for name in names_of_pass(rows[number])]
         batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
         one = one.divided(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
         tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise))
-        reached(0.8 * done / len(passes))
+        on_progress(0.8 * done / len(passes))
     return tracks
 
 
 def error_of_tips_mm(machine: MachineProfile) -> float:
-    """Standard deviation of the tips' heights on a mill: its steps, its noise, the decimals of its dialect."""
+    """Return the standard deviation of the tips' heights on a mill: its steps, its noise, its dialect's decimals."""
     return tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine))
 
 
@@ -112,15 +112,15 @@ def _sample_facets(surface: MilledSurface) -> Iterator[Array]:
 
 
 def _gains(
-    shop: Workshop,
+    context: StageContext,
     spec: PassSpec,
     heightfield: Heightfield,
     target: Array,
     designed: Caustic,
-    reached: Callable[[float], None],
+    on_progress: Callable[[float], None],
 ) -> dict[str, float]:
-    """dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
-    machine, bench = shop.machine, bench_of(shop.spec)
+    """Return dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
+    machine, bench = context.machine, bench_of(context.spec)
     now: dict[str, Any] = {
         "pitch_mm": spec.pitch_mm,
         "step_mm": machine.step_mm,
@@ -139,18 +139,18 @@ def _gains(
     for number, change in enumerate(changes):
         facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
         scores.append(psnr_db(predict_light(designed.irradiance, facets, heightfield, bench), target))
-        reached((number + 1) / (len(without) + 1))
+        on_progress((number + 1) / (len(without) + 1))
     return {cause: score - scores[0] for cause, score in zip(CAUSES, scores[1:], strict=True)}
 
 
 def _tell(
-    shop: Workshop, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
+    context: StageContext, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
 ) -> None:
-    machine, pixel_mm = shop.machine, shop.spec.optics.screen_size_mm[0] / target.shape[1]
-    shop.report["as_milled"] = plain(
+    machine, pixel_mm = context.machine, context.spec.optics.screen_size_mm[0] / target.shape[1]
+    context.report["as_milled"] = plain(
         {
             **asdict(score_caustic(seen.irradiance, target)),
-            **scores_against_original(shop.folder / MAP, seen.irradiance),
+            **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
             "outside_share": seen.outside_share,
@@ -166,19 +166,19 @@ def _tell(
             "gain_db_without": gains,
         }
     )
-    if shop.spec.finish.finishes:  # which takes the marks off
+    if context.spec.finish.finishes:  # which takes the marks off
         return
-    if lost := detail_lost(shop.report["as_milled"], planned=shop.spec.preset == "recommended"):
-        shop.note("passes", lost)
+    if lost := detail_lost(context.report["as_milled"], planned=context.spec.preset == "recommended"):
+        context.note("passes", lost)
 
 
-def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:
-    from service.job.report.figures import base as figures  # what they stand on is slow to import
-    from service.job.report.figures import light as light_figures
+def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
+    from service.job.report.figures.base import picture_png  # what they stand on is slow to import
+    from service.job.report.figures.light import as_milled_png
 
-    viewed_from = shop.spec.optics.viewed_from
+    viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
     white = float(target.max())
-    told = shop.report["as_milled"]
-    shop.draw("caustic-as-milled.png", lambda: figures.picture_png(views[2], white=white))
-    shop.draw("as-milled.png", lambda: light_figures.as_milled_png(*views, figures=told))
+    told = context.report["as_milled"]
+    context.draw("caustic-as-milled.png", lambda: picture_png(views[2], white=white))
+    context.draw("as-milled.png", lambda: as_milled_png(*views, figures=told))

@@ -31,7 +31,7 @@ THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Workshop:
+class StageContext:
     """One stage at work.
 
     number             : of the pass, for a stage that mills one
@@ -91,12 +91,14 @@ class Workshop:
             self.save(name, encode(value))
 
     def receive_if_there(self, name: str, decode: Callable[[Path], T]) -> T | None:
-        """The same of what an earlier stage hands over in some jobs only."""
+        """Return the same of what an earlier stage hands over in some jobs only."""
         is_there = (self.desk is not None and name in self.desk) or (self.folder / name).is_file()
         return self.receive(name, decode) if is_there else None
 
     def receive(self, name: str, decode: Callable[[Path], T]) -> T:
-        """What an earlier stage handed over. What is between two stages only leaves the desk, to free its memory."""
+        """Return what an earlier stage handed over. What is between two stages only leaves the desk, to free its
+        memory.
+        """
         if self.desk is not None and name in self.desk:
             value: T = self.desk.pop(name) if name.startswith(".") else self.desk[name]
             return value
@@ -104,12 +106,12 @@ class Workshop:
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program and of what its numbers depend on."""
+    """Return the versions of this program and of what its numbers depend on."""
     names = ("causticmill", "numpy", "scipy", "numba", "pillow")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
 def peak_rss_mb() -> float:
-    """The largest memory this process has held, in MB (the unit of ru_maxrss is bytes on macOS, else KiB)."""
+    """Return the largest memory this process has held, in MB (the unit of ru_maxrss is bytes on macOS, else KiB)."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)

@@ -25,62 +25,62 @@ from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
 from service.job.spec.lens_task import branch_of, lens_settings
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
-from service.job.stages.context import THE_PICTURE, Workshop
+from service.job.stages.context import THE_PICTURE, StageContext
 
 POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1
 PICTURE, TARGET, ORIGINAL, HEIGHTS = ".picture.npz", ".target.npz", ".original.npz", ".heights.npz"
 
 
-def image(shop: Workshop) -> None:
-    """Picture file -> linear light (ny, nx) at the job's pixel count, row 0 on top."""
-    width_mm, height_mm = shop.spec.optics.screen_size_mm
-    with shop.watch.stage("picture"):
+def run_image(context: StageContext) -> None:
+    """Convert the picture file to linear light (ny, nx) at the job's pixel count, row 0 on top."""
+    width_mm, height_mm = context.spec.optics.screen_size_mm
+    with context.watch.stage("picture"):
         picture = read_picture(
-            shop.picture,
-            shop.spec.image,
-            rows=shop.spec.pixel_rows,
+            context.picture,
+            context.spec.image,
+            rows=context.spec.pixel_rows,
             aspect=width_mm / height_mm,
-            limits=shop.limits,
-            name=shop.picture_called,
+            limits=context.limits,
+            name=context.picture_called,
         )
-        shop.hand_over(PICTURE, picture.linear, arrays.picture_bytes)
+        context.hand_over(PICTURE, picture.linear, arrays.picture_bytes)
     for sentence in picture.warnings:
-        shop.note("optics", f"{THE_PICTURE} {sentence}")
-    shop.report["source"] = {"width": picture.width, "height": picture.height, "mode": picture.mode}
+        context.note("optics", f"{THE_PICTURE} {sentence}")
+    context.report["source"] = {"width": picture.width, "height": picture.height, "mode": picture.mode}
 
 
-def irradiance(shop: Workshop) -> None:
-    """Linear light -> target irradiance (ny, nx) in the work frame, prepared for the wall where that is asked for;
-    target.png, and small for the operator page; prepared.png, report `image`.
+def run_irradiance(context: StageContext) -> None:
+    """Convert linear light to target irradiance (ny, nx) in the work frame, prepared for the wall where that is asked
+    for; target.png, and small for the operator page; prepared.png, report `image`.
     """
-    linear = shop.receive(PICTURE, arrays.load_picture)
-    viewed_from = shop.spec.optics.viewed_from
-    with shop.watch.stage("target"):
-        aimed = aim_at_picture(shop.spec, linear)
+    linear = context.receive(PICTURE, arrays.load_picture)
+    viewed_from = context.spec.optics.viewed_from
+    with context.watch.stage("target"):
+        aimed = aim_at_picture(context.spec, linear)
         target, original, detail_mm = aimed.target, aimed.original, aimed.detail_mm
-        shop.hand_over(TARGET, target, arrays.target_bytes)
+        context.hand_over(TARGET, target, arrays.target_bytes)
         seen, white = picture_from_irradiance(target, viewed_from=viewed_from), float(target.max())
-        shop.draw(TARGET_PICTURE, lambda: _target_png(seen, white))
-        if shop.is_shown:
-            shop.draw(THUMBNAIL, lambda: _thumbnail_png(seen, white))
+        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))
+        if context.is_shown:
+            context.draw(THUMBNAIL, lambda: _thumbnail_png(seen, white))
         if original is not None:
-            shop.hand_over(ORIGINAL, original, arrays.target_bytes)
+            context.hand_over(ORIGINAL, original, arrays.target_bytes)
             given = picture_from_irradiance(original, viewed_from=viewed_from)
-            shop.draw(PREPARED, lambda: _draw_preparation(given, seen, detail_mm or 0.0))
+            context.draw(PREPARED, lambda: _draw_preparation(given, seen, detail_mm or 0.0))
     if told := aimed.figures():
-        shop.report["image"] = plain(told)
+        context.report["image"] = plain(told)
 
 
 def _target_png(seen: Array, white: float) -> bytes:
-    from service.job.report.figures import base as figures
+    from service.job.report.figures.base import picture_png
 
-    return figures.picture_png(seen, white=white)
+    return picture_png(seen, white=white)
 
 
 def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
-    from service.job.report.figures import base as figures
+    from service.job.report.figures.base import preparation_png
 
-    return figures.preparation_png(given, prepared, detail_mm=detail_mm)
+    return preparation_png(given, prepared, detail_mm=detail_mm)
 
 
 def _thumbnail_png(seen: Array, white: float) -> bytes:
@@ -89,45 +89,45 @@ def _thumbnail_png(seen: Array, white: float) -> bytes:
     return thumbnail_png(seen, white=white)
 
 
-def transport_map(shop: Workshop) -> None:
-    """Target -> map.npz, with the picture as given where a prepared one is aimed at, and the lens's heights; what the
-    design says of itself in report `optics`; flow.png.
+def run_transport_map(context: StageContext) -> None:
+    """Design the lens of the target: map.npz, with the picture as given where a prepared one is aimed at, and heights;
+    what the design says of itself in report `optics`; flow.png.
     """
-    target = shop.receive(TARGET, arrays.load_target)
-    with shop.watch.stage("lens") as reached:
-        settings = lens_settings(shop.spec, branch=branch_of(shop.spec, target))
-        design = design_lens(aim_of(shop.spec, target), settings, on_progress=_way(shop.spec, reached))
+    target = context.receive(TARGET, arrays.load_target)
+    with context.watch.stage("lens") as on_progress:
+        settings = lens_settings(context.spec, branch=branch_of(context.spec, target))
+        design = design_lens(aim_of(context.spec, target), settings, on_progress=_way(context.spec, on_progress))
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
-        if (original := shop.receive_if_there(ORIGINAL, arrays.load_target)) is not None:
+        if (original := context.receive_if_there(ORIGINAL, arrays.load_target)) is not None:
             way["original"] = original
-        shop.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
-        shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
-    _tell_of_design(shop, design, target, settings)
+        context.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
+        context.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
+    _tell_of_design(context, design, target, settings)
     if design.flow is not None:
-        from service.job.report.figures import lens as figures_lens
+        from service.job.report.figures.lens import flow_png
 
-        snapshots, viewed_from = design.flow.snapshots, shop.spec.optics.viewed_from
-        shop.draw("flow.png", lambda: figures_lens.flow_png(snapshots, viewed_from=viewed_from))
+        snapshots, viewed_from = design.flow.snapshots, context.spec.optics.viewed_from
+        context.draw("flow.png", lambda: flow_png(snapshots, viewed_from=viewed_from))
 
 
 def aim_of(spec: JobSpec, target: Array) -> Array:
-    """The target, sharper by the blur that milling will add."""
+    """Return the target, sharper by the blur that milling will add."""
     (width_mm, height_mm), (ny, nx) = spec.optics.screen_size_mm, target.shape
     blur_x_mm, blur_y_mm = spec.optics.foreseen_blur_mm
     return sharpen(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
 
 
-def heightfield(shop: Workshop) -> None:
-    """Heights -> heightfield.npz, what can be measured on it (report `optics`), the solid block it lies in, and
+def run_heightfield(context: StageContext) -> None:
+    """Write heightfield.npz, what can be measured on it (report `optics`), the solid block it lies in, and
     surface.bin for the operator page.
     """
-    lens = shop.receive(HEIGHTS, arrays.load_heightfield)
-    with shop.watch.stage("facts"):
-        shop.report["optics"] = _facts(measure_lens(lens))
-        shop.hand_over(HEIGHTFIELD, lens, arrays.heightfield_bytes)
-        if shop.is_shown:
-            shop.save(SURFACE, _surface(shop.spec, lens))
-    solid_block(shop, lens)
+    lens = context.receive(HEIGHTS, arrays.load_heightfield)
+    with context.watch.stage("facts"):
+        context.report["optics"] = _facts(measure_lens(lens))
+        context.hand_over(HEIGHTFIELD, lens, arrays.heightfield_bytes)
+        if context.is_shown:
+            context.save(SURFACE, _surface(context.spec, lens))
+    write_solid_block(context, lens)
 
 
 def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
@@ -137,11 +137,13 @@ def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
     )
 
 
-def solid_block(shop: Workshop, lens: Heightfield) -> None:
-    """lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is left."""
-    require_fit_in_stock(shop, lens)
-    shop.draw(SOLID, lambda: _stl(shop.spec, lens))
-    shop.draw("lens.png", lambda: _lens_png(shop.spec, lens))
+def write_solid_block(context: StageContext, lens: Heightfield) -> None:
+    """Write lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is
+    left.
+    """
+    require_fit_in_stock(context, lens)
+    context.draw(SOLID, lambda: _stl(context.spec, lens))
+    context.draw("lens.png", lambda: _lens_png(context.spec, lens))
 
 
 def _stl(spec: JobSpec, lens: Heightfield) -> bytes:
@@ -159,20 +161,20 @@ def _stl(spec: JobSpec, lens: Heightfield) -> bytes:
 
 
 def _lens_png(spec: JobSpec, lens: Heightfield) -> bytes:
-    from service.job.report.figures import lens as figures_lens
+    from service.job.report.figures.lens import heightfield_png
 
-    return figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=spec.optics.outline_mm)
+    return heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=spec.optics.outline_mm)
 
 
-def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:
-    """ReliefTooDeep unless enough of the block is left under the deepest point."""
+def require_fit_in_stock(context: StageContext, lens: Heightfield) -> None:
+    """Raise ReliefTooDeep unless enough of the block is left under the deepest point."""
     from service.job.report import solid
 
-    solid.require_floor(lens, thickness_mm=shop.spec.stock.thickness_mm, min_floor_mm=MIN_FLOOR_MM)
+    solid.require_floor(lens, thickness_mm=context.spec.stock.thickness_mm, min_floor_mm=MIN_FLOOR_MM)
 
 
-def _way(spec: JobSpec, reached: Callable[[float], None]) -> Callable[[str, float], None]:
-    """The phases of a design, each of which goes from 0 to 1, as one way from 0 to 1: by the time they take."""
+def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, float], None]:
+    """Join the phases of a design, each of which goes from 0 to 1, into one way from 0 to 1: by the time they take."""
     lengths = {"transport map": 1.0, "corrections": 0.8 * spec.optics.corrections, "polish": POLISH_SHARE}
     if spec.optics.method == "paper":
         lengths = {"flow": 0.9, "surface": 0.1}
@@ -183,15 +185,15 @@ def _way(spec: JobSpec, reached: Callable[[float], None]) -> Callable[[str, floa
 
     def tell(phase: str, share: float) -> None:
         if phase in ends:
-            reached((ends[phase] - (1.0 - share) * lengths[phase]) / whole)
+            on_progress((ends[phase] - (1.0 - share) * lengths[phase]) / whole)
 
     return tell
 
 
-def _tell_of_design(shop: Workshop, design: LensDesign, target: Array, settings: LensSettings) -> None:
-    shop.report["optics"] = {
-        "method": shop.spec.optics.method,
-        "surface": shop.spec.optics.surface,
+def _tell_of_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
+    context.report["optics"] = {
+        "method": context.spec.optics.method,
+        "surface": context.spec.optics.surface,
         "branch": settings.bench.branch,
         "min_radius_mm": settings.closing_radius_mm,
         "converged": design.converged,
@@ -202,18 +204,18 @@ def _tell_of_design(shop: Workshop, design: LensDesign, target: Array, settings:
         "polish": None if design.polish is None else _without_clock(asdict(design.polish)),
     }
     if not design.converged:
-        shop.note("optics", f"the lens design has not converged: {design.message}")
+        context.note("optics", f"the lens design has not converged: {design.message}")
     for advice in design.warnings:
-        shop.note("optics", str(advice))
+        context.note("optics", str(advice))
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:
-    """What a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
+    """Return what a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
     return plain({key: value for key, value in record.items() if key != "seconds"})
 
 
 def _facts(facts: LensFacts) -> dict[str, Any]:
-    """Facts for report.json; null stands for 'nothing is concave, every ball fits'."""
+    """Return facts for report.json; null stands for 'nothing is concave, every ball fits'."""
     return plain(
         {
             "relief_mm": facts.relief_mm,

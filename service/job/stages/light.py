@@ -26,79 +26,83 @@ from service.job.files import FOCUS, HEIGHTFIELD, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
 
 _BEAMS_OUT_OF_FOCUS = 7
 THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
-def caustic(shop: Workshop) -> None:
-    """Simulated light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
+def run_caustic(context: StageContext) -> None:
+    """Simulate light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
     caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
     """
-    heightfield = surface_in_light(shop.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(shop.spec))
-    target = shop.receive(MAP, arrays.load_target)
-    bench = bench_of(shop.spec)
-    with shop.watch.stage("caustic") as reached:
+    heightfield = surface_in_light(context.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(context.spec))
+    target = context.receive(MAP, arrays.load_target)
+    bench = bench_of(context.spec)
+    with context.watch.stage("caustic") as on_progress:
         sharp = sharp_light(heightfield, bench, _shape(target))
         without_size = replace(sharp, irradiance=in_pixels(sharp.irradiance))
-        reached(0.2)
+        on_progress(0.2)
         in_focus = without_size
         if bench.light.extended:
             in_focus = simulate_caustic(heightfield, bench, pixels=_shape(target))
-        reached(0.4)
-        _tell(shop, in_focus, score_caustic(in_focus.irradiance, target))
+        on_progress(0.4)
+        _tell(context, in_focus, score_caustic(in_focus.irradiance, target))
         if bench.light.extended:
-            _tell_without_size(shop, score_caustic(without_size.irradiance, target))
+            _tell_without_size(context, score_caustic(without_size.irradiance, target))
         seen = [in_focus if factor == 1.0 else _at(factor, heightfield, bench, target) for factor in THROUGH_FOCUS]
-        reached(0.7)
-        _draw(shop, target, seen)
-        if shop.is_shown:
-            _through_focus(shop, heightfield, target)
-    with shop.watch.stage("tolerances") as reached:
-        found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=reached)
-        shop.report["optics"]["tolerances"] = _figures(found)
-        _draw_tolerances(shop, target, found)
+        on_progress(0.7)
+        _draw(context, target, seen)
+        if context.is_shown:
+            _through_focus(context, heightfield, target)
+    with context.watch.stage("tolerances") as on_progress:
+        found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=on_progress)
+        context.report["optics"]["tolerances"] = _figures(found)
+        _draw_tolerances(context, target, found)
 
 
 def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) -> Caustic:
-    """The light on a screen far out of focus, at that factor of the throw."""
+    """Return the light on a screen far out of focus, at that factor of the throw."""
     moved = replace(bench, throw_mm=factor * bench.throw_mm)
     return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=1, beams=_BEAMS_OUT_OF_FOCUS)
 
 
-def _through_focus(shop: Workshop, heightfield: Heightfield, target: Array) -> None:
+def _through_focus(context: StageContext, heightfield: Heightfield, target: Array) -> None:
     from service.job.page_data.focus import focus_bytes  # what it stands on is slow to import
 
     frames = focus_bytes(
         heightfield,
-        bench_of(shop.spec),
+        bench_of(context.spec),
         shape=_shape(target),
         white=float(target.max()),
-        viewed_from=shop.spec.optics.viewed_from,
+        viewed_from=context.spec.optics.viewed_from,
     )
-    shop.save(FOCUS, frames)
+    context.save(FOCUS, frames)
 
 
 def _shape(target: Array) -> tuple[int, int]:
     return target.shape[0], target.shape[1]
 
 
-def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
-    from service.job.report.figures import base as figures  # what it stands on is slow to import
+def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
+    from service.job.report.figures.base import (  # what it stands on is slow to import
+        comparison_png,
+        picture_png,
+        through_focus_png,
+    )
 
     white = float(target.max())
-    pictures = [_as_seen(shop, one.irradiance) for one in seen]
+    pictures = [_as_seen(context, one.irradiance) for one in seen]
     in_focus = pictures[THROUGH_FOCUS.index(1.0)]
     series = list(zip(THROUGH_FOCUS, pictures, strict=True))
-    aim, throw_mm = _as_seen(shop, target), shop.spec.optics.throw_mm
-    shop.draw("caustic.png", lambda: figures.picture_png(in_focus, white=white))
-    shop.draw("comparison.png", lambda: figures.comparison_png(aim, in_focus))
-    shop.draw("through-focus.png", lambda: figures.through_focus_png(series, throw_mm=throw_mm, white=white))
+    aim, throw_mm = _as_seen(context, target), context.spec.optics.throw_mm
+    context.draw("caustic.png", lambda: picture_png(in_focus, white=white))
+    context.draw("comparison.png", lambda: comparison_png(aim, in_focus))
+    context.draw("through-focus.png", lambda: through_focus_png(series, throw_mm=throw_mm, white=white))
 
 
-def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures import light as light_figures
+def _draw_tolerances(context: StageContext, target: Array, found: Tolerances) -> None:
+    from service.job.report.figures.light import tolerances_png
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)
@@ -110,13 +114,13 @@ def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
         (f"light {tilt.tilt_deg:g}° aslant, {tilt.psnr_db:.1f} dB", tilt.irradiance),
         (f"source of {sun.size_deg:g}°, {sun.psnr_db:.1f} dB", sun.irradiance),
     ]
-    pictures = [(caption, _as_seen(shop, irradiance)) for caption, irradiance in shown]
+    pictures = [(caption, _as_seen(context, irradiance)) for caption, irradiance in shown]
     white = float(target.max())
-    shop.draw("tolerances.png", lambda: light_figures.tolerances_png(found, pictures, white=white))
+    context.draw("tolerances.png", lambda: tolerances_png(found, pictures, white=white))
 
 
 def _figures(found: Tolerances) -> dict[str, Any]:
-    """The tolerances without their pictures."""
+    """Return the tolerances without their pictures."""
     return plain(
         {
             "psnr_db": found.psnr_db,
@@ -133,28 +137,28 @@ def _figures(found: Tolerances) -> dict[str, Any]:
     )
 
 
-def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
-    shop.report["optics"] = plain(
+def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None:
+    context.report["optics"] = plain(
         {
             **asdict(score),
-            **scores_against_original(shop.folder / MAP, in_focus.irradiance),
+            **scores_against_original(context.folder / MAP, in_focus.irradiance),
             "outside_share": in_focus.outside_share,
             "reflected_share": in_focus.reflected_share,
         }
     )
-    if in_focus.reflected_share > 1e-6 and shop.spec.optics.surface == "lens":
+    if in_focus.reflected_share > 1e-6 and context.spec.optics.surface == "lens":
         share = 100 * in_focus.reflected_share
-        shop.note(
+        context.note(
             "optics", f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
         )
-    if blocked := explain_blocked_light(shop.spec):
-        shop.note("optics", blocked)
+    if blocked := explain_blocked_light(context.spec):
+        context.note("optics", blocked)
 
 
-def _tell_without_size(shop: Workshop, score: CausticScore) -> None:
-    """What the lens itself is worth, where the size of the source is most of what is missing."""
-    shop.report["optics"]["from_a_point_source"] = plain(asdict(score))
+def _tell_without_size(context: StageContext, score: CausticScore) -> None:
+    """Report what the lens itself is worth, where the size of the source is most of what is missing."""
+    context.report["optics"]["from_a_point_source"] = plain(asdict(score))
 
 
-def _as_seen(shop: Workshop, irradiance: Array) -> Array:
-    return picture_from_irradiance(irradiance, viewed_from=shop.spec.optics.viewed_from)
+def _as_seen(context: StageContext, irradiance: Array) -> Array:
+    return picture_from_irradiance(irradiance, viewed_from=context.spec.optics.viewed_from)

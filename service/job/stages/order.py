@@ -52,7 +52,7 @@ class StageOrder:
     limits: PictureLimits = field(default_factory=PictureLimits)
 
     def plain(self) -> dict[str, Any]:
-        """JSON-able values."""
+        """Return JSON-able values."""
         return asdict(self)
 
     @classmethod
@@ -78,7 +78,7 @@ class StageResult:
     peak_rss_mb: float
 
     def plain(self) -> dict[str, Any]:
-        """JSON-able values."""
+        """Return JSON-able values."""
         return asdict(self)
 
     @classmethod
@@ -87,7 +87,7 @@ class StageResult:
 
 
 def merge_reports(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """report.json from the parts of its stages, in their order: tables are joined, passes follow one another."""
+    """Merge report.json from the parts of its stages, in order: tables are joined, passes follow one another."""
     merged: dict[str, Any] = {}
     for part in parts:
         for key, value in part.items():
@@ -103,7 +103,7 @@ def merge_reports(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def merge_notes(parts: Iterable[Mapping[str, Iterable[str]]]) -> dict[str, list[str]]:
-    """The notes of all stages in their order, each sentence once."""
+    """Return the notes of all stages in their order, each sentence once."""
     merged: dict[str, list[str]] = {}
     for part in parts:
         for name, sentences in part.items():

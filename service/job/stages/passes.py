@@ -11,32 +11,32 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
 from service.job.stages.lens import TARGET
 
 
-def choose_passes(shop: Workshop) -> None:
-    """Passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
-    if not shop.spec.to_be_planned:
+def choose_passes(context: StageContext) -> None:
+    """Plan passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
+    if not context.spec.to_be_planned:
         return
-    target = shop.receive(TARGET, arrays.load_target)
-    if shop.desk is not None:
-        shop.desk[TARGET] = target  # the lens is made from it as well
-    with shop.watch.stage("plan") as reached:
-        _tell(shop, plan_for_picture(shop.job, target, on_progress=reached))
+    target = context.receive(TARGET, arrays.load_target)
+    if context.desk is not None:
+        context.desk[TARGET] = target  # the lens is made from it as well
+    with context.watch.stage("plan") as on_progress:
+        _tell(context, plan_for_picture(context.job, target, on_progress=on_progress))
 
 
-def passes_for_lens(shop: Workshop) -> None:
-    """Passes for a lens that exists; report `plan`, plan.png."""
-    lens, target = shop.receive(HEIGHTFIELD, arrays.load_heightfield), shop.receive(MAP, arrays.load_target)
-    with shop.watch.stage("plan") as reached:
-        _tell(shop, plan_for_lens(shop.job, lens, target, on_progress=reached))
+def passes_for_lens(context: StageContext) -> None:
+    """Plan passes for a lens that exists; report `plan`, plan.png."""
+    lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
+    with context.watch.stage("plan") as on_progress:
+        _tell(context, plan_for_lens(context.job, lens, target, on_progress=on_progress))
 
 
-def _tell(shop: Workshop, planned: Planned) -> None:
-    from service.job.report.figures import plan as figures_plan  # what it stands on is slow to import
+def _tell(context: StageContext, planned: Planned) -> None:
+    from service.job.report.figures.plan import plan_png  # what it stands on is slow to import
 
-    shop.report["plan"] = plan_figures(planned)
+    context.report["plan"] = plan_figures(planned)
     for sentence in blur_warnings(planned, milled_next=True):
-        shop.note("passes", sentence)
-    shop.draw(PLAN, lambda: figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))
+        context.note("passes", sentence)
+    context.draw(PLAN, lambda: plan_png(planned, viewed_from=context.spec.optics.viewed_from))

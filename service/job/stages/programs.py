@@ -33,65 +33,67 @@ from service.job.files import (
     stock_name,
     write_program,
 )
-from service.job.planning.fit import require_flutes, require_travel, unfit_ball
+from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob, setup_of
-from service.job.stages.context import Workshop
+from service.job.stages.context import StageContext
 
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
 
-def one_pass(shop: Workshop) -> None:
-    """One program, written and then checked from its text; its row of report `passes`, and the stock it leaves.
+def run_pass(context: StageContext) -> None:
+    """Write one program, then check it from its text; its row of report `passes`, and the stock it leaves.
 
     FailedError with the faults where it does not pass; the folder, and the program with it, are then removed.
     """
-    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
-    spec, stock = cam_passes_of(shop.spec)[shop.number - 1], cam_stock_of(shop.spec)
-    if shop.number == 1:
-        require_millable(shop, heightfield)
-        stock_top = first_stock(stock) if shop.spec.stock.face is None else shop.receive(FACED_STOCK, arrays.load_stock)
+    heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
+    spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
+    if context.number == 1:
+        require_millable(context, heightfield)
+        stock_top = (
+            first_stock(stock) if context.spec.stock.face is None else context.receive(FACED_STOCK, arrays.load_stock)
+        )
     else:
-        stock_top = shop.receive(stock_name(shop.number - 1), arrays.load_stock)
-    written = _write(shop, spec, heightfield, stock_top)
-    verdict = _check(shop, [part.file for part in written], spec, heightfield, stock_top)
-    rest_follows = any(later.where == "rest" for later in shop.spec.passes[shop.number :])
+        stock_top = context.receive(stock_name(context.number - 1), arrays.load_stock)
+    written = _write(context, spec, heightfield, stock_top)
+    verdict = _check(context, [part.file for part in written], spec, heightfield, stock_top)
+    rest_follows = any(later.where == "rest" for later in context.spec.passes[context.number :])
     notes = () if rest_follows else verdict.notes  # what is left here is taken there
-    for sentence in (*notes, *_of_coarse_steps(shop.job, spec), *_of_parts(written)) if spec.finishes else ():
-        shop.note("passes", f"{written[0].file}: {sentence}")
+    for sentence in (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ():
+        context.note("passes", f"{written[0].file}: {sentence}")
     row = {
         "file": written[0].file,
         **verdict.as_report(),
         **asdict(written[0]),
         **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
-        "settings": shop.spec.passes[shop.number - 1].model_dump(),
+        "settings": context.spec.passes[context.number - 1].model_dump(),
     }
-    shop.report["passes"] = [row]
-    if shop.number < len(shop.spec.passes):
-        shop.hand_over(stock_name(shop.number), verdict.stock_top, arrays.stock_bytes)
-    elif shop.spec.stock.cut_out is not None:
-        shop.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
+    context.report["passes"] = [row]
+    if context.number < len(context.spec.passes):
+        context.hand_over(stock_name(context.number), verdict.stock_top, arrays.stock_bytes)
+    elif context.spec.stock.cut_out is not None:
+        context.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
-def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
-    """Everything about the balls of all passes and the travel that can be known before the first block."""
-    passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
-    with shop.watch.stage("fit"):
-        require_travel(heightfield, stock, passes, shop.machine)
+def require_millable(context: StageContext, heightfield: Heightfield) -> None:
+    """Check everything about the balls of all passes and the travel that can be known before the first block."""
+    passes, stock = cam_passes_of(context.spec), cam_stock_of(context.spec)
+    with context.watch.stage("fit"):
+        require_travel(heightfield, stock, passes, context.machine)
         require_flutes(heightfield, passes)
-        unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
+        unfit = check_ball_fit(measure_lens(heightfield), passes, shaped_for_mm=context.spec.lens_radius_mm)
         if unfit:
-            shop.note("passes", unfit)
+            context.note("passes", unfit)
         if not passes[-1].finishes:
             left = passes[-1].stock_to_leave_mm
-            shop.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
+            context.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
 
 
 def first_stock(stock: Stock) -> StockGrid:
-    """The uncut block at the resolution of the whole-part simulation."""
+    """Return the uncut block at the resolution of the whole-part simulation."""
     longest_mm = max(stock.width_mm, stock.height_mm) + 2 * stock.margin_mm
     return StockGrid.block(stock, max(0.005, longest_mm / _CELLS_ACROSS))
 
@@ -124,7 +126,7 @@ def simulate(
 
 
 def _digits(machine: MachineProfile) -> Digits:
-    """The raster on which programs for this mill state positions."""
+    """Return the raster on which programs for this mill state positions."""
     return POSTS[machine.dialect].digits.coarsen(_step_mm(machine))
 
 
@@ -141,7 +143,7 @@ def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
 
 
 def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
-    """What the raster of heights does to the light, where it can be seen.
+    """Yield what the raster of heights does to the light, where it can be seen.
 
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
@@ -166,34 +168,38 @@ def part_limits_of(machine: MachineProfile) -> PartLimits:
     )
 
 
-def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
-    """The programs of the pass: one, or its parts."""
-    machine = shop.machine
+def _write(
+    context: StageContext, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
+) -> list[WrittenProgram]:
+    """Return the programs of the pass: one, or its parts."""
+    machine = context.machine
     post = POSTS[machine.dialect]
-    setup, is_first = setup_of(machine), shop.number == 1 and shop.spec.stock.face is None
-    with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
+    setup, is_first = setup_of(machine), context.number == 1 and context.spec.stock.face is None
+    with context.watch.stage(f"write pass {context.number} {spec.name}") as on_progress:
         parts = generate_parts(
             heightfield,
             spec,
-            cam_stock_of(shop.spec),
+            cam_stock_of(context.spec),
             stock_top=stock_top,
             post=post,
             safe_z_mm=machine.safe_z_mm,
             limits=part_limits_of(machine),
             step_mm=_step_mm(machine),
-            shaped=shop.spec.finish.finishes,
-            number=shop.number,
+            shaped=context.spec.finish.finishes,
+            number=context.number,
             setup=setup if is_first else setup.without_warm_up(),
-            trace=trace_of(shop.job) if is_first else (),
-            on_progress=reached,
+            trace=trace_of(context.job) if is_first else (),
+            on_progress=on_progress,
         )
-        return write_parts(shop.folder, partial(program_name, shop.number, spec.name, post.suffix), parts)
+        return write_parts(context.folder, partial(program_name, context.number, spec.name, post.suffix), parts)
 
 
 def write_parts(
     folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
 ) -> list[WrittenProgram]:
-    """The programs of a pass; name_of: their files, by the number of the part, or None where there is but one."""
+    """Return the programs of a pass; name_of: their files, by the number of the part, or None where there is but
+    one.
+    """
     names = map(name_of, count(1))
     written = [write_program(folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
     if len(written) == 1:
@@ -203,7 +209,9 @@ def write_parts(
 
 
 def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
-    """Around block and lens at the safe height, for the first program of a job; nothing where it is not asked for."""
+    """Return the way around block and lens at the safe height, for a job's first program; nothing where not asked
+    for.
+    """
     spec, machine = job.spec, job.machine
     if not machine.trace_outline:
         return ()
@@ -213,14 +221,14 @@ def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
 
 
 def _check(
-    shop: Workshop, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
+    context: StageContext, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
 ) -> PassCheck:
-    stock, machine = cam_stock_of(shop.spec), shop.machine
+    stock, machine = cam_stock_of(context.spec), context.machine
     called = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}, lines counted through"
-    with shop.watch.stage(f"check pass {shop.number} {spec.name}") as reached:
+    with context.watch.stage(f"check pass {context.number} {spec.name}") as on_progress:
         try:
-            paths = [shop.folder / file for file in files]
-            verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
+            paths = [context.folder / file for file in files]
+            verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, on_progress)
         except ProgramError as error:
             raise FailedError(f"{called}: {error}") from error
     if not verdict.ok:

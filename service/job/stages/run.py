@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.errors import FailedError, InputError, ServiceError, SpecError, sentence_of_os_error
-from service.job.errors import in_the_services_words
-from service.job.planning import fit as fitting
+from service.job.errors import translate_errors
+from service.job.planning.fit import check_disk_space
 from service.job.spec.loading import restore_job
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.stages.context import Workshop, peak_rss_mb
+from service.job.stages.context import StageContext, peak_rss_mb
 from service.job.stages.order import FileRef, StageOrder, StageResult
 from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.table import Stage, reads, stage_of
@@ -31,31 +31,31 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
     begun = time.perf_counter()
     stage, scratch = stage_of(order.stage), Path(order.scratch)
     on_progress(0.0)
-    with _without_paths(scratch), _scratch_folder(scratch), PictureQueue() as picture_queue:
-        shop = _workshop(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue)
+    with _hide_paths(scratch), _scratch_folder(scratch), PictureQueue() as picture_queue:
+        context = _make_context(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue)
         fetched = _fetch(order, stage, store, scratch)
         if stage.number:
-            _require_space(shop)
-        with in_the_services_words():
-            stage.load()(shop)
+            _require_space(context)
+        with translate_errors():
+            stage.load()(context)
             picture_queue.finish()
         outputs = _put(scratch, fetched, store)
     peak_mb = peak_rss_mb()
-    shop.report.update(timings_s=dict(shop.watch.timings_s), peak_rss_mb=peak_mb)
+    context.report.update(timings_s=dict(context.watch.timings_s), peak_rss_mb=peak_mb)
     on_progress(1.0)
     return StageResult(
         outputs=outputs,
-        report=shop.report,
-        notes=shop.notes,
+        report=context.report,
+        notes=context.notes,
         seconds=round(time.perf_counter() - begun, 3),
         peak_rss_mb=peak_mb,
     )
 
 
-def _workshop(
+def _make_context(
     order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
-) -> Workshop:
-    return Workshop(
+) -> StageContext:
+    return StageContext(
         job=restore_job(order.spec, order.figures),
         folder=scratch,
         watch=watch,
@@ -72,7 +72,7 @@ def _workshop(
 
 
 def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[str]:
-    """The files that the stage reads, put into the scratch folder; their names there."""
+    """Return the files that the stage reads, put into the scratch folder; their names there."""
     wanted = {name: order.inputs[name].sha256 for name in reads(order.stage, order.inputs)}
     if stage.picture:
         wanted[_PICTURE] = order.image_sha256
@@ -86,7 +86,7 @@ def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[
 
 
 def _put(scratch: Path, fetched: set[str], store: Store) -> dict[str, FileRef]:
-    """Every file that the stage has made, into the store."""
+    """Put every file that the stage has made into the store."""
     outputs = {}
     for path in sorted(scratch.iterdir()):
         if path.name not in fetched:
@@ -95,14 +95,14 @@ def _put(scratch: Path, fetched: set[str], store: Store) -> dict[str, FileRef]:
     return outputs
 
 
-def _require_space(shop: Workshop) -> None:
-    spec = cam_passes_of(shop.spec)[shop.number - 1]
-    fitting.shortage(shop.folder, "the server's disk", cam_stock_of(shop.spec), (spec,))
+def _require_space(context: StageContext) -> None:
+    spec = cam_passes_of(context.spec)[context.number - 1]
+    check_disk_space(context.folder, "the server's disk", cam_stock_of(context.spec), (spec,))
 
 
 @contextmanager
 def _scratch_folder(scratch: Path) -> Iterator[None]:
-    """Empty at first, gone in the end."""
+    """Open a folder that is empty at first and gone in the end."""
     try:
         shutil.rmtree(scratch, ignore_errors=True)
         try:
@@ -116,8 +116,8 @@ def _scratch_folder(scratch: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _without_paths(scratch: Path) -> Iterator[None]:
-    """Errors name files, not the folder they lay in; what is damaged in the store is no fault of the person."""
+def _hide_paths(scratch: Path) -> Iterator[None]:
+    """Replace paths in errors, which name files, not their folder; damage in the store is no fault of the person."""
     try:
         yield
     except SpecError:
@@ -138,10 +138,10 @@ class _Shares:
         self._parts = stage.parts
         self._on_progress = on_progress
 
-    def started(self, stage: str) -> None:
-        self.reached(stage, 0.0)
+    def start_stage(self, stage: str) -> None:
+        self.report_share(stage, 0.0)
 
-    def reached(self, stage: str, share: float) -> None:
+    def report_share(self, stage: str, share: float) -> None:
         before = 0.0
         for prefix, weight in self._parts:
             if stage.startswith(prefix):
@@ -149,5 +149,5 @@ class _Shares:
                 return
             before += weight
 
-    def ended(self, stage: str, seconds: float) -> None:
-        self.reached(stage, 1.0)
+    def end_stage(self, stage: str, seconds: float) -> None:
+        self.report_share(stage, 1.0)

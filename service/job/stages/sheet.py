@@ -7,18 +7,18 @@ from dataclasses import asdict
 from service.job import files as job_files
 from service.job.report.setup_sheet import render_report
 from service.job.spec.finish_library import instruct_finishing
-from service.job.stages.context import THE_PICTURE, Workshop, peak_rss_mb, versions
+from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
 
 
-def sheet(shop: Workshop) -> None:
+def run_report(context: StageContext) -> None:
     """Complete the report and write the files; report.json comes last and says that the job is whole."""
-    notes = merge_notes(({"optics": [], "passes": []}, shop.earlier_notes))
+    notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))
     by_part = {
-        part: [sentence.replace(THE_PICTURE, shop.picture_name) for sentence in sentences]
+        part: [sentence.replace(THE_PICTURE, context.picture_name) for sentence in sentences]
         for part, sentences in notes.items()
     }
-    shop.report.update(
+    context.report.update(
         {
             "passes": [],
             "warnings": [sentence for sentences in by_part.values() for sentence in sentences],
@@ -27,16 +27,16 @@ def sheet(shop: Workshop) -> None:
             "versions": versions(),
         }
     )
-    if shop.picture_name:
-        shop.report["source"] = {"file": shop.picture_name}
-    spec = shop.spec.plain()
-    area_mm2 = shop.spec.optics.width_mm * shop.spec.optics.height_mm
-    if told := instruct_finishing(spec.get("finish", {}), shop.job.figures.processes, area_mm2=area_mm2):
-        shop.report["finishing"] = told
-    report = merge_reports((shop.so_far, shop.report))
-    job_files.write_json(shop.folder / job_files.SPEC, spec)
-    spec["machine"] = {**asdict(shop.machine), **spec["machine"]}
-    files = {path.name for path in shop.folder.iterdir()} | shop.files | {job_files.REPORT, job_files.REPORT_PAGE}
+    if context.picture_name:
+        context.report["source"] = {"file": context.picture_name}
+    spec = context.spec.plain()
+    area_mm2 = context.spec.optics.width_mm * context.spec.optics.height_mm
+    if told := instruct_finishing(spec.get("finish", {}), context.job.figures.processes, area_mm2=area_mm2):
+        context.report["finishing"] = told
+    report = merge_reports((context.so_far, context.report))
+    job_files.write_json(context.folder / job_files.SPEC, spec)
+    spec["machine"] = {**asdict(context.machine), **spec["machine"]}
+    files = {path.name for path in context.folder.iterdir()} | context.files | {job_files.REPORT, job_files.REPORT_PAGE}
     page = render_report(report, spec=spec, files=files)
-    shop.save(job_files.REPORT_PAGE, page.encode())
-    job_files.write_json(shop.folder / job_files.REPORT, report)
+    context.save(job_files.REPORT_PAGE, page.encode())
+    job_files.write_json(context.folder / job_files.REPORT, report)

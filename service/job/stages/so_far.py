@@ -23,7 +23,7 @@ class JobSoFar:
     notes: dict[str, list[str]] = field(default_factory=dict)
 
     def stages(self) -> Iterator[str]:
-        """Every stage in order, each once the one before has been added. Planning changes those to come only."""
+        """Yield every stage in order, each once the one before has been added. Planning changes those to come only."""
         done = 0
         while done < len(stages := plan(self.job.spec)):
             yield stages[done]

@@ -20,7 +20,7 @@ _DATA = {  # files, or folders of them, that a module reads as if they were code
 
 @cache
 def state_of_sources(module: str) -> str:
-    """A hash that changes when the module or anything of ours that it imports, anywhere in it, changes."""
+    """Return a hash that changes when the module or anything of ours that it imports, anywhere in it, changes."""
     digest = hashlib.sha256()
     for name in sorted(modules_used(module)):
         for path in (_file(name), *_data_of(name)):
@@ -29,7 +29,7 @@ def state_of_sources(module: str) -> str:
 
 
 def modules_used(module: str) -> set[str]:
-    """The module and all of ours that it imports, directly or not."""
+    """Return the module and all of ours that it imports, directly or not."""
     found: set[str] = set()
     waiting = [module]
     while waiting:
@@ -48,7 +48,7 @@ def _imports(module: str) -> tuple[str, ...]:
 
 
 def _list_imported_names(path: Path) -> Iterator[str]:
-    """Every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
+    """Yield every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
     for node in ast.walk(parse(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -78,7 +78,7 @@ class Stage:
     number: int = 0
 
     def load(self) -> Callable[..., None]:
-        """The function, taking a Workshop."""
+        """Return the function, taking a StageContext."""
         module, _, name = self.function.partition(":")
         found: Callable[..., None] = getattr(import_module(module), name)
         return found
@@ -89,14 +89,14 @@ _LENS, _LIGHT = "service.job.stages.lens", "service.job.stages.light"
 _BEFORE = (
     Stage(
         name="image",
-        function=f"{_LENS}:image",
+        function=f"{_LENS}:run_image",
         picture=True,
         spec=(*_READING, "screen_mm"),
         parts=(("picture", 1.0),),
     ),
     Stage(
         name="irradiance",
-        function=f"{_LENS}:irradiance",
+        function=f"{_LENS}:run_irradiance",
         reads=(".picture.npz",),
         spec=("optics.viewed_from", "preparation"),
         parts=(("target", 1.0),),
@@ -110,21 +110,21 @@ _BEFORE = (
     ),
     Stage(
         name="map",
-        function=f"{_LENS}:transport_map",
+        function=f"{_LENS}:run_transport_map",
         reads=(".target.npz", ".original.npz"),
         spec=("optics", "finish", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
     Stage(
         name="heightfield",
-        function=f"{_LENS}:heightfield",
+        function=f"{_LENS}:run_heightfield",
         reads=(".heights.npz",),
         spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
         parts=(("facts", 1.0),),
     ),
     Stage(
         name="caustic",
-        function=f"{_LIGHT}:caustic",
+        function=f"{_LIGHT}:run_caustic",
         reads=("heightfield.npz", "map.npz"),
         spec=(*_BENCH, "optics.viewed_from", "finish"),
         parts=(("caustic", 0.5), ("tolerances", 0.5)),
@@ -132,7 +132,7 @@ _BEFORE = (
 )
 _PASS = Stage(
     name="pass-*",
-    function="service.job.stages.programs:one_pass",
+    function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
     spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
@@ -140,13 +140,13 @@ _PASS = Stage(
 _AROUND = "service.job.stages.around"
 _FACE = Stage(
     name="pass-face",
-    function=f"{_AROUND}:face",
+    function=f"{_AROUND}:run_facing",
     spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _CUT_OUT = Stage(
     name="pass-cut-out",
-    function=f"{_AROUND}:cut_out",
+    function=f"{_AROUND}:run_cut_out",
     reads=(".stock-last.npz",),
     spec=("stock.cut_out", "optics.outline", "passes_count", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
     parts=(("write", 0.2), ("check", 0.8)),
@@ -163,33 +163,33 @@ _MILLED = (
 _AFTER = (
     Stage(
         name="check",
-        function="service.job.stages.check:final_check",
+        function="service.job.stages.check:run_final_check",
         reads=_ALL_PROGRAMS,
         spec=("passes", "machine", "optics.outline", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(
         name="as-milled",
-        function="service.job.stages.as_milled:as_milled",
+        function="service.job.stages.as_milled:run_as_milled",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=_MILLED,
         parts=(("as milled: surface", 0.15), ("as milled: light", 0.7), ("as milled: causes", 0.15)),
     ),
     Stage(
         name="as-finished",
-        function="service.job.stages.as_finished:as_finished",
+        function="service.job.stages.as_finished:run_as_finished",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=_MILLED,
         parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
     ),
-    Stage(name="report", function="service.job.stages.sheet:sheet", spec=("",), sheet=True),
+    Stage(name="report", function="service.job.stages.sheet:run_report", spec=("",), sheet=True),
 )
 _ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _CUT_OUT, *_AFTER)}
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
-    """Names of the stages of a job, in order. Where the passes are still to be planned it is those of usual ones, and
-    known for good after the stage `passes`: see `with_plan`.
+    """Return the names of a job's stages, in order. Where the passes are still to be planned it is those of usual ones,
+    and known for good after the stage `passes`: see `with_plan`.
     """
     passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
@@ -204,7 +204,7 @@ def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
 
 
 def stage_of(name: str) -> Stage:
-    """The row of a stage; KeyError where there is none."""
+    """Return the row of a stage; KeyError where there is none."""
     kind, _, number = name.partition("-")
     if kind != "pass" or not number.isdecimal():
         return _ROWS[name]
@@ -212,7 +212,7 @@ def stage_of(name: str) -> Stage:
 
 
 def _pass(number: int) -> Stage:
-    """A pass cuts what the pass before has left. The first one also says whether all balls fit the lens."""
+    """Return the stage of a pass, which cuts what the pass before has left. The first also judges all balls' fit."""
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
         cutters = ("radius_mm", "stock_to_leave_mm", "step_down_mm", "flute_length_mm", "shank_radius_mm")
@@ -224,21 +224,21 @@ def _pass(number: int) -> Stage:
 
 
 def reads(stage: str, names: Iterable[str]) -> tuple[str, ...]:
-    """Those of the files of earlier stages that a stage reads."""
+    """Return the files of earlier stages that a stage reads."""
     patterns = stage_of(stage).reads
     return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))
 
 
 def shares(spec: JobSpec) -> dict[str, float]:
-    """The part of the whole job's time that each stage takes; they add up to 1."""
+    """Return the part of the whole job's time that each stage takes; they add up to 1."""
     seconds = usual_seconds(spec)
     whole = sum(seconds.values())
     return {name: own / whole for name, own in seconds.items()}
 
 
 def usual_seconds(spec: JobSpec) -> dict[str, float]:
-    """What each stage took on two cores, on a 512 x 512 photograph; passes by the length of their rows: the first
-    metres cost most, since samples of long passes are limited.
+    """Return what each stage took on two cores, on a 512 x 512 photograph; passes by the length of their rows: the
+    first metres cost most, since samples of long passes are limited.
     """
     pixels = spec.image.pixels * spec.pixel_rows / 512**2
     light = spec.optics.light
@@ -272,7 +272,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
 
 
 def _path_m(spec: JobSpec, row: PassRow) -> float:
-    """Length of a pass's rows, one over the other."""
+    """Return the length of a pass's rows, one over the other."""
     around_mm = 2 * row.radius_mm
     return (spec.optics.width_mm + around_mm) * (spec.optics.height_mm + around_mm) / row.pitch_mm / 1000
 
@@ -280,7 +280,7 @@ def _path_m(spec: JobSpec, row: PassRow) -> float:
 def stage_key(
     stage: str, job: ResolvedJob, *, image_sha256: str, image_name: str, outputs: Mapping[str, FileRef]
 ) -> str:
-    """The hash of all that the outputs of a stage can depend on.
+    """Return the hash of all that the outputs of a stage can depend on.
 
     outputs : files of the job's earlier stages by name; of them only those that the stage reads count.
     """
@@ -300,7 +300,7 @@ def stage_key(
 
 
 def facts_of(job: ResolvedJob) -> dict[str, Any]:
-    """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the
+    """Return the spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the
     block's thickness where light slants through it or a branch is chosen for it; all that a picture is prepared for,
     where it is; the figures of mill, tools and finish; whether the stock is
     faced; how the spindle is warmed up and which outline is traced in the air, in the job's first program, and in that
@@ -336,7 +336,7 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
 
 
 def part_of(facts: Any, key: str) -> Any:
-    """The value at a dotted key; * stands for each row of a list."""
+    """Return the value at a dotted key; * stands for each row of a list."""
     step, _, rest = key.partition(".")
     if not step:
         return facts
@@ -347,5 +347,5 @@ def part_of(facts: Any, key: str) -> Any:
 
 @cache
 def libraries() -> dict[str, str]:
-    """Versions of what the numbers and pictures come from."""
+    """Return the versions of what the numbers and pictures come from."""
     return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}

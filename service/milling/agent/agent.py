@@ -14,7 +14,7 @@ from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings
 from service.milling.connect import Connector, demand_blocks
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,9 +28,9 @@ class Agent:
     keys: ClientKeys
     audit: AuditLog
 
-    def preflight(self, program: Path) -> Preflight:
+    def run_preflight(self, program: Path) -> Preflight:
         """Read a program whole, held against this mill's own settings. Slow: not for the event loop's thread."""
         settings = self.connector.settings
-        facts = preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
+        facts = run_preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
         demand_blocks(facts, program.stem[:12])
         return facts

@@ -33,7 +33,7 @@ class AuditLog:
         self._thread.start()
 
     def note(self, entry: LogEntry) -> None:
-        """Have it written; never waits."""
+        """Queue a note to be written; never waits."""
         if entry.kind in _KINDS:
             self._entries.put(entry)
 
@@ -72,7 +72,7 @@ class AuditLog:
         return self._folder / f"orders-{self._number:012d}.jsonl"
 
     def _paths(self) -> list[Path]:
-        """Oldest first."""
+        """Return the paths, oldest first."""
         return sorted(self._folder.glob("orders-*.jsonl"))
 
     def _newest_first(self) -> Iterator[Json]:

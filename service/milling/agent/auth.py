@@ -21,7 +21,7 @@ _OPEN = {"/livez"}
 
 
 def read_token(path: Path) -> str:
-    """The token a person keeps in a file; InputError where it is missing or too short to be one."""
+    """Read the token a person keeps in a file; InputError where it is missing or too short to be one."""
     try:
         others = path.stat().st_mode & 0o077
         token = path.read_text(encoding="ascii").strip()
@@ -37,7 +37,7 @@ def read_token(path: Path) -> str:
 
 
 def make_token(folder: Path) -> tuple[str, Path]:
-    """The token of this data folder, made on first use and readable by its owner only.
+    """Return the token of this data folder, made on first use and readable by its owner only.
 
     Of several agents that start at once all have the first one's: it is there as a whole or not at all.
     """

@@ -33,7 +33,7 @@ class AgentCard:
 
 
 def read_card(folder: Path) -> AgentCard | None:
-    """The card in this folder; None where there is none that can be read."""
+    """Read the card in this folder; None where there is none that can be read."""
     try:
         values: Any = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
         card = AgentCard(**{name: values[name] for name in AgentCard.__slots__})
@@ -45,7 +45,7 @@ def read_card(folder: Path) -> AgentCard | None:
 
 @contextlib.contextmanager
 def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file: Path) -> Iterator[None]:
-    """The card is there while the block runs. A disk that refuses costs the server's finding us, not the mill."""
+    """Keep the card there while the block runs. A disk that refuses costs the server's finding us, not the mill."""
     card = AgentCard(
         machine=machine,
         url=agent_url(*address),
@@ -64,7 +64,7 @@ def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file
 
 
 def agent_url(host: str, port: int) -> str:
-    """How a program on this computer reaches a server bound to `host`."""
+    """Return how a program on this computer reaches a server bound to `host`."""
     host = _ANY.get(host, host)
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 

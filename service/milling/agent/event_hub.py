@@ -50,24 +50,24 @@ class Hub:
         self._most = readers
         self._closed = False
 
-    def status(self, data: dict[str, object]) -> None:
-        self._status = self._message("status", data)
+    def publish_status(self, data: dict[str, object]) -> None:
+        self._status = self._make_message("status", data)
         self._send(self._status)
 
-    def event(self, data: dict[str, object]) -> None:
-        message = self._message("event", data)
+    def publish_event(self, data: dict[str, object]) -> None:
+        message = self._make_message("event", data)
         if len(self._ring) == self._ring.maxlen:
             self._forgotten = self._ring[0].number
         self._ring.append(message)
         self._send(message)
 
     def join(self, last_id: str) -> tuple[Reader, list[HubMessage]]:
-        """A new reader, and what it is to be sent first."""
+        """Add a reader, and return it with what it is to be sent first."""
         if self._closed or len(self._readers) >= self._most:
             raise Problem(503, f"{len(self._readers)} readers already; allowed: {self._most}. Close one and try again")
         reader = Reader()
         self._readers.add(reader)
-        return reader, self._missed(last_id) + ([self._status] if self._status else [])
+        return reader, self._list_missed(last_id) + ([self._status] if self._status else [])
 
     def leave(self, reader: Reader) -> None:
         self._readers.discard(reader)
@@ -78,10 +78,10 @@ class Hub:
         for reader in list(self._readers):
             self._drop(reader)
 
-    def text(self, message: HubMessage) -> bytes:
+    def encode_message(self, message: HubMessage) -> bytes:
         return event_bytes(message.kind, message.data, f"{self.life}-{message.number}" if message.number else "")
 
-    def _missed(self, last_id: str) -> list[HubMessage]:
+    def _list_missed(self, last_id: str) -> list[HubMessage]:
         life, _, number = last_id.partition("-")
         if not last_id:
             return []
@@ -91,7 +91,7 @@ class Hub:
         missed = [message for message in self._ring if message.number > seen]
         return [_gap("older events are no longer kept"), *missed] if self._forgotten > seen else missed
 
-    def _message(self, kind: str, data: dict[str, object]) -> HubMessage:
+    def _make_message(self, kind: str, data: dict[str, object]) -> HubMessage:
         self._number += 1
         return HubMessage(self._number, kind, compact_json(data))
 
@@ -129,7 +129,7 @@ class HubStream:
             self._hub.leave(reader)
 
     async def _write(self, reader: Reader, first: list[HubMessage], send: Send) -> None:
-        await begin_events(send, b"".join(map(self._hub.text, first)))
+        await begin_events(send, b"".join(map(self._hub.encode_message, first)))
         while not (reader.dropped and reader.queue.empty()):
             try:
                 message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
@@ -138,7 +138,7 @@ class HubStream:
                 continue
             if message is None:
                 break
-            await sent(send, self._hub.text(message))
+            await sent(send, self._hub.encode_message(message))
         await sent(send, b"", more=False)
 
 

@@ -37,7 +37,7 @@ from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
-from service.milling.agent.settings import AgentSettings, usable
+from service.milling.agent.settings import AgentSettings, report_disk_errors
 from service.milling.agent.snapshot_feed import SnapshotFeed
 from service.milling.connect import Connector
 from service.processes.priority import go_first
@@ -61,7 +61,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
         listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
-        with usable(settings.folder):
+        with report_disk_errors(settings.folder):
             mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)
@@ -72,7 +72,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """A listening address of our own; InputError where another process has it."""
+    """Bind a listening address of our own; InputError where another process has it."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -170,7 +170,7 @@ class _Server(uvicorn.Server):
 
 @contextlib.contextmanager
 def _catch_stop_signals() -> Iterator[asyncio.Event]:
-    """An event that is set by each signal that stops the agent; the handlers from before come back at the end."""
+    """Yield an event that each signal that stops the agent sets; the handlers from before come back at the end."""
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     found = {kind: signal.getsignal(kind) for kind in _STOPPING}
     before = {kind: handler for kind, handler in found.items() if handler is not signal.SIG_IGN}  # nohup means it
@@ -202,14 +202,14 @@ async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
 
 
 def _moves(access: MillAccess) -> bool:
-    """By the last report, or by a run that was started since."""
+    """Return whether the mill moves, by the last report or by a run that was started since."""
     run, state = access.snapshot.run, access.snapshot.status.state
     return state in _MOVING or (run is not None and run.state in _GOING)
 
 
 @contextlib.contextmanager
 def _announce(settings: AgentSettings, listener: socket.socket) -> Iterator[None]:
-    """To the person at the terminal, and to the job server on this computer."""
+    """Announce the agent to the person at the terminal, and to the job server on this computer."""
     address = listener.getsockname()[:2]
     card = announce(settings.folder, machine=settings.machine, address=address, token_file=settings.token_file)
     with card:

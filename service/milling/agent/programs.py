@@ -55,7 +55,7 @@ class ProgramStore:
             abandoned.unlink(missing_ok=True)
 
     def path_of(self, sha256: str) -> Path:
-        """Where the program lies; a Problem where there is none."""
+        """Return where the program lies; a Problem where there is none."""
         self.entry(sha256)
         return self._path(sha256)
 
@@ -69,7 +69,7 @@ class ProgramStore:
         return StoredProgram(sha256, facts.st_size, round(facts.st_mtime, 3))
 
     def entries(self) -> Iterator[StoredProgram]:
-        """All programs, newest first."""
+        """Yield all programs, newest first."""
         names = [path.stem for path in self._folder.glob(f"*{_SUFFIX}") if _SHA256.fullmatch(path.stem)]
         yield from sorted(map(self.entry, names), key=lambda entry: -entry.stored_at_s)
 

@@ -47,7 +47,7 @@ class Fields:
         return value
 
     def triple(self, name: str, limit: float) -> tuple[float, float, float]:
-        """Three numbers between -limit and limit."""
+        """Return three numbers between -limit and limit."""
         value = self._take(name, None)
         good = isinstance(value, list) and len(value) == 3
         numbers = value if good and isinstance(value, list) else []
@@ -62,14 +62,14 @@ class Fields:
         return (x, y, z)
 
     def texts(self, name: str, allowed: Collection[str]) -> frozenset[str]:
-        """A list of words out of `allowed`."""
+        """Return a list of words out of `allowed`."""
         value = self._take(name, None)
         if not isinstance(value, list) or not all(isinstance(word, str) and word in allowed for word in value):
             words = ", ".join(sorted(allowed))
             raise Problem(422, f"{name} is {_shorten(value)}; allowed: a list of {words}", field=name)
         return frozenset(value)
 
-    def done(self) -> None:
+    def refuse_unknown(self) -> None:
         if unknown := sorted(set(self._values) - self._taken):
             allowed = ", ".join(sorted(self._taken)) or "none"
             raise Problem(422, f"{unknown[0]} is not a key here; allowed: {allowed}", field=unknown[0])
@@ -81,8 +81,8 @@ class Fields:
         return self._values.get(name, default)
 
 
-async def fields_of(request: Request) -> Fields:
-    """The JSON object of a request; an empty body is an empty object."""
+async def read_fields(request: Request) -> Fields:
+    """Read the JSON object of a request; an empty body is an empty object."""
     content = bytearray()
     try:
         async for chunk in request.stream():

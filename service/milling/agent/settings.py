@@ -41,13 +41,13 @@ class AgentSettings:
 
 
 def state_home() -> Path:
-    """$XDG_STATE_HOME/causticmill, or ~/.local/state/causticmill."""
+    """Return $XDG_STATE_HOME/causticmill, or ~/.local/state/causticmill."""
     home = os.environ.get("XDG_STATE_HOME")
     return Path(home if home else Path.home() / ".local" / "state") / "causticmill"
 
 
 def mill_folder(machine: str, *, own_port: str | None, port_url: str) -> Path:
-    """Where journal and programs of one mill live, the same for `mill` and `stream`.
+    """Return where journal and programs of one mill live, the same for `mill` and `stream`.
 
     A profile that names its port is one certain mill: its name. A general profile serves many: the port's.
     """
@@ -57,13 +57,13 @@ def mill_folder(machine: str, *, own_port: str | None, port_url: str) -> Path:
 
 
 def port_slug(url: str) -> str:
-    """A file name that stays the same for the same port."""
+    """Return a file name that stays the same for the same port."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", url).strip("-.") or "port"
 
 
 @contextlib.contextmanager
-def usable(folder: Path) -> Iterator[None]:
-    """What the disk refuses when the folder is taken into use, as one line that names the folder."""
+def report_disk_errors(folder: Path) -> Iterator[None]:
+    """Raise FailedError, one line that names the folder, for what the disk refuses when it is taken into use."""
     try:
         yield
     except OSError as error:
@@ -71,7 +71,9 @@ def usable(folder: Path) -> Iterator[None]:
 
 
 def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bool) -> None:
-    """InputError where the agent would be reachable from elsewhere without TLS, or with a token nobody else knows."""
+    """Raise InputError where the agent would be reachable from elsewhere without TLS, or with a token nobody else
+    knows.
+    """
     if is_loopback(host):
         return
     where = f"--host {host} can be reached from other computers"
@@ -81,7 +83,7 @@ def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bo
         raise InputError(f"{where}, whose callers need the token; allowed: with --token-file FILE")
 
 
-def agent_settings(
+def make_agent_settings(
     *,
     machine: str,
     port_url: str,

@@ -46,15 +46,15 @@ class SnapshotFeed:
             self._ended.wait(_LEAST_GAP_S)
 
     def _tell(self, snapshot: MillSnapshot) -> None:
-        """On the event loop: first what has happened since, then how things stand."""
+        """Publish on the event loop: first what has happened since, then how things stand."""
         for entry in snapshot.events:
             if entry.number > self._last_event:
                 self._last_event = entry.number
-                self._hub.event(entry.as_dict())
+                self._hub.publish_event(entry.as_dict())
                 self._audit.note(entry)
-        self._hub.status(status_of(snapshot))
+        self._hub.publish_status(status_of(snapshot))
 
 
 def status_of(snapshot: MillSnapshot) -> dict[str, object]:
-    """The snapshot without its events, which go out one by one."""
+    """Return the snapshot without its events, which go out one by one."""
     return {key: value for key, value in snapshot.as_dict().items() if key != "events"}

@@ -17,13 +17,17 @@ _MODE_S = 10.0
 _POLL_S = 0.2
 
 
-def dry_run(driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]) -> tuple[str, ...]:
+def run_check_mode(
+    driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]
+) -> tuple[str, ...]:
     """Send all lines in check mode; returns the protections that were active. FailedError names what was refused."""
     driver.connect()
-    _until(driver, url, _CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED))
+    _poll_until(
+        driver, url, _CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
+    )
     if driver.status.state is not MillState.IDLE:
         raise FailedError(f"dry run: the mill is {driver.status.state.value}; allowed when it is idle")
-    _switch(driver, url, on=True)
+    _set_check_mode(driver, url, on=True)
     protections = driver.protections
     try:
         driver.start(lines)
@@ -38,42 +42,42 @@ def dry_run(driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Cal
         _leave(driver, url)
 
 
-def _switch(driver: Driver, url: str, *, on: bool) -> None:
+def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
     """Check mode on or off, confirmed."""
     command = CheckMode(on)
     failures: list[str] = []
     driver.command(command)
 
-    def done(events: tuple[Event, ...]) -> bool:
+    def is_done(events: tuple[Event, ...]) -> bool:
         mine = [event for event in events if isinstance(event, CommandDone) and event.command == command]
         failures.extend(event.failure for event in mine if event.failure)
         return bool(mine)
 
-    _until(driver, url, _MODE_S, done)
+    _poll_until(driver, url, _MODE_S, is_done)
     if failures:
         raise FailedError(f"dry run: {failures[0]}")
 
 
 def _leave(driver: Driver, url: str) -> None:
-    """Out of check mode again, whatever state the stream is in; a controller that cannot be told is named."""
+    """Leave check mode, whatever state the stream is in; a controller that cannot be told is named."""
     try:
         if driver.progress.streaming:
             driver.abort()
-            _until(driver, url, _MODE_S, lambda _: not driver.progress.streaming)
+            _poll_until(driver, url, _MODE_S, lambda _: not driver.progress.streaming)
         if driver.status.state is MillState.CHECK:
-            _switch(driver, url, on=False)
+            _set_check_mode(driver, url, on=False)
     except MachineError as error:
         print(f"check mode could not be left: {error}; reset the controller")
 
 
-def _until(driver: Driver, url: str, wait_s: float, done: Callable[[tuple[Event, ...]], bool]) -> None:
+def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tuple[Event, ...]], bool]) -> None:
     give_up_s = time.monotonic() + wait_s
     while True:
         events = driver.poll(_POLL_S)
         for event in events:
             if isinstance(event, Faulted):
                 raise NotAControllerError(url, event.words.removeprefix(f"port {url}: "))
-        if done(events):
+        if is_done(events):
             return
         if time.monotonic() > give_up_s:
             raise NotAControllerError(url, "no controller answers; check power, cable and baud")

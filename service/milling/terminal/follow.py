@@ -91,33 +91,33 @@ class RunFollower:
     def follow(self, signals: Signals) -> Outcome:
         while True:
             snapshot = self._thread.snapshot
-            ended = self._ended(snapshot)
+            ended = self._find_end(snapshot)
             self._tell_news(snapshot)
-            self._screen.show(self._view(snapshot))
+            self._screen.show(self._make_view(snapshot))
             if ended is not None:
-                return self._outcome(ended)
+                return self._make_outcome(ended)
             self._end_if_nobody_can_resume(snapshot)
             sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
             ready, _, _ = select.select(sources, [], [], _LOOK_S)
-            for number in signals.came() if signals.descriptor in ready else ():
+            for number in signals.take() if signals.descriptor in ready else ():
                 if (over := self._obey_signal(number)) is not None:
-                    return self._outcome(over)
+                    return self._make_outcome(over)
             if self._keyboard is not None and self._keyboard in ready and (over := self._obey_key()) is not None:
-                return self._outcome(over)
+                return self._make_outcome(over)
 
-    def _outcome(self, ended: Ended) -> Outcome:
+    def _make_outcome(self, ended: Ended) -> Outcome:
         snapshot = self._thread.snapshot
         return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
 
     def _tell_news(self, snapshot: MillSnapshot) -> None:
-        """What a person should read and would miss in the panel, each once, above it."""
+        """Print what a person should read and would miss in the panel, each once, above it."""
         for entry in snapshot.events:
             if entry.number > self._told and entry.kind in _NEWS:
                 self._screen.say(f"{entry.kind}: {entry.words}")
             self._told = max(self._told, entry.number)
 
     def _is_driven(self) -> bool:
-        """The mill's thread still answers."""
+        """Return the mill's thread still answers."""
         now = time.monotonic()
         if now < self._asked_s + _ASK_EVERY_S:
             return True
@@ -130,16 +130,16 @@ class RunFollower:
         return True
 
     def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
-        """Held for want of a journal and without a person at the keys: abort from hold, and say why."""
+        """Abort from hold a run held for want of a journal without a person at the keys, and say why."""
         run = snapshot.run
         if self._keyboard is not None or self._abort_by_s is not None or run is None or run.state is not RunState.HELD:
             return
         failures = [entry.words for entry in snapshot.events if entry.kind == "journal"]
         if failures:
             self._words = failures[-1]
-            self._do(Wish.ABORT)
+            self._carry_out(Wish.ABORT)
 
-    def _ended(self, snapshot: MillSnapshot) -> Ended | None:
+    def _find_end(self, snapshot: MillSnapshot) -> Ended | None:
         run = snapshot.run
         if not self._is_driven():
             return Ended.ABANDONED
@@ -150,7 +150,7 @@ class RunFollower:
         return None
 
     def _is_settled(self, snapshot: MillSnapshot) -> bool:
-        """The controller holds nothing any more, or waiting for that is of no use, or there was time enough for it."""
+        """Return whether the controller holds nothing, or waiting for that is of no use or has lasted long enough."""
         if self._over_s is None:
             self._over_s = time.monotonic()
         if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
@@ -159,12 +159,12 @@ class RunFollower:
 
     def _obey_signal(self, number: int) -> Ended | None:
         if self._keyboard is not None and number == signal.SIGINT:
-            return self._do(self._keys.interrupt())
+            return self._carry_out(self._keys.interrupt())
         if number == signal.SIGHUP:
             self._keyboard = None  # the terminal is gone
         if self._abort_by_s is None:
             self._screen.say(f"{signal.Signals(number).name}: feed hold, then abort")
-            return self._do(Wish.ABORT)
+            return self._carry_out(Wish.ABORT)
         return None
 
     def _obey_key(self) -> Ended | None:
@@ -175,22 +175,22 @@ class RunFollower:
             data = b""
         if not data:  # the terminal is gone: nobody watches the mill any more
             self._keyboard = None
-            return self._do(Wish.ABORT)
+            return self._carry_out(Wish.ABORT)
         for key in keys_in(data):
-            if (wish := self._keys.key(key)) is not None and (over := self._do(wish)) is not None:
+            if (wish := self._keys.key(key)) is not None and (over := self._carry_out(wish)) is not None:
                 return over
         return None
 
-    def _do(self, wish: Wish) -> Ended | None:
+    def _carry_out(self, wish: Wish) -> Ended | None:
         match wish:
             case Wish.HOLD:
                 stop_mill(self._thread, Stop.HOLD)
             case Wish.RESUME:
                 self._tell("resume", Mill.resume)
             case Wish.FASTER:
-                self._override(_STEP_PERCENT)
+                self._step_feed(_STEP_PERCENT)
             case Wish.SLOWER:
-                self._override(-_STEP_PERCENT)
+                self._step_feed(-_STEP_PERCENT)
             case Wish.ABORT:
                 self._keys.question = Question.ABORTING
                 self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
@@ -209,8 +209,8 @@ class RunFollower:
             return None
         return Ended.LEFT
 
-    def _override(self, change: int) -> None:
-        """Keys may come faster than the mill reports what the last one did."""
+    def _step_feed(self, change: int) -> None:
+        """Step the feed override; keys may come faster than the mill reports what the last one did."""
         now, asked = time.monotonic(), self._feed_asked
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
         percent = min(200, max(10, base + change))
@@ -224,11 +224,11 @@ class RunFollower:
             self._screen.say(f"not done: {error}")
 
     def _protections(self, snapshot: MillSnapshot) -> tuple[str, ...]:
-        """Those of this run; a link that is away for the moment tells none."""
+        """Return the protections of this run; a link that is away for the moment has none."""
         self._protected = snapshot.protections or self._protected
         return self._protected
 
-    def _view(self, snapshot: MillSnapshot) -> StreamView:
+    def _make_view(self, snapshot: MillSnapshot) -> StreamView:
         status, progress, run = snapshot.status, snapshot.progress, snapshot.run
         capacity = "?" if status.buffer_bytes is None else str(status.buffer_bytes)
         over = run is not None and run.state in _FINAL
@@ -251,11 +251,11 @@ class RunFollower:
         )
 
 
-def at_once(thread: MillThread) -> Callable[[], None]:
-    """What a signal does before anything else: the hold."""
+def make_immediate_hold(thread: MillThread) -> Callable[[], None]:
+    """Return what a signal does before anything else: the hold."""
     return lambda: stop_mill(thread, Stop.HOLD)
 
 
-def keyboard() -> int | None:
-    """The terminal's descriptor, None where there is no terminal on both sides."""
+def find_keyboard() -> int | None:
+    """Return the terminal's descriptor, None where there is no terminal on both sides."""
     return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

@@ -43,7 +43,7 @@ class Keys:
         self.question = Question.NONE
 
     def key(self, key: str) -> Wish | None:
-        """One key; None where it means nothing now."""
+        """Interpret one key; None where it means nothing now."""
         match self.question, key.lower():
             case Question.NONE, "h" | " " | "!":
                 return Wish.HOLD
@@ -74,7 +74,7 @@ class Keys:
         return None
 
     def interrupt(self) -> Wish:
-        """Ctrl-C: hold and ask; again: abort; again: give up waiting."""
+        """Interpret Ctrl-C: hold and ask; again: abort; again: give up waiting."""
         match self.question:
             case Question.STOP:
                 self.question = Question.ABORTING
@@ -86,13 +86,13 @@ class Keys:
 
 
 def keys_in(data: bytes) -> str:
-    """The plain keys in what the terminal sent; arrows and function keys are left out."""
+    """Return the plain keys in what the terminal sent, without arrows and function keys."""
     return _ESCAPE.sub("", data.decode("ascii", errors="ignore"))
 
 
 @contextlib.contextmanager
 def single_keys(descriptor: int | None = None) -> Iterator[None]:
-    """Keys at once and unechoed. Ctrl-C stays a signal; Ctrl-Z, Ctrl-\\ and Ctrl-S do nothing.
+    """Read keys at once and unechoed. Ctrl-C stays a signal; Ctrl-Z, Ctrl-\\ and Ctrl-S do nothing.
 
     Suspended or frozen, this program would let the mill run dry in the middle of a cut, with the spindle on.
     """

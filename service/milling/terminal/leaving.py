@@ -41,16 +41,16 @@ class Buffers:
         self._empty = True
 
     def fill(self, run_id: str = "") -> None:
-        """Something is about to be sent that moves the mill: a run, or a homing cycle."""
+        """Note that something is about to be sent that moves the mill: a run, or a homing cycle."""
         self._epoch, self._run_id = self._thread.snapshot.status.epoch, run_id
         self._empty = False
 
     def mark_empty(self) -> None:
-        """What was sent has been carried out."""
+        """Note that what was sent has been carried out."""
         self._empty = True
 
     def are_empty(self, snapshot: MillSnapshot | None = None) -> bool:
-        """It is certain that nothing is held any more."""
+        """Return whether it is certain that nothing is held any more."""
         snapshot = snapshot or self._thread.snapshot
         run = snapshot.run
         finished = run is not None and run.id == self._run_id and run.state is RunState.FINISHED
@@ -58,7 +58,7 @@ class Buffers:
         return self._empty
 
     def will_be_empty(self, snapshot: MillSnapshot) -> bool:
-        """The driver is still stopping the mill, and resets it when it stands."""
+        """Return whether the driver is still stopping the mill, and resets it when it stands."""
         return snapshot.status.state in _ON_ITS_WAY
 
     def clear(self) -> bool:
@@ -77,7 +77,7 @@ class Buffers:
 
 @contextlib.contextmanager
 def clear_at_the_end(thread: MillThread) -> Iterator[Buffers]:
-    """However the block ends by an error, ours or a signal's: the mill is stopped and cleared, or it is said loudly."""
+    """Stop and clear the mill however the block ends by an error, ours or a signal's, or say loudly that it is not."""
     buffers = Buffers(thread)
     try:
         yield buffers
@@ -90,7 +90,7 @@ def clear_at_the_end(thread: MillThread) -> Iterator[Buffers]:
 
 @contextlib.contextmanager
 def ignore_signals() -> Iterator[None]:
-    """Signals change nothing inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
+    """Ignore signals inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
     kinds = [
         kind
         for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)

@@ -44,7 +44,7 @@ def print_lines(lines: Iterable[str]) -> None:
 
 
 def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts: DriverFacts | None) -> Iterator[str]:
-    """The machine, where it is, and how the link is guarded."""
+    """Yield the machine, where it is, and how the link is guarded."""
     state = f"{status.state.value}{f' ({status.detail})' if status.detail else ''}"
     yield f"mill:       {status.controller or 'unknown controller'} on {url}, {state}"
     yield from place_lines(status)
@@ -56,7 +56,7 @@ def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts
 
 
 def place_lines(status: MillStatus) -> Iterator[str]:
-    """Where the mill is, and how sure that is."""
+    """Yield where the mill is, and how sure that is."""
     sure = "sure" if status.position_trusted else "not sure: not homed, and nobody has said that it is right"
     yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {sure}"
     offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
@@ -64,14 +64,14 @@ def place_lines(status: MillStatus) -> Iterator[str]:
 
 
 def spindle_lines(profile: MachineProfile) -> Iterator[str]:
-    """What becomes of the spindle while nobody cuts."""
+    """Yield what becomes of the spindle while nobody cuts."""
     held, lost = profile.spindle.sentences
     yield f"in a hold:  {held}"
     yield f"link lost:  {lost}"
 
 
 def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
-    """What the program is and wants."""
+    """Yield what the program is and wants."""
     yield f"program:    {path.name}: {facts.lines:,} lines, {facts.bytes:,} bytes, about {duration_words(facts.time_s)}"
     if facts.bounds_mm is not None:
         pairs = zip(_AXES, facts.bounds_mm.least_mm, facts.bounds_mm.most_mm, strict=True)
@@ -89,7 +89,7 @@ def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
 
 
 def recover_command(program: Path, port: str | None, machine: str) -> str:
-    """The exact command that goes on with a run."""
+    """Return the exact command that goes on with a run."""
     words = ["causticmill", "stream", str(program)]
     if port is not None:
         words += ["--port", port]
@@ -99,7 +99,7 @@ def recover_command(program: Path, port: str | None, machine: str) -> str:
 
 
 def left_words(status: MillStatus) -> str:
-    """In which state the mill is left."""
+    """Return in which state the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
     if status.state is MillState.CONNECTING:
@@ -110,7 +110,7 @@ def left_words(status: MillStatus) -> str:
 
 
 def took_words(run: RunView | None) -> str:
-    """How long the run has taken by the clock on the wall, with all its holds."""
+    """Return how long the run has taken by the clock on the wall, with all its holds."""
     if run is None or run.started_s is None or run.ended_s is None:
         return ""
     return f" in {duration_words(run.ended_s - run.started_s)}"

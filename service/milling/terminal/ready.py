@@ -40,7 +40,7 @@ _REMEDIES: dict[str, tuple[Remedy, ...]] = {
 _BY_OPTION: dict[str, Command] = {"unlock": Unlock(), "position": TrustPosition(), "stand still": Reset()}
 
 
-def ready_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
+def prepare_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
     """Bring the mill to where a new program can be started; FailedError or InputError say why it is not."""
     did = meet_needs(thread, buffers, lambda: tuple(needs_of_standing_mill(thread.snapshot.status)), person=person)
     if did:
@@ -71,7 +71,7 @@ def meet_needs(
     person: bool,
     vouched: bool = False,
 ) -> bool:
-    """Meet one need after the other until none is left; whether anything was done.
+    """Meet one need after the other until none is left; return whether anything was done.
 
     zero_back : the block that puts the work zero back to where the program was cut, "" where nobody knows it
     person    : somebody is at the terminal, is asked, and may try again what has failed
@@ -96,7 +96,7 @@ def meet_needs(
 
 
 def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
-    """What a person may choose from; nothing where it takes hands at the mill."""
+    """Return what a person may choose from; nothing where it takes hands at the mill."""
     if need.code == "zero" and zero_back:
         words = f"put the zero back where this program was cut: {zero_back}; nothing moves"
         return [("b", words, SendBlock(zero_back))]
@@ -106,7 +106,7 @@ def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
 
 
 def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
-    """Which command meets the need: the person's word, never a guess."""
+    """Return which command meets the need: the person's word, never a guess."""
     for key, words, _ in offered:
         print(f"            {key} {words}")
     print("            anything else: stop here > ", end="", flush=True)
@@ -148,7 +148,7 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
 
 
 def _give(thread: MillThread, command: Command, patience_s: float) -> None:
-    """NotAllowedError where the mill does not take it, now or in a moment."""
+    """Give a command; NotAllowedError where the mill does not take it, now or in a moment."""
     give_up_s = time.monotonic() + patience_s
     while True:
         try:
@@ -169,7 +169,7 @@ def _reset(thread: MillThread, buffers: Buffers) -> str:
 
 
 def _settle(thread: MillThread) -> None:
-    """After a reset or an alarm the driver asks anew who is there."""
+    """Wait until the driver, after a reset or an alarm, has asked anew who is there."""
     give_up_s = time.monotonic() + _SOON_S
     thread.call(lambda _: None)
     while not (snapshot := thread.snapshot).connected and time.monotonic() < give_up_s:
@@ -177,7 +177,7 @@ def _settle(thread: MillThread) -> None:
 
 
 def _await_report(thread: MillThread, need: Need) -> None:
-    """What the mill said last is from before the command."""
+    """Wait for a report newer than the command."""
     give_up_s = time.monotonic() + _TAKEN_S
     while (
         any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status))
@@ -187,7 +187,7 @@ def _await_report(thread: MillThread, need: Need) -> None:
 
 
 def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
-    """For a link, or for a mill that carries out what it holds. Ctrl-C meanwhile stops the mill."""
+    """Wait for a link, or for a mill that carries out what it holds. Ctrl-C meanwhile stops the mill."""
     wait_s = _SOON_S
     if need.code == "wait":
         wait_s = _RUN_OUT_S

@@ -16,7 +16,7 @@ from service.milling.terminal.ready import meet_needs
 
 
 def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
-    """The latest run of this very program that did not come to its end."""
+    """Find the latest run of this very program that did not come to its end."""
     runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
     if not runs:
         raise InputError(
@@ -25,8 +25,8 @@ def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) ->
     return max(runs, key=lambda run: run.created_s)
 
 
-def ready_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
-    """The plan, once all that must come first is done; FailedError names what is not.
+def prepare_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
+    """Return the plan, once all that must come first is done; FailedError names what is not.
 
     person : somebody is at the terminal and can be asked     vouched : --confirm-position was given
     """
@@ -45,7 +45,7 @@ def ready_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bo
 
 
 def plan_lines(plan: RecoveryPlan, run: RunView) -> Iterator[str]:
-    """The plan for a person to check."""
+    """Yield the plan for a person to check."""
     yield f"recovery:   run {run.id}, {run.state.value}{f': {run.words}' if run.words else ''}"
     for words in plan.words:
         yield f"            {words}"

@@ -124,7 +124,7 @@ class LiveScreen:
 
 
 def panel(program: str, view: StreamView) -> Panel:
-    """The whole display as one renderable: always the same number of rows, so that nothing jumps."""
+    """Return the whole display as one renderable: always the same number of rows, so that nothing jumps."""
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True, min_width=len("protection"))
     table.add_column(no_wrap=True, overflow="ellipsis")
@@ -147,7 +147,7 @@ def panel(program: str, view: StreamView) -> Panel:
 
 
 def one_line(view: StreamView) -> str:
-    """The same as one line of a log."""
+    """Return the same as one line of a log."""
     parts = [
         f"{view.shown_state}{f' ({view.detail})' if view.detail else ''}",
         f"line {view.line:,} of {view.total_lines:,}",
@@ -166,7 +166,7 @@ def one_line(view: StreamView) -> str:
 
 
 def duration_words(seconds: float | None) -> str:
-    """3 d 04:05:06, 04:05:06, or unknown."""
+    """Return 3 d 04:05:06, 04:05:06, or unknown."""
     if seconds is None:
         return "unknown"
     minutes, second = divmod(round(seconds), 60)

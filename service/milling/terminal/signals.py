@@ -20,11 +20,11 @@ _END = 0
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """`descriptor` becomes readable when a signal has come; `came` returns the numbers and empties it."""
+    """`descriptor` becomes readable when a signal has come; `take` returns the numbers and empties it."""
 
     descriptor: int
 
-    def came(self) -> list[int]:
+    def take(self) -> list[int]:
         try:
             return list(os.read(self.descriptor, 64))
         except BlockingIOError:

@@ -29,12 +29,12 @@ from machines.profiles import MachineProfile
 from machines.recovery.planning import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
-from service.milling.agent.settings import mill_folder, usable
+from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
-from service.milling.terminal.dry_run import dry_run
-from service.milling.terminal.follow import Ended, Outcome, RunFollower, at_once, keyboard
+from service.milling.terminal.dry_run import run_check_mode
+from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
 from service.milling.terminal.keys import single_keys
 from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
 from service.milling.terminal.orders import give_order
@@ -47,8 +47,8 @@ from service.milling.terminal.printing import (
     spindle_lines,
     took_words,
 )
-from service.milling.terminal.ready import ready_mill, reset_silent_mill
-from service.milling.terminal.recover import find_interrupted_run, ready_plan
+from service.milling.terminal.ready import prepare_mill, reset_silent_mill
+from service.milling.terminal.recover import find_interrupted_run, prepare_plan
 from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
 from service.milling.terminal.signals import watch_signals
 from service.processes.private import keep_private
@@ -88,18 +88,18 @@ def stream_program(order: StreamOrder) -> None:
     """Run the program; returns when it is finished, raises a JobError in every other case."""
     _require_answers(order)
     if order.dry_run:
-        _dry_run(order)
+        _run_in_check_mode(order)
         return
     folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
-    with _mill(order, folder) as (thread, connector), clear_at_the_end(thread) as buffers:
+    with _open_mill(order, folder) as (thread, connector), clear_at_the_end(thread) as buffers:
         snapshot = _await_mill(thread, buffers, order.port_url)
         print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
         print_lines(spindle_lines(order.profile))
         if not order.recover:
-            ready_mill(thread, buffers, person=keyboard() is not None)
+            prepare_mill(thread, buffers, person=find_keyboard() is not None)
         facts = _preflight(order, connector.settings)
         print_lines(program_lines(order.program, facts))
-        prepare = _recovery if order.recover else _new_run
+        prepare = _prepare_recovery if order.recover else _prepare_new_run
         run_id, begin = prepare(thread, buffers, order, facts)
         outcome = _run(thread, buffers, order, facts, run_id, begin)
         outcome = _settle(thread, outcome)
@@ -112,7 +112,7 @@ def _require_answers(order: StreamOrder) -> None:
         raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
     if order.position_confirmed and not order.recover:
         raise InputError("--confirm-position belongs to --recover")
-    if order.recover and keyboard() is None and not order.position_confirmed:
+    if order.recover and find_keyboard() is None and not order.position_confirmed:
         raise InputError(
             "--recover needs a person: run it on a terminal, or say with --confirm-position that the position is right"
         )
@@ -128,34 +128,39 @@ def _require_answers(order: StreamOrder) -> None:
 def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Preflight:
     """Read the program whole, held against the controller's own figures."""
     stage = f"pre-flight of {order.program.name}"
-    with _reporter() as reporter:
+    with _open_reporter() as reporter:
         begun = time.monotonic()
-        reporter.started(stage)
-        facts = preflight(
-            order.program, order.profile, settings=settings, on_progress=lambda share: reporter.reached(stage, share)
+        reporter.start_stage(stage)
+        facts = run_preflight(
+            order.program,
+            order.profile,
+            settings=settings,
+            on_progress=lambda share: reporter.report_share(stage, share),
         )
-        reporter.ended(stage, time.monotonic() - begun)
+        reporter.end_stage(stage, time.monotonic() - begun)
     demand_blocks(facts, order.program.name)
     return facts
 
 
-def _dry_run(order: StreamOrder) -> None:
+def _run_in_check_mode(order: StreamOrder) -> None:
     """Let the controller itself read the program."""
     facts = _preflight(order, None)
     print_lines(program_lines(order.program, facts))
     stage = "dry run ($C)"
-    with contextlib.closing(Connector(order.profile, order.port_url)()) as driver, _reporter() as reporter:
+    with contextlib.closing(Connector(order.profile, order.port_url)()) as driver, _open_reporter() as reporter:
         begun = time.monotonic()
-        reporter.started(stage)
+        reporter.start_stage(stage)
         lines = ProgramReader(order.program, facts.index).lines()
-        dry_run(driver, order.port_url, lines, lambda line: reporter.reached(stage, line / max(1, facts.lines)))
-        reporter.ended(stage, time.monotonic() - begun)
+        run_check_mode(
+            driver, order.port_url, lines, lambda line: reporter.report_share(stage, line / max(1, facts.lines))
+        )
+        reporter.end_stage(stage, time.monotonic() - begun)
     print(f"finished: the controller takes all {facts.blocks:,} blocks of {order.program.name}; nothing was moved")
 
 
 @contextlib.contextmanager
-def _reporter() -> Iterator[Reporter]:
-    if keyboard() is None:
+def _open_reporter() -> Iterator[Reporter]:
+    if find_keyboard() is None:
         yield PlainReporter(sys.stdout)
     else:
         with TerminalReporter(Console()) as bars:
@@ -163,11 +168,11 @@ def _reporter() -> Iterator[Reporter]:
 
 
 @contextlib.contextmanager
-def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
-    """The mill, with its thread running; let go of at the end."""
+def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
+    """Open the mill, with its thread running; let go of at the end."""
     connector = Connector(order.profile, order.port_url)
     reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
-    with usable(folder):
+    with report_disk_errors(folder):
         mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
     thread = MillThread(mill)
     try:
@@ -183,7 +188,7 @@ def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connec
 def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
     """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
     begun_s = time.monotonic()
-    give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, keyboard() is None
+    give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, find_keyboard() is None
     while not snapshot.connected:
         silent = snapshot.status.detail == SILENT and time.monotonic() > begun_s + _BOOT_S
         if silent and not offered:
@@ -201,26 +206,26 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
     return snapshot
 
 
-def _new_run(
+def _prepare_new_run(
     thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """A parked run, and how it begins once the person has said that all is as it should be."""
+    """Park a run, and return how it begins once the person has said that all is as it should be."""
     run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
     checks, setup = START_CHECKS, None
-    if keyboard() is not None and not order.confirmed:
+    if find_keyboard() is not None and not order.confirmed:
         setup = thread.snapshot.setup
         checks = ask_person(START_QUESTIONS)
     confirmation = Confirmation(operator=operator_name(), checks=checks)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
 
 
-def _recovery(
+def _prepare_recovery(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """The interrupted run of this program, and a person's word for each check, every time."""
+    """Return the interrupted run of this program, and a person's word for each check, every time."""
     run = find_interrupted_run(thread, facts, order.program)
-    person = keyboard() is not None
-    plan = ready_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
+    person = find_keyboard() is not None
+    plan = prepare_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
     checks = ask_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
     confirmation = Confirmation(operator=operator_name(), checks=checks)
     return run.id, lambda mill: mill.recover(run.id, confirmation, plan_seen=plan.digest)
@@ -234,10 +239,10 @@ def _run(
     run_id: str,
     begin: Callable[[Mill], None],
 ) -> Outcome:
-    keys = keyboard()
+    keys = find_keyboard()
     screen: Screen = PlainScreen() if keys is None else LiveScreen(order.program.name)
     modes = contextlib.nullcontext() if keys is None else single_keys(keys)
-    with watch_signals(at_once(thread)) as signals, modes, screen:
+    with watch_signals(make_immediate_hold(thread)) as signals, modes, screen:
         buffers.fill(run_id)
         try:
             give_order(thread, "recover" if order.recover else "start", begin)
@@ -249,7 +254,9 @@ def _run(
 
 
 def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
-    """With what is true at the end: GRBL tells its spindle only now and then, and after a reset itself anew."""
+    """Return the outcome with what is true at the end: GRBL tells its spindle only now and then, and after a reset
+    itself.
+    """
     give_up_s = time.monotonic() + _SETTLE_S
     snapshot = thread.snapshot
 
@@ -266,7 +273,7 @@ def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
-    """The last words, and the exit code by way of an error."""
+    """Print the last words, and raise the exit code as an error."""
     status, run = outcome.snapshot.status, outcome.snapshot.run
     held = () if outcome.cleared else (STILL_HELD,)
     left = (*held, left_words(status), f"to go on: {order.next_command}")

@@ -15,8 +15,8 @@ from starlette.middleware import Middleware
 
 from service.server.api.access.guard import STOPS, Guard
 from service.server.api.errors import install_problems
-from service.server.api.intake.body import Patient, SmallBodies
-from service.server.api.metrics import Measured
+from service.server.api.intake.body import BodyLimit, BodyTimeout
+from service.server.api.metrics import MetricsMiddleware
 from service.server.api.openapi import with_problems
 from service.server.api.routes import (
     archive,
@@ -88,10 +88,10 @@ def make_app(services: Services) -> FastAPI:
         telemetry=_QUIET,
         lifespan=lambda _app: _life(services),
         middleware=[
-            Middleware(Measured, metrics=services.metrics),
+            Middleware(MetricsMiddleware, metrics=services.metrics),
             Middleware(Guard, services=services),
-            Middleware(Patient),
-            Middleware(SmallBodies, but=_WITH_PICTURES),
+            Middleware(BodyTimeout),
+            Middleware(BodyLimit, but=_WITH_PICTURES),
         ],
     )
     app.state.services = services
@@ -104,7 +104,7 @@ def make_app(services: Services) -> FastAPI:
 
 @asynccontextmanager
 async def _life(services: Services) -> AsyncIterator[None]:
-    """Runs are looked at as long as the server serves; then streams and links to the mills' agents end."""
+    """Look at runs as long as the server serves; then end streams and links to the mills' agents."""
     behind = (services.fleet.watch(), services.stop_access.keep_fresh())
     tasks = [asyncio.create_task(work) for work in behind]
     yield

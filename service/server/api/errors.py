@@ -26,7 +26,7 @@ _log = structlog.get_logger("api")
 
 
 def install_problems(app: FastAPI) -> None:
-    """Every error becomes a problem; those of known families are not logged as faults by the frame."""
+    """Make a problem of every error; those of known families are not logged as faults by the frame."""
     known = (Problem, InputError, FailedError, SQLAlchemyError, OSError, HTTPException, RequestValidationError)
     ours = (JobStateError, UnknownJobError, UnknownArtifactError, KeyReusedError, MissingObjectError, ClientDisconnect)
     for kind in (*known, *ours, Exception):
@@ -45,7 +45,7 @@ async def _answer(request: Request, error: Exception) -> Response:
 
 
 def problem_of(error: Exception) -> Problem:
-    """The refusal that tells of an error; 500 for what nobody expected."""
+    """Return the refusal that tells of an error; 500 for what nobody expected."""
     for kinds, told in _TABLE:
         if isinstance(error, kinds):
             return told(error)
@@ -61,7 +61,7 @@ def _of_spec(error: Exception) -> Problem:
 
 
 def _of_request(error: Exception) -> Problem:
-    """FastAPI's own complaint about a parameter or a body."""
+    """Return the problem of FastAPI's own complaint about a parameter or a body."""
     details = error.errors() if isinstance(error, RequestValidationError) else []
     first = details[0] if details else {"loc": (), "msg": "cannot be used"}
     place = [str(step) for step in first["loc"]]
@@ -72,7 +72,7 @@ def _of_request(error: Exception) -> Problem:
 
 
 def _of_http(error: Exception) -> Problem:
-    """What the router itself refuses, and what the framework refuses about bodies."""
+    """Return what the router itself refuses, and what the framework refuses about bodies."""
     status = getattr(error, "status_code", 500)
     words = {
         404: "no such address",

@@ -23,7 +23,7 @@ import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import EXIT_FAILURE, ServiceError
-from service.http.listener import bound, url_of
+from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
@@ -69,7 +69,7 @@ def main() -> int:
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
-        listener = lifeline.inherit_socket() or bound(settings.host, settings.port)
+        listener = lifeline.inherit_socket() or bind_address(settings.host, settings.port)
         url = url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
             asyncio.run(_serve(services, listener))
@@ -85,7 +85,7 @@ def main() -> int:
 
 @contextlib.contextmanager
 def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> Iterator[Services]:
-    """Everything the routes need, closed at the end. InputError where it would not be safe to serve.
+    """Open everything the routes need, closed at the end. InputError where it would not be safe to serve.
 
     offer : of a code with which pages can be paired. url : where the page is
     """
@@ -148,7 +148,7 @@ async def _serve(services: Services, listener: socket.socket) -> None:
 
 
 async def _turn() -> None:
-    """While the loop turns, the supervisor hears of us; one that hangs is started again."""
+    """Tell the supervisor of us while the loop turns; one that hangs is started again."""
     turned_at = time.monotonic()
     lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
     while True:
@@ -157,7 +157,7 @@ async def _turn() -> None:
 
 
 def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
-    """uvicorn as we want it; `on_ready` is called once it serves."""
+    """Make uvicorn as we want it; `on_ready` is called once it serves."""
     config = uvicorn.Config(
         make_app(services),
         http=ProblemProtocol,

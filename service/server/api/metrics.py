@@ -45,7 +45,7 @@ class Metrics:
         self._text = SharedCall(lambda: generate_latest(self.registry))
 
     async def text(self) -> bytes:
-        """The figures as text; those who ask at the same time get the same. TimeoutError."""
+        """Return the figures as text; those who ask at the same time get the same. TimeoutError."""
         return await self._text.result(_WAIT_S)
 
 
@@ -81,7 +81,7 @@ def _jobs(connection: sa.Connection, counted: Mapping[Counter, float]) -> Iterat
 
 
 def _stages(counted: Mapping[Counter, float]) -> Iterator[GaugeMetricFamily]:
-    """Of all jobs there ever were. A retried stage counts as often as it was tried."""
+    """Yield stages of all jobs there ever were. A retried stage counts as often as it was tried."""
     count = GaugeMetricFamily("causticmill_stage_runs", "Tries of stages that have ended", labels=["stage", "state"])
     spent = GaugeMetricFamily("causticmill_stage_seconds", "Time in committed stages", labels=["stage"])
     interrupted = 0.0
@@ -115,7 +115,7 @@ def _single(name: str, words: str, value: float) -> GaugeMetricFamily:
     return GaugeMetricFamily(name, words, value=value)
 
 
-class Measured:
+class MetricsMiddleware:
     """ASGI middleware: time until an answer begins, by route; bytes sent."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
@@ -128,14 +128,14 @@ class Measured:
             return
         began = time.perf_counter()
 
-        async def noted(message: Message) -> None:
+        async def send_noted(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self._note(scope, message["status"], time.perf_counter() - began)
             else:
                 self._metrics.sent.inc(len(message.get("body", b"")))
             await send(message)
 
-        await self._app(scope, receive, noted)
+        await self._app(scope, receive, send_noted)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
         route = getattr(scope.get("route"), "path", "none")  # never the address itself: there is no end to those

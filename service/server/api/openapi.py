@@ -38,22 +38,22 @@ Responses = dict[int | str, dict[str, Any]]
 
 
 def refusals(*statuses: int) -> Responses:
-    """Problems: those of every route, and these."""
+    """Return the problems of every route, and these."""
     return {status: _refusal(status) for status in sorted({*_ANYWHERE, *statuses})}
 
 
 def answers(good: Responses, *refused: int) -> Responses:
-    """What a route answers when all is well, and the refusals."""
+    """Return what a route answers when all is well, and the refusals."""
     return good | refusals(*refused)
 
 
 def example(value: object) -> dict[str, Any]:
-    """A JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
+    """Return a JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
     return {"content": {"application/json": {"example": _SEALED + json.dumps(value)}}}
 
 
 def event_stream(words: str, example: str) -> Responses:
-    """A stream of events, each as OpenAPI 3.2 describes one."""
+    """Return a stream of events, each as OpenAPI 3.2 describes one."""
     return {200: {"description": words, "content": {"text/event-stream": {"schema": _EVENT, "example": example}}}}
 
 
@@ -63,7 +63,7 @@ def _refusal(status: int) -> dict[str, Any]:
 
 
 def with_problems(document: dict[str, Any]) -> dict[str, Any]:
-    """The OpenAPI document with the problem's schema, and each refusal told once for all routes."""
+    """Return the OpenAPI document with the problem's schema, and each refusal told once for all routes."""
     components = document.setdefault("components", {})
     schema = ProblemBody.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas = components.setdefault("schemas", {})

@@ -35,7 +35,7 @@ class Readiness:
         self._checks = {name: SharedCall(partial(_check, name, check)) for name, check in parts.items()}
 
     async def checks(self) -> dict[str, str]:
-        """`ok` or what is wrong, for each part; none of them waits for another."""
+        """Return `ok` or what is wrong for each part; none of them waits for another."""
         words = await asyncio.gather(*map(_answer, self._checks.values()))
         return dict(zip(self._checks, words, strict=True))
 
@@ -62,7 +62,7 @@ class Readiness:
 
 
 def _check(name: str, check: Callable[[], None]) -> str:
-    """The true reason goes to the log; it may hold paths."""
+    """Check one part. The true reason goes to the log; it may hold paths."""
     try:
         check()
     except _WrongError as error:

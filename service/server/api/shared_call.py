@@ -24,7 +24,7 @@ class SharedCall(Generic[Result]):
         self._began_s = 0.0
 
     async def result(self, timeout_s: float) -> Result:
-        """TimeoutError where the call takes longer, at once where it has done so already."""
+        """Return the result; TimeoutError where the call takes longer, at once where it has done so already."""
         if self._running is None or self._running.done():
             self._running, self._began_s = Future(), time.monotonic()
             # A daemon: a check that hangs does not keep the process from ending.

@@ -65,7 +65,8 @@ class WorkBook:
         self._lease_s = lease_s
 
     def claim(self, ticket: Ticket, executor: str) -> Claim | None:
-        """Own the job of a ticket; None where there is nothing (more) to do. Fenced while another live worker owns it.
+        """Claim the job of a ticket; None where there is nothing (more) to do. Fenced while another live worker owns
+        it.
 
         Tries that an earlier owner left open become `interrupted`.
         """
@@ -92,9 +93,9 @@ class WorkBook:
             return Claim(job, executor, fence)
 
     def begin_stage(self, claim: Claim, stage: str, key: str) -> StageTry:
-        """A try of a stage begins."""
+        """Begin a try of a stage."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             interrupt_tries(connection, job, at=at)
             begun = _add_try(connection, claim, stage, key, StageState.RUNNING, at=at)
             put_rows(connection, progress, [{"job_id": job.id, "stage": stage, "share": 0.0, "at": at}])
@@ -103,15 +104,15 @@ class WorkBook:
             return begun
 
     def result(self, key: str) -> StageResult | None:
-        """What equal work made before, if it was done."""
+        """Return what equal work made before, if it was done."""
         with begin_reading(self._database) as connection:
             row = connection.execute(sa.select(stage_results).where(stage_results.c.key == key)).mappings().first()
         return None if row is None else _result_of(row)
 
     def reuse_stage(self, claim: Claim, stage: str, key: str, *, whole: float) -> StageResult | None:
-        """The result of equal work done before, taken over for this job; None where there is none."""
+        """Take over the result of equal work done before for this job; None where there is none."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             used = stage_results.update().where(stage_results.c.key == key).values(used_at=at)
             if connection.execute(used).rowcount == 0:
                 return None
@@ -126,16 +127,16 @@ class WorkBook:
             return result
 
     def forget_result(self, key: str) -> None:
-        """The work has to be done again: its files are no longer in the store."""
+        """Forget a result, whose work has to be done again: its files are no longer in the store."""
         with begin_writing(self._database) as connection:
             drop_results(connection, [key])
 
     def commit_stage(
         self, claim: Claim, begun: StageTry, result: StageResult, *, log: FileRef | None, whole: float
     ) -> None:
-        """The stage is done: its files belong to the job, and whoever has equal work takes its result."""
+        """Commit a finished stage: its files belong to the job, and whoever has equal work takes its result."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return  # asked again, as the answer to the first time was lost
             state, peak = str(StageState.COMMITTED), result.peak_rss_mb
@@ -156,9 +157,9 @@ class WorkBook:
             write_event(connection, job.id, "stage.committed", data, at=at)
 
     def end_stage(self, claim: Claim, begun: StageTry, close: StageClose) -> None:
-        """The try made nothing: interrupted (tried again), failed or cancelled."""
+        """End a try that made nothing: interrupted (tried again), failed or cancelled."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return
             words = printable(close.words)[:WORDS_CHARS]
@@ -173,7 +174,9 @@ class WorkBook:
                 write_event(connection, job.id, f"stage.{close.state}", data, at=at)
 
     def note_progress(self, claim: Claim, stage: str, share: float, *, whole: float) -> None:
-        """How far the stage (`share`) and the job (`whole`) are. Nothing happens where the job is no longer ours."""
+        """Note how far the stage (`share`) and the job (`whole`) are. Nothing happens where the job is no longer
+        ours.
+        """
         ours = sa.and_(jobs.c.id == claim.job.id, jobs.c.fence == claim.fence)
         with begin_writing(self._database) as connection:
             if connection.execute(jobs.update().where(ours).values(progress=whole)).rowcount:
@@ -181,9 +184,9 @@ class WorkBook:
                 put_rows(connection, progress, [row])
 
     def finish(self, claim: Claim, state: JobState, *, error: Json | None = None, report: Json | None = None) -> None:
-        """The job has ended. One that was cancelled in its last moment is cancelled, not finished."""
+        """Finish the job. One that was cancelled in its last moment is cancelled, not finished."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             values: Json = {"error": error, "report": report}
             if state == JobState.SUCCEEDED and job.cancel_requested:
                 state, values = JobState.CANCELLED, {}
@@ -191,8 +194,8 @@ class WorkBook:
                 values["progress"] = 1.0
             end_job(connection, job, state, at=at, **values)
 
-    def crashes(self, claim: Claim, stage: str) -> int:
-        """How often a stage has crashed in this attempt while its worker lived."""
+    def count_crashes(self, claim: Claim, stage: str) -> int:
+        """Return how often a stage has crashed in this attempt while its worker lived."""
         table = stage_runs.c
         query = (
             sa.select(sa.func.count())
@@ -203,8 +206,8 @@ class WorkBook:
         with begin_reading(self._database) as connection:
             return int(connection.execute(query).scalar_one())
 
-    def wanted(self, claims: Iterable[Claim]) -> dict[str, str]:
-        """For each job: "go", "cancelled" (a person wants it to end) or "fenced" (it is no longer ours)."""
+    def read_wishes(self, claims: Iterable[Claim]) -> dict[str, str]:
+        """Return for each job "go", "cancelled" (a person wants it to end) or "fenced" (it is no longer ours)."""
         held = {claim.job.id: claim.fence for claim in claims}
         query = sa.select(jobs.c.id, jobs.c.fence, jobs.c.state, jobs.c.cancel_requested).where(jobs.c.id.in_(held))
         with begin_reading(self._database) as connection:
@@ -237,8 +240,8 @@ def drop_results(connection: sa.Connection, keys: Collection[str]) -> int:
     return dropped
 
 
-def _held(connection: sa.Connection, claim: Claim) -> Job:
-    """The locked job, still ours."""
+def _lock_held_job(connection: sa.Connection, claim: Claim) -> Job:
+    """Return the locked job, still ours."""
     try:
         job = lock_job(connection, claim.job.id)
     except UnknownJobError:
@@ -264,7 +267,7 @@ def _add_try(
 
 
 def _is_done(connection: sa.Connection, claim: Claim, stage: str, key: str) -> bool:
-    """Has this attempt done it, and none of the stages before it once more since?"""
+    """Return whether this attempt has done it, and none of the stages before it once more since."""
     table = stage_runs.c
     mine = sa.and_(table.job_id == claim.job.id, table.attempt == claim.job.attempt, table.state.in_(DONE))
     rows = connection.execute(sa.select(table.stage, table.key).where(mine).order_by(table.id)).all()
@@ -286,7 +289,7 @@ def _close_try(connection: sa.Connection, begun: StageTry, *, state: str, **valu
 
 
 def _offer(connection: sa.Connection, job: Job, stage: str, files: Mapping[str, FileRef], at: float) -> None:
-    """The files of a stage become the job's, in place of what an earlier attempt's stage had made."""
+    """Offer the files of a stage as the job's, in place of what an earlier attempt's stage had made."""
     old = sa.and_(artifacts.c.job_id == job.id, artifacts.c.stage == stage)
     connection.execute(artifacts.delete().where(old))
     put_rows(connection, artifacts, [_artifact(job.id, name, file, stage, at) for name, file in files.items()])

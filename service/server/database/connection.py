@@ -28,7 +28,7 @@ CONNECT_TIMEOUT_S = 5
 
 
 def connect(url: str) -> sa.Engine:
-    """An engine of SQLAlchemy for a database of ours, SQLite or PostgreSQL."""
+    """Return an engine of SQLAlchemy for a database of ours, SQLite or PostgreSQL."""
     if url.startswith("sqlite"):
         engine = sa.create_engine(url, json_serializer=_as_json, connect_args={"timeout": BUSY_TIMEOUT_S})
         sa.event.listen(engine, "connect", _prepare_sqlite)
@@ -42,7 +42,7 @@ def connect(url: str) -> sa.Engine:
 
 
 def copy_sqlite(source: Path, target: Path) -> None:
-    """A copy of a database that is in use, by SQLite's own backup: it neither waits for writers nor stops them.
+    """Copy a database that is in use, by SQLite's own backup: it neither waits for writers nor stops them.
 
     The new file is its account's alone. FailedError.
     """
@@ -63,20 +63,20 @@ def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
 
 @contextmanager
 def begin_reading(database: sa.Engine) -> Iterator[sa.Connection]:
-    """A transaction that changes nothing."""
+    """Begin a transaction that changes nothing."""
     with database.connect() as connection, connection.begin():
         yield connection
 
 
 @contextmanager
 def begin_writing(database: sa.Engine) -> Iterator[sa.Connection]:
-    """A transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
+    """Begin a transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
     with database.connect().execution_options(writes=True) as connection, connection.begin():
         yield connection
 
 
 def clock(connection: sa.Connection) -> float:
-    """Seconds since 1970 by the database's clock, the only one that hosts of a farm share."""
+    """Return seconds since 1970 by the database's clock, the only one that hosts of a farm share."""
     if is_sqlite(connection):
         return time.time()
     return float(connection.execute(sa.text("SELECT extract(epoch FROM clock_timestamp())")).scalar_one())
@@ -99,7 +99,7 @@ def put_rows(connection: sa.Connection, table: sa.Table, rows: Sequence[Mapping[
 
 
 def _as_json(value: object) -> str:
-    """Strict JSON: PostgreSQL takes no NaN, and neither do clients."""
+    """Return strict JSON: PostgreSQL takes no NaN, and neither do clients."""
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
 
 
@@ -123,7 +123,7 @@ def _begin_sqlite(connection: sa.Connection) -> None:
 
 
 def _take_write_lock(connection: sa.Connection) -> None:
-    """Asks every 2 ms: SQLite's own waiting backs off to 100 ms, and others pass it all the time."""
+    """Ask for the lock every 2 ms: SQLite's own waiting backs off to 100 ms, and others pass it all the time."""
     give_up = time.monotonic() + BUSY_TIMEOUT_S
     connection.exec_driver_sql("PRAGMA busy_timeout = 0")
     try:

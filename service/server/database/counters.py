@@ -47,6 +47,6 @@ def set_counter(connection: sa.Connection, counter: Counter, value: float) -> No
 
 
 def read_counters(connection: sa.Connection) -> dict[Counter, float]:
-    """All of them: a few dozen rows."""
+    """Return all of them: a few dozen rows."""
     rows = connection.execute(sa.select(counters))
     return {Counter(row.name, row.stage, row.state): row.value for row in rows}

@@ -15,20 +15,20 @@ MOST_NEWS = 10 * BATCH
 
 
 def write_event(connection: sa.Connection, job_id: str, kind: str, data: Mapping[str, Any], *, at: float) -> None:
-    """The next event of a job. The caller holds the job's row, so seq has no gaps and no doubles."""
+    """Write the next event of a job. The caller holds the job's row, so seq has no gaps and no doubles."""
     last = sa.select(sa.func.coalesce(sa.func.max(events.c.seq), 0)).where(events.c.job_id == job_id)
     seq = connection.execute(last).scalar_one() + 1
     connection.execute(events.insert().values(job_id=job_id, seq=seq, at=at, kind=kind, data=dict(data)))
 
 
 def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) -> list[JobEvent]:
-    """Events of a job after the one numbered `after`."""
+    """Return events of a job after the one numbered `after`."""
     query = sa.select(events).where(events.c.job_id == job_id, events.c.seq > after).order_by(events.c.seq).limit(limit)
     return [JobEvent.of(row) for row in connection.execute(query).mappings()]
 
 
 def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
-    """Events of many jobs after the given ones, at most 5000, and how far their running stages are.
+    """Return events of many jobs after the given ones, at most 5000, and how far their running stages are.
 
     Mostly nothing has happened: the last event of each job tells, by one query for all of them.
     """

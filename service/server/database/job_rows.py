@@ -14,12 +14,12 @@ from service.server.database.tables import jobs, progress, runs
 
 
 def open_run_of(connection: sa.Connection, job_id: str) -> str | None:
-    """Id of an open run of a program of this job, on any mill."""
+    """Return the id of an open run of a program of this job, on any mill."""
     return connection.execute(sa.select(runs.c.id).where(runs.c.job_id == job_id, runs.c.open).limit(1)).scalar()
 
 
 def lock_job(connection: sa.Connection, job_id: str) -> Job:
-    """The job, its row locked until the transaction ends. UnknownJobError."""
+    """Lock the job's row until the transaction ends. UnknownJobError."""
     row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id).with_for_update()).mappings().first()
     if row is None:
         raise UnknownJobError(job_id)
@@ -36,7 +36,7 @@ def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
 
 
 def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, **values: Any) -> None:
-    """A locked job has ended: its state and the last event. Raises the fence, so that no one writes after it."""
+    """End a locked job: its state and the last event. Raises the fence, so that no one writes after it."""
     error = values.get("error")
     row = {"state": str(state), "ended_at": at, "owner": None, "fence": job.fence + 1} | values
     connection.execute(progress.delete().where(progress.c.job_id == job.id))

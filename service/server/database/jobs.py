@@ -54,13 +54,13 @@ class JobBook:
     # ------------------------------------------------------------------ making and changing
 
     def create(self, new: NewJob) -> tuple[Job, bool]:
-        """A new queued job; False where the same request with the same key made it before. KeyReusedError."""
+        """Create a queued job; False where the same request with the same key made it before. KeyReusedError."""
         if self._store is not None:
             self._store.head(new.image_sha256)
         with begin_writing(self.database) as connection:
             at, job_id = clock(connection), str(uuid4())
             if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
-                return _made_before(connection, new, new.key), False
+                return _find_made_before(connection, new, new.key), False
             connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
             add_to_counters(connection, {state_counter(JobState.QUEUED): 1})
             write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
@@ -115,7 +115,7 @@ class JobBook:
     def list_rows(
         self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
     ) -> list[JobListRow]:
-        """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
+        """List jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
 
         Of several states each is asked for by itself, in the order of its index, and the newest of all are taken.
         """
@@ -129,22 +129,22 @@ class JobBook:
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
 
     def stages(self, job_id: str) -> list[StageRun]:
-        """Every try of every stage, in the order in which they began."""
+        """Return every try of every stage, in the order in which they began."""
         query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
         with begin_reading(self.database) as connection:
             return [StageRun.of(row) for row in connection.execute(query).mappings()]
 
     def report_so_far(self, job: Job) -> dict[str, Any] | None:
-        """report.json of the stages that are done in this attempt; a job that has ended has it itself."""
+        """Return report.json of the stages that are done in this attempt; a job that has ended has it itself."""
         with begin_reading(self.database) as connection:
             return _reports_so_far(connection, [job.id]).get(job.id)
 
     def with_report(self, job: Job) -> Job:
-        """The job; where it has not ended, with what its finished stages report."""
+        """Return the job; where it has not ended, with what its finished stages report."""
         return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
 
     def with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
-        """Those of the jobs that there are, as `with_report`, each with the programs that it offers."""
+        """Return those of the jobs that there are, as `with_report`, each with the programs that it offers."""
         with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}
@@ -154,12 +154,12 @@ class JobBook:
         return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
 
     def may_be_milled(self, job: Job) -> bool:
-        """May a mill have its programs? As `files.may_be_milled`."""
+        """Return whether a mill may have its programs, as `files.may_be_milled`."""
         with begin_reading(self.database) as connection:
             return may_be_milled(connection, job)
 
     def artifacts(self, job_id: str) -> list[Artifact]:
-        """The files that the job offers, by name; programs only once they have been checked."""
+        """Return the files that the job offers, by name; programs only once they have been checked."""
         with begin_reading(self.database) as connection:
             get_job(connection, job_id)
             return list_offered_artifacts(connection, job_id)
@@ -171,7 +171,7 @@ class JobBook:
         raise UnknownArtifactError(job_id, name)
 
     def pictures(self, job_ids: Collection[str]) -> dict[str, str]:
-        """By job, where it has one: the smallest picture of what its light is to paint, by its name."""
+        """Return by job, where it has one, the smallest picture of what its light is to paint, by its name."""
         query = (
             sa.select(artifacts.c.job_id, artifacts.c.name)
             .where(artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES))
@@ -181,17 +181,17 @@ class JobBook:
             return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
 
     def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
-        """Events after the one numbered `after`, at most 500 of them."""
+        """Return events after the one numbered `after`, at most 500 of them."""
         with begin_reading(self.database) as connection:
             return read_events(connection, job_id, after, min(limit, BATCH))
 
     def latest(self, after: Mapping[str, int]) -> News:
-        """Events of many jobs, each after the seq given for it, and the progress of those that run."""
+        """Return events of many jobs, each after the seq given for it, and the progress of those that run."""
         with begin_reading(self.database) as connection:
             return read_news(connection, after)
 
     def queue_positions(self) -> dict[str, int]:
-        """The places of the first thousand waiting jobs, from 1 for the one that starts next."""
+        """Return the places of the first thousand waiting jobs, from 1 for the one that starts next."""
         query = (
             sa.select(jobs.c.id)
             .where(jobs.c.state == str(JobState.QUEUED))
@@ -202,7 +202,7 @@ class JobBook:
             return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
 
     def counts(self) -> dict[JobState, int]:
-        """How many jobs are in each state."""
+        """Return how many jobs are in each state."""
         with begin_reading(self.database) as connection:
             return count_jobs(read_counters(connection))
 
@@ -211,7 +211,7 @@ class JobBook:
 
 
 def drop_job(connection: sa.Connection, job: Job) -> None:
-    """Everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
+    """Delete everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
     _require_no_open_run(connection, job.id)
     connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
     connection.execute(jobs.delete().where(jobs.c.id == job.id))
@@ -219,14 +219,14 @@ def drop_job(connection: sa.Connection, job: Job) -> None:
 
 
 def oldest_queued_at(connection: sa.Connection) -> float | None:
-    """Since when the job that has waited longest waits: the first of each priority is asked for."""
+    """Return since when the job that has waited longest waits: the first of each priority is asked for."""
     waiting = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == str(JobState.QUEUED))
     firsts = [connection.execute(waiting.where(jobs.c.priority == p)).scalar() for p in PRIORITIES.values()]
     return min((at for at in firsts if at is not None), default=None)
 
 
 def count_jobs(found: Mapping[Counter, float]) -> dict[JobState, int]:
-    """The number of jobs in each state, out of all counters."""
+    """Return the number of jobs in each state, out of all counters."""
     return {state: int(found.get(state_counter(state), 0)) for state in JobState}
 
 
@@ -242,7 +242,7 @@ def _is_without_report(job: Job) -> bool:
 
 
 def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
-    """By job, where there is any: report.json of the stages that are done in its present attempt."""
+    """Return by job, where there is any, report.json of the stages that are done in its present attempt."""
     if not job_ids:
         return {}
     done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])
@@ -285,7 +285,7 @@ def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:
 
 
 def _fresh(attempt: int, at: float) -> dict[str, Any]:
-    """The columns of a job that waits to be started."""
+    """Return the columns of a job that waits to be started."""
     return {
         "state": str(JobState.QUEUED),
         "attempt": attempt,
@@ -307,7 +307,7 @@ def _claim_key(connection: sa.Connection, new: NewJob, key: ClientKey, job_id: s
     return insert_new(connection, idempotency_keys, row | {"created_at": at})
 
 
-def _made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
+def _find_made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
     table = idempotency_keys.c
     mine = sa.and_(table.principal == key.token, table.kind == "job", table.key == key.text)
     query = sa.select(idempotency_keys).where(mine)

@@ -22,7 +22,9 @@ DONE = (str(StageState.COMMITTED), str(StageState.REUSED))
 
 
 def list_offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
-    """By name. Names that begin with a dot are between stages only; a program must have passed this attempt's check."""
+    """List by name. Names that begin with a dot are between stages only; a program must have passed this attempt's
+    check.
+    """
     query = sa.select(artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
     found = [Artifact.of(row) for row in connection.execute(query).mappings()]
     checked = bool(_find_checked(connection, [job_id]))
@@ -30,7 +32,7 @@ def list_offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artif
 
 
 def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, list[Artifact]]:
-    """By job: those of `list_offered_artifacts` that its passes have made, for many jobs at once."""
+    """List by job those of `list_offered_artifacts` that its passes have made, for many jobs at once."""
     found: dict[str, list[Artifact]] = {job_id: [] for job_id in _find_checked(connection, job_ids)}
     query = sa.select(artifacts).where(artifacts.c.job_id.in_(found)).order_by(artifacts.c.name)
     for row in connection.execute(query.where(artifacts.c.stage.startswith(PASS))).mappings():
@@ -40,8 +42,8 @@ def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -
 
 
 def may_be_milled(connection: sa.Connection, job: Job) -> bool:
-    """Programs are for mills once they have been checked, though the job goes on with pictures of what they will make;
-    never those of a job that has failed or was given up.
+    """Return whether mills may have programs: once they are checked, though the job goes on with pictures of what they
+    make; never those of a job that has failed or was given up.
     """
     if job.state is not JobState.RUNNING:
         return job.state is JobState.SUCCEEDED
@@ -53,7 +55,7 @@ def _is_program(artifact: Artifact) -> bool:
 
 
 def _find_checked(connection: sa.Connection, job_ids: Collection[str]) -> set[str]:
-    """Those of the jobs whose last finished stage, of their passes and their check, is the check."""
+    """Return those of the jobs whose last finished stage, of their passes and their check, is the check."""
     query = (
         sa.select(stage_runs.c.job_id, stage_runs.c.stage)
         .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))

@@ -20,8 +20,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, delete, select, update
 
 from service.server.database.connection import begin_reading, begin_writing, insert_new
-from service.server.database.tables import pairing_tries as rows
-from service.server.database.tables import pairings
+from service.server.database.tables import pairing_tries, pairings
 from service.server.database.tokens import Token, TokenBook, TokenScope
 from service.server.pairing_code import ALPHABET, read_code
 
@@ -60,7 +59,7 @@ class PairingBook:
         self._clock = clock
 
     def offer(self, offer: str) -> None:
-        """From now on its code is taken, for a day. One that was offered before stays as it is."""
+        """Accept its code from now on, for a day. One that was offered before stays as it is."""
         found = _OFFER.fullmatch(offer)
         if found is None:
             raise ValueError("an offer is a text of codes.new_offer")
@@ -73,7 +72,7 @@ class PairingBook:
             insert_new(connection, pairings, row | {"created_at": now, "expires_at": now + CODE_LIFE_S})
 
     def pair(self, code: str, person: str, *, address: str, counts_for_all: bool = True) -> tuple[Token, str]:
-        """A token for the page of a person who knows a code, and its secret.
+        """Create a token for the page of a person who knows a code, and its secret.
 
         address : what the try is counted by; counts_for_all: in the budget of all addresses, too
         WrongCodeError, NoCodeError; TooManyTriesError: it was not looked at.
@@ -91,7 +90,7 @@ class PairingBook:
         return self._tokens.create_paired(person, SCOPES, life_s=TOKEN_LIFE_S)
 
     def is_live(self, offer: str) -> bool:
-        """Whether the code of this offer is still taken."""
+        """Return whether the code of this offer is still taken."""
         return any(row["id"] == offer.partition(":")[0] for row in self._live())
 
     def _live(self) -> list[Any]:
@@ -128,31 +127,37 @@ class TooManyTriesError(Exception):
 
 def take_try(connection: Connection, address: str, now: float, *, counts_for_all: bool) -> None:
     """Take a try before it is looked at, so that those that come at once are counted, too. TooManyTriesError."""
-    connection.execute(delete(rows).where(rows.c.address != EVERYBODY, rows.c.at < now - EACH.most * EACH.refill_s))
+    connection.execute(
+        delete(pairing_tries).where(
+            pairing_tries.c.address != EVERYBODY, pairing_tries.c.at < now - EACH.most * EACH.refill_s
+        )
+    )
     budgets = [(address, EACH), (EVERYBODY, ALL)] if counts_for_all else [(address, EACH)]
     used = [_count_used(connection, name, budget, now) for name, budget in budgets]
     for (name, budget), spent in zip(budgets, used, strict=True):
         if spent + 1 > budget.most:
             raise TooManyTriesError((spent + 1 - budget.most) * budget.refill_s, everywhere=name == EVERYBODY)
     for (name, _), spent in zip(budgets, used, strict=True):
-        connection.execute(update(rows).where(rows.c.address == name).values(used=spent + 1, at=now))
+        connection.execute(update(pairing_tries).where(pairing_tries.c.address == name).values(used=spent + 1, at=now))
 
 
 def give_back(connection: Connection, address: str, *, counts_for_all: bool) -> None:
-    """It was right."""
+    """Give back a try: it was right."""
     names = [address, EVERYBODY] if counts_for_all else [address]
-    connection.execute(update(rows).where(rows.c.address.in_(names)).values(used=rows.c.used - 1))
+    connection.execute(
+        update(pairing_tries).where(pairing_tries.c.address.in_(names)).values(used=pairing_tries.c.used - 1)
+    )
 
 
 def tries_left(connection: Connection, address: str, now: float) -> int:
-    """Of this address, at once."""
+    """Return the tries left to this address, at once."""
     return max(0, math.floor(EACH.most - _count_used(connection, address, EACH, now) + 1e-9))
 
 
 def _count_used(connection: Connection, address: str, budget: Budget, now: float) -> float:
-    """Tries of a budget that time has not given back yet; its row is this transaction's from now on."""
-    insert_new(connection, rows, {"address": address, "used": 0.0, "at": now})
+    """Return tries of a budget that time has not given back yet; its row is this transaction's from now on."""
+    insert_new(connection, pairing_tries, {"address": address, "used": 0.0, "at": now})
     used, at = connection.execute(
-        select(rows.c.used, rows.c.at).where(rows.c.address == address).with_for_update()
+        select(pairing_tries.c.used, pairing_tries.c.at).where(pairing_tries.c.address == address).with_for_update()
     ).one()
     return max(0.0, float(used) - max(0.0, now - float(at)) / budget.refill_s)

@@ -184,5 +184,5 @@ class News:
 
 
 def priority_word(number: int) -> str:
-    """The word nearest to a number of the queue."""
+    """Return the word nearest to a number of the queue."""
     return min(PRIORITIES, key=lambda word: abs(PRIORITIES[word] - number))

@@ -101,7 +101,7 @@ class RunBook:
         self._database = database
 
     def made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
-        """The run that this key has made. KeyReusedError where it stood for another request."""
+        """Return the run that this key has made. KeyReusedError where it stood for another request."""
         table = idempotency_keys.c
         mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
         with begin_reading(self._database) as connection:
@@ -113,7 +113,7 @@ class RunBook:
             return _get(connection, known["resource_id"])
 
     def create(self, new: NewRun) -> tuple[RunRow, bool]:
-        """A run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
+        """Create a run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
 
         The job's row is locked meanwhile, so that nobody deletes it and no retry begins.
         """
@@ -153,7 +153,7 @@ class RunBook:
     def list_rows(
         self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
     ) -> list[RunRow]:
-        """Runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
+        """List runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
         query = sa.select(runs).order_by(runs.c.created_at.desc(), runs.c.id.desc()).limit(limit)
         if machine is not None:
             query = query.where(runs.c.machine == machine)
@@ -166,11 +166,11 @@ class RunBook:
             return [RunRow.of(row) for row in connection.execute(query).mappings()]
 
     def finished(self, job_id: str, machine: str) -> frozenset[str]:
-        """Hashes of the job's programs that this mill has finished."""
+        """Return hashes of the job's programs that this mill has finished."""
         return self.list_finished_by_mill([job_id]).get((job_id, machine), frozenset())
 
     def list_finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
-        """By job and mill: hashes of the job's programs that the mill has finished."""
+        """List by job and mill the hashes of the job's programs that the mill has finished."""
         query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
         found: dict[tuple[str, str], frozenset[str]] = {}
         with begin_reading(self._database) as connection:
@@ -182,14 +182,14 @@ class RunBook:
     # ------------------------------------------------------------------ what happens to a run
 
     def confirm_parked(self, run_id: str, view: Json) -> bool:
-        """The agent has it. False where the run was closed meanwhile."""
+        """Confirm that the agent has it. False where the run was closed meanwhile."""
         values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view} | read_reason(view)
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
 
     def told(self, run: RunRow, view: Json) -> RunRow:
-        """What the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
+        """Return what the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
 
         Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a
         database that is full or busy cannot write down now is told as well, and again at the next look.
@@ -211,7 +211,7 @@ class RunBook:
     def close(
         self, run_id: str, state: str, words: str, reason: Json | None = None, *, forget_key: bool = False
     ) -> None:
-        """It is over for us: never handed over, taken back, or given up. An ended run stays what it is."""
+        """Close a run: never handed over, taken back, or given up. An ended run stays what it is."""
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             values = {"open": False, "state": state, "words": words[:_WORDS], "reason": reason}
@@ -221,7 +221,7 @@ class RunBook:
                 connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == run_id))
 
     def reopen(self, run: RunRow) -> None:
-        """Before a recovery: the mill's place is taken first. MachineTakenError."""
+        """Reopen it before a recovery: the mill's place is taken first. MachineTakenError."""
         try:
             self._write(run.id, {"open": True})
         except IntegrityError:
@@ -254,17 +254,17 @@ def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
 
 
 def read_reason(view: Json) -> Json:
-    """Why a run is in its state, by its agent: the columns `words` and `reason`."""
+    """Return why a run is in its state, by its agent: the columns `words` and `reason`."""
     reason = make_reason(str(view.get("code") or ""), view.get("values"))
     return {"words": str(view.get("words", ""))[:_WORDS], "reason": reason}
 
 
 def make_reason(code: str, values: Mapping[str, object] | None = None) -> Json | None:
-    """`reason` of a row; None where there is no code: then its words are all there is."""
+    """Make `reason` of a row; None where there is no code: then its words are all there is."""
     return {"code": code, "values": dict(values or {})} if code else None
 
 
 def _news(before: Json | None, now: Json) -> bool:
-    """Is it worth a write? Lines alone are not: they change all the time, and the agent knows them."""
+    """Return whether it is worth a write. Lines alone are not: they change all the time, and the agent knows them."""
     told = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
     return before is None or any(before.get(name) != now.get(name) for name in told)

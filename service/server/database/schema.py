@@ -64,7 +64,7 @@ def await_schema(database: sa.Engine, timeout_s: float) -> None:
 
 
 def alembic_config() -> Config:
-    """What alembic needs to know of us."""
+    """Return what alembic needs to know of us."""
     from alembic.config import Config
 
     config = Config()
@@ -115,7 +115,7 @@ def _require_known(connection: sa.Connection, config: Config) -> None:
 
 
 def open_database(settings: ServerSettings, *, migrate: bool = False) -> sa.Engine:
-    """The database of these settings; `migrate` brings its tables up to date first (workers do, the API never)."""
+    """Open the database of these settings; `migrate` brings its tables up to date first (workers do, the API never)."""
     if settings.embedded:
         keep_private(settings.data)
     database = connect(settings.sqlalchemy_url)

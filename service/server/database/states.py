@@ -55,7 +55,7 @@ class JobOnMillError(JobStateError):
 
 
 def require_move(before: JobState, after: JobState) -> None:
-    """JobStateError unless the table allows it."""
+    """Raise JobStateError unless the table allows it."""
     if after not in TRANSITIONS[before]:
         allowed = frozenset(state for state, targets in TRANSITIONS.items() if after in targets)
         raise JobStateError(before, f"becoming {after}", allowed)

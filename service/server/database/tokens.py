@@ -66,7 +66,7 @@ class TokenBook:
         self._noted: dict[str, float] = {}
 
     def create(self, name: str, scopes: Iterable[str], *, expires_at: float | None = None) -> tuple[Token, str]:
-        """A new token and its secret, which is nowhere else and never shown again. InputError where it cannot be."""
+        """Create a token and its secret, which is nowhere else and never shown again. InputError where it cannot be."""
         now = self._clock()
         wanted = check_scopes(scopes)
         if not _NAME.fullmatch(name):
@@ -82,7 +82,7 @@ class TokenBook:
             return token, _insert(connection, token)
 
     def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
-        """A token for the page of a person, under their name, or that and a number where it is taken.
+        """Create a token for the page of a person, under their name, or that and a number where it is taken.
 
         Such tokens do not count in `any_ever`. Those that have ended long ago are forgotten: a page makes one with each
         visit, and one that has just ended may still stop a mill.
@@ -97,12 +97,12 @@ class TokenBook:
             return token, _insert(connection, token)
 
     def list_rows(self) -> list[Token]:
-        """All that were ever made, oldest first."""
+        """List all that were ever made, oldest first."""
         with begin_reading(self.engine) as connection:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
 
     def revoke(self, token_id: str) -> Token:
-        """From now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
+        """Revoke it: from now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
         with begin_writing(self.engine) as connection:
             mine = tokens.c.id == token_id
             connection.execute(
@@ -128,7 +128,7 @@ class TokenBook:
             return int(count)
 
     def find(self, secret: str) -> Token | None:
-        """The live token with this secret, if there is one."""
+        """Find the live token with this secret, if there is one."""
         if not _SECRET.fullmatch(secret):
             return None
         now, digest = self._clock(), hash_secret(secret)
@@ -140,7 +140,7 @@ class TokenBook:
         return token if token.live(now) else None
 
     def find_stoppers(self) -> dict[str, Token]:
-        """By the hash of its secret, every token that may stop mills: revoked ones may not, ended ones may."""
+        """Find by the hash of its secret every token that may stop mills: revoked ones may not, ended ones may."""
         with begin_reading(self.engine) as connection:
             rows = connection.execute(select(tokens).where(tokens.c.revoked_at.is_(None))).mappings()
             found = {str(row["sha256"]): _token(row) for row in rows}
@@ -161,7 +161,8 @@ class TokenBook:
             connection.execute(update(tokens).where(tokens.c.id == token.id, alive).values(**values))
 
     def any_ever(self) -> bool:
-        """Was there ever a token? From then on nobody is anonymous: an expiry must not open what was closed.
+        """Return whether there ever was a token. From then on nobody is anonymous: an expiry must not open what was
+        closed.
 
         Tokens of paired pages do not count: who runs mills from the page has not meant to close the jobs.
         """
@@ -169,7 +170,7 @@ class TokenBook:
             return connection.execute(select(tokens.c.id).where(~tokens.c.paired).limit(1)).first() is not None
 
     def any_live(self) -> bool:
-        """A token that an administrator has made and that opens something."""
+        """Return whether a token that an administrator has made opens something."""
         now = self._clock()
         return any(token.live(now) and not token.paired for token in self.list_rows())
 
@@ -178,7 +179,7 @@ _ALL = select(tokens).order_by(tokens.c.created_at, tokens.c.id)
 
 
 def check_scopes(scopes: Iterable[str]) -> frozenset[str]:
-    """The scopes, each a known word and at least one; InputError names the one that is not."""
+    """Check that each scope is a known word and there is one at least; InputError names the one that is not."""
     wanted = frozenset(scopes)
     allowed = ", ".join(TokenScope)
     if unknown := sorted(wanted - set(TokenScope)):
@@ -193,7 +194,7 @@ def _live_names(connection: Connection, now: float) -> frozenset[str]:
 
 
 def _insert(connection: Connection, token: Token) -> str:
-    """The new token's secret."""
+    """Return the new token's secret."""
     secret = PREFIX + secrets.token_urlsafe(32)
     given = {name: getattr(token, name) for name in ("id", "name", "created_at", "expires_at", "paired")}
     connection.execute(insert(tokens).values(**given, sha256=hash_secret(secret), scopes=sorted(token.scopes)))
@@ -205,7 +206,7 @@ def _new_id() -> str:
 
 
 def hash_secret(secret: str) -> str:
-    """What is kept of a secret."""
+    """Return what is kept of a secret."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 

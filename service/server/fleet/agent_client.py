@@ -56,7 +56,7 @@ class AgentAwayError(Exception):
         self.sent = sent
 
     def problem(self, order: str = "") -> Problem:
-        """503; 504 where this order or stop may have arrived, so that a person has to look."""
+        """Return 503; 504 where this order or stop may have arrived, so that a person has to look."""
         if not (order and self.sent):
             headers = {"Retry-After": "2"}
             return Problem(503, self.words, field="machine", code=self.code, values=self.values, headers=headers)
@@ -68,7 +68,7 @@ class AgentAwayError(Exception):
 
 
 def as_problem(error: AgentAwayError | Problem) -> Problem:
-    """Why an agent that was only asked how things stand did not say."""
+    """Return why an agent that was only asked how things stand did not say."""
     return error.problem() if isinstance(error, AgentAwayError) else error
 
 
@@ -98,14 +98,16 @@ class AgentLink:
         return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
 
     async def once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
-        """As `post`, but not even one that certainly did not arrive is sent again: an order is for now or for never."""
+        """Send as `post`, but not even one that certainly did not arrive is sent again: an order is for now or for
+        never.
+        """
         return await self._asked("POST", path, timeout_s=timeout_s, json=body, headers=headers)
 
     async def delete(self, path: str, *, headers: Json) -> Json:
         return await self._asked("DELETE", path, timeout_s=ASK_S, headers=headers)
 
     async def urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
-        """A stop: to do it twice is better than not at all, so one that failed is sent once more.
+        """Send a stop: to do it twice is better than not at all, so one that failed is sent once more.
 
         It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
         known within the time given whether it was taken: a person has to use the mill's own button otherwise.
@@ -129,7 +131,7 @@ class AgentLink:
 
     @asynccontextmanager
     async def events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
-        """The lines of the agent's event stream."""
+        """Open the lines of the agent's event stream."""
         url, token = await self.address()
         headers = {"Authorization": f"Bearer {token}"} | ({"Last-Event-ID": last_id} if last_id else {})
         timeout = httpx.Timeout(_QUIET_S, connect=_CONNECT_S)
@@ -143,7 +145,7 @@ class AgentLink:
             raise self._make_unreached(error) from None
 
     async def address(self) -> tuple[str, str]:
-        """Address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
+        """Return the address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
         if self._address is None:
             async with self._finding:
                 if self._address is None:
@@ -178,7 +180,7 @@ class AgentLink:
         return [(card.url, Path(card.token_file)) for card in cards]
 
     async def _require_right(self, url: str, token: str) -> None:
-        """Who answers there? After a crash a card points to nobody, or to somebody else."""
+        """Raise where another agent answers: after a crash a card points to nobody, or to somebody else."""
         try:
             status, content = await self._exchange("GET", f"{url}/v1/machine", token, within_s=ASK_S)
             said = json_object(content, self.machine.name).get("name") if status == 200 else None
@@ -194,7 +196,9 @@ class AgentLink:
             raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}", ServerCode.AGENT_OTHER)
 
     async def _told(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
-        """One that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent again."""
+        """Send; one that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent
+        again.
+        """
         before = self._address
         try:
             return await self._asked(method, path, timeout_s=timeout_s, **more)
@@ -223,7 +227,9 @@ class AgentLink:
     async def _exchange(
         self, method: str, url: str, token: str, *, within_s: float, headers: Json | None = None, **more: Any
     ) -> tuple[int, bytes]:
-        """Status and content of one answer. The time is for all of it, but a program takes as long as it takes."""
+        """Return status and content of one answer. The time is for all of it, but a program takes as long as it
+        takes.
+        """
         own = {"Authorization": f"Bearer {token}", "Accept-Encoding": "identity"} | (headers or {})
         timeout = httpx.Timeout(within_s, connect=_CONNECT_S)
         async with asyncio.timeout(None if "content" in more else within_s + _CONNECT_S):
@@ -231,7 +237,7 @@ class AgentLink:
                 return answer.status_code, await _whole(answer, self.machine.name)
 
     def _refusal(self, status: int, content: bytes) -> Problem:
-        """The agent's own refusal, passed on; what is between it and us only is not the caller's fault."""
+        """Return the agent's own refusal; what is between it and us only is not the caller's fault."""
         try:
             told = json_object(content, self.machine.name)
         except Problem:
@@ -268,7 +274,7 @@ async def _whole(answer: httpx.Response, machine: str) -> bytes:
 
 
 async def _lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
-    """Lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
+    """Yield lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
     rest = b""
     async for piece in answer.aiter_raw():
         *lines, rest = (rest + piece).split(b"\n")

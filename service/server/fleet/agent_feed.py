@@ -39,7 +39,9 @@ class AgentFeed:
         self._catching_up = asyncio.Semaphore(_CATCH_UP)
 
     async def messages(self, last_id: str) -> AsyncGenerator[Message]:
-        """Those after last_id, then how things stand, then each new one; ends with the error for a broken stream."""
+        """Yield those after last_id, then how things stand, then each new one; ends with the error for a broken
+        stream.
+        """
         queue: asyncio.Queue[Message | End] = asyncio.Queue(_QUEUE)
         self._queues.add(queue)
         try:
@@ -85,7 +87,7 @@ class AgentFeed:
             queue.put_nowait(told)
 
     async def _missed(self, last_id: str) -> list[Message]:
-        """What has happened since, and how things stand, with which the agent ends what it tells at first."""
+        """Return what has happened since, and how things stand, with which the agent ends what it tells at first."""
         found: list[Message] = []
         async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parse(lines)) as messages:
             self._start_reading()
@@ -97,14 +99,14 @@ class AgentFeed:
 
 
 def known_id(text: str) -> str:
-    """The id of an event as agents give them; nothing for any other text."""
+    """Return the id of an event as agents give them; nothing for any other text."""
     return text if _EVENT_ID.fullmatch(text) else ""
 
 
 async def until(
     ending: asyncio.Event, messages: AsyncGenerator[Message], *, tick_s: float | None = None
 ) -> AsyncGenerator[Message | None]:
-    """The messages, as long as the server does not end; None each time that none has come for `tick_s`."""
+    """Yield the messages, as long as the server does not end; None each time that none has come for `tick_s`."""
     over = asyncio.ensure_future(ending.wait())
     step: asyncio.Future[Message | None] | None = None
     try:
@@ -128,7 +130,7 @@ async def until(
 
 
 async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
-    """The messages of a stream; an empty one for each heartbeat."""
+    """Yield the messages of a stream; an empty one for each heartbeat."""
     message: Message = {}
     async for line in lines:
         if line.startswith(":"):
@@ -143,7 +145,7 @@ async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
 
 
 def _is_known(event_id: str, last_id: str) -> bool:
-    """An event of the same life of the agent that is not newer than the last one the reader has."""
+    """Return whether an event of the agent's same life is not newer than the last one the reader has."""
     life, _, number = event_id.partition("-")
     last_life, _, last = last_id.partition("-")
     return bool(last_id) and life == last_life and number.isdigit() and last.isdigit() and int(number) <= int(last)

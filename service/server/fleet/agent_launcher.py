@@ -46,7 +46,7 @@ def _start(settings: ServerSettings, machine: KnownMachine) -> str:
 
 
 def is_owned(folder: Path) -> bool:
-    """A living process, agent or stream, holds the lock of this mill's folder.
+    """Return whether a living process, agent or stream, holds the lock of this mill's folder.
 
     The lock is tried only where its owner seems to live: an agent that is just starting must not find it taken by us.
     """
@@ -75,7 +75,9 @@ def _lives(pid: int) -> bool:
 
 
 def _launch(machine: str, folder: Path) -> int:
-    """The agent in a session of its own, its starter gone at once: what ends us, or our group, does not reach it."""
+    """Start the agent in a session of its own, its starter gone at once: what ends us, or our group, does not reach
+    it.
+    """
     log = folder / LOG_FILE
     if log.exists() and log.stat().st_size > _LONGEST_LOG_BYTES:
         log.replace(log.with_suffix(".log.1"))

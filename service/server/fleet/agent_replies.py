@@ -38,7 +38,7 @@ Reply = TypeVar("Reply", bound=Body)
 
 
 def json_object(content: bytes, machine: str) -> Json:
-    """The JSON object of an answer; an empty one for an empty answer. Problem 502 for anything else."""
+    """Return the JSON object of an answer; an empty one for an empty answer. Problem 502 for anything else."""
     try:
         values = json.loads(content) if content else {}
         json.dumps(values, allow_nan=False, ensure_ascii=False).encode()  # numbers and texts that can be passed on
@@ -50,7 +50,7 @@ def json_object(content: bytes, machine: str) -> Json:
 
 
 def run_view(values: Json, machine: str) -> Json:
-    """What the agent says of a run. Problem 502 where it cannot be so."""
+    """Return what the agent says of a run. Problem 502 where it cannot be so."""
     wrong = [name for name, (least, most) in _NUMBERS.items() if not _is_number(values, name, least, most)]
     wrong += [name for name in ("words", "code", "operator") if not isinstance(values.get(name, ""), str)]
     warnings = values.get("warnings", [])
@@ -72,7 +72,9 @@ def make_wrong_problem(machine: str, what: str) -> Problem:
 
 
 def parse_reply(kind: type[Reply], values: Json, machine: str) -> Reply:
-    """What the agent says, to be passed on; what only an agent of another version says is left out. Problem 502."""
+    """Return what the agent says, to be passed on; what only an agent of another version says is left out. Problem
+    502.
+    """
     try:
         return kind.model_validate(values, extra="ignore")
     except ValidationError as error:
@@ -81,7 +83,7 @@ def parse_reply(kind: type[Reply], values: Json, machine: str) -> Reply:
 
 
 def parse_holder(values: Json) -> Holder:
-    """Who has control and since when."""
+    """Parse who has control and since when."""
     since_s = values.get("since_s")
     if not isinstance(since_s, int | float) or not 0 <= since_s < _LATEST_S:
         since_s = 0.0
@@ -89,13 +91,13 @@ def parse_holder(values: Json) -> Holder:
 
 
 def table(values: Json, name: str) -> Json:
-    """A JSON object inside another; an empty one where there is none."""
+    """Return a JSON object inside another; an empty one where there is none."""
     found = values.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def list_values(values: Json) -> Json:
-    """`values` of a refusal: numbers, flags and texts, each of a bounded size."""
+    """Return `values` of a refusal: numbers, flags and texts, each of a bounded size."""
     plain = {
         name[:100]: value for name, value in table(values, "values").items() if isinstance(value, str | int | float)
     }

@@ -63,7 +63,7 @@ class FleetCore:
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="fleet-profiles")
 
     async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
-        """A call that waits for the database or a disk, off the event loop."""
+        """Run a call that waits for the database or a disk, off the event loop."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._threads, lambda: function(*arguments, **named))
 
@@ -71,32 +71,32 @@ class FleetCore:
         return await self.do(known_machines, self.settings)
 
     async def machine(self, name: str) -> KnownMachine:
-        """Problem 404 where there is none of this name."""
+        """Return the machine; Problem 404 where there is none of this name."""
         known, _ = await self.machines()
         if name not in known:
             raise no_machine(name, known)
         return known[name]
 
     def link(self, machine: KnownMachine) -> AgentLink:
-        """The link to its agent; a new one where the machine has changed."""
+        """Return the link to its agent; a new one where the machine has changed."""
         found = self.links.get(machine.name)
         if found is None or found.machine != machine:
             found = self.links[machine.name] = AgentLink(machine, self._client)
         return found
 
     def known_link(self, machine: str) -> AgentLink | None:
-        """The link used before, without a look at any file."""
+        """Return the link used before, without a look at any file."""
         return self.links.get(machine)
 
     async def renew_link(self, machine: str) -> AgentLink:
-        """The link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
+        """Return the link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
         known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, known_machines, self.settings)
         if machine not in known:
             raise no_machine(machine, known)
         return self.link(known[machine])
 
     def remember(self, run: RunRow) -> RunRow:
-        """Where this run is, so that a stop of it asks no database."""
+        """Return where this run is, so that a stop of it asks no database."""
         if run.agent_run is not None:
             self.known_runs.pop(run.id, None)
             while len(self.known_runs) >= _MOST_KNOWN:
@@ -105,21 +105,21 @@ class FleetCore:
         return run
 
     async def row(self, run_id: str) -> RunRow:
-        """The run by the database. Problem 404 where there is none."""
+        """Return the run by the database. Problem 404 where there is none."""
         try:
             return await self.do(self.runs.get, run_id)
         except UnknownRunError as error:
             raise Problem(404, str(error), field="run") from None
 
     async def link_of(self, run: RunRow) -> AgentLink:
-        """The link to the agent that has this run."""
+        """Return the link to the agent that has this run."""
         try:
             return self.known_link(run.machine) or self.link(await self.machine(run.machine))
         except Problem as gone:
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
     async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
-        """The run as its agent has it now, written down where that is news."""
+        """Return the run as its agent has it now, written down where that is news."""
         seen = await self._seen(run, timeout_s=timeout_s)
         (self.live_runs.add if seen.run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
         return seen
@@ -156,7 +156,9 @@ class FleetCore:
         self._looking.shutdown(wait=False, cancel_futures=True)
 
     def _client(self) -> httpx.AsyncClient:
-        """One for all agents, made in the loop that uses it. No proxies: a mill's agent is asked directly."""
+        """Return one client for all agents, made in the loop that uses it. No proxies: a mill's agent is asked
+        directly.
+        """
         if self._http is None:
             limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
             self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})

@@ -49,7 +49,7 @@ class Fleet:
         self._followers = 0
 
     def end_streams(self) -> None:
-        """The server ends: so do the event streams, which would not by themselves."""
+        """End the event streams with the server: they would not by themselves."""
         self._core.ending.set()
 
     async def watch(self, every_s: float = WATCH_S) -> None:
@@ -91,7 +91,7 @@ class Fleet:
         return make_machine_view(machine, status, away, run if run is not None and run.open else None)
 
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
-        """What a mill does and what happens at it, as server-sent events without an end."""
+        """Return what a mill does and what happens at it, as server-sent events without an end."""
         machine = await self._core.machine(name)
         return self._follow(MachineEvents(self._core, machine, known_id(last_id)).stream())
 
@@ -115,7 +115,7 @@ class Fleet:
         return await self._shown(Seen(run)), run.state != PREPARING
 
     async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> list[RunView]:
-        """Newest first; open ones as their agents have them now."""
+        """Return runs, newest first; open ones as their agents have them now."""
         try:
             rows = await self._core.do(self._core.runs.list_rows, machine=machine, job=job, limit=limit, before=before)
         except UnknownRunError as error:
@@ -146,14 +146,14 @@ class Fleet:
         return make_run_view(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
 
     async def past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
-        """Who ordered what at this mill, newest first."""
+        """Return who ordered what at this mill, newest first."""
         link = self._core.link(await self._core.machine(machine))
         from_number = "" if before is None else f"&before={before}"
         told = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
         return parse_reply(PastOrders, told, machine)
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
-        """The run's server-sent events; None where it was over when the reader last heard of it."""
+        """Return the run's server-sent events; None where it was over when the reader last heard of it."""
         seen = await self._now(await self._core.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
@@ -182,11 +182,11 @@ class Fleet:
         return make_run_view(seen, await self._around(seen.run))
 
     async def _around(self, run: RunRow) -> Surroundings:
-        """The job may be gone by now; its run is not."""
+        """Return what is around a run, whose job may be gone by now."""
         return (await self._core.do(self._read_surroundings, [run]))[0]
 
     def _read_surroundings(self, rows: Sequence[RunRow]) -> list[Surroundings]:
-        """What each of the runs is part of, by as many queries for a hundred of them as for one."""
+        """Return what each of the runs is part of, by as many queries for a hundred of them as for one."""
         job_ids = {run.job_id for run in rows}
         found = self._core.jobs.with_programs(job_ids)
         finished = self._core.runs.list_finished_by_mill(job_ids)

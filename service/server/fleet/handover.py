@@ -81,7 +81,7 @@ class Handovers:
         return await self._core.do(self._core.runs.get, run.id)
 
     def go_on(self, run: RunRow, machine: KnownMachine) -> asyncio.Task[None]:
-        """The task that hands this run over: the one that is at it, or a new one."""
+        """Return the task that hands this run over: the one that is at it, or a new one."""
         task = self._tasks.get(run.id)
         if task is None or task.done():
             self._tasks = {key: other for key, other in self._tasks.items() if not other.done()}
@@ -90,7 +90,7 @@ class Handovers:
         return task
 
     async def repair(self, seen: Seen) -> Seen:
-        """A run whose hand-over was cut short goes on; what it is now is told without waiting for that."""
+        """Go on with a hand-over that was cut short; what the run is now is returned without waiting for that."""
         if seen.run.state != PREPARING or not seen.run.open:
             return seen
         try:
@@ -130,7 +130,7 @@ class Handovers:
         )
 
     async def _hand_over(self, run: RunRow, machine: KnownMachine) -> None:
-        """AgentAwayError leaves the run as it is, to be gone on with; a refusal closes it."""
+        """Hand over; AgentAwayError leaves the run as it is, to be gone on with; a refusal closes it."""
         link, posted = self._core.link(machine), False
         try:
             await self._bring(link, run)
@@ -156,7 +156,7 @@ class Handovers:
         await self._core.do(self._core.runs.close, run.id, REFUSED, problem.detail, reason, forget_key=True)
 
     async def _bring(self, link: AgentLink, run: RunRow) -> None:
-        """The program into the agent's own store, which checks its hash."""
+        """Bring the program into the agent's own store, which checks its hash."""
         try:
             await link.get(f"/v1/programs/{run.sha256}")
             return
@@ -177,7 +177,7 @@ class Handovers:
 
 
 def _next(programs: list[Program], finished: frozenset[str], machine: str) -> Program:
-    """The first pass that this mill has not finished."""
+    """Return the first pass that this mill has not finished."""
     for program in programs:
         if program.sha256 not in finished:
             return program
@@ -192,6 +192,6 @@ def _no_job(job_id: str) -> Problem:
 
 
 def _look_at(task: asyncio.Task[None]) -> None:
-    """Its error is told to whoever asks for the run; nobody may, and then it is no news."""
+    """Look at a task's error, which is told to whoever asks for the run; where nobody does, it is no news."""
     if not task.cancelled():
         task.exception()

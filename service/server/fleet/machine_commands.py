@@ -53,7 +53,7 @@ class Orders:
     async def take(
         self, machine: str, context: OrderContext, operator: str, *, take_over: bool
     ) -> tuple[ControlView, bool]:
-        """Control of a machine, and whether it is new. Problem 409 where another person has it."""
+        """Take control of a machine; return it and whether it is new. Problem 409 where another person has it."""
         link = self._core.link(await self._core.machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
         lease = await require_answer(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
@@ -62,15 +62,15 @@ class Orders:
         return control, secret != context.control
 
     async def release(self, machine: str, context: OrderContext) -> None:
-        """Nobody has control, if it was the caller who had it. Problem 409 where it is somebody else."""
+        """Release control, if it was the caller who had it. Problem 409 where it is somebody else's."""
         link = self._core.link(await self._core.machine(machine))
         await require_answer(link.delete("/v1/lease", headers=context.headers()))
 
     # ------------------------------------------------------------------ orders
 
     async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> GrantView:
-        """A grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped since the
-        caller has seen this stop count.
+        """Ask for a grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped
+        since the caller has seen this stop count.
         """
         link = self._core.link(await self._core.machine(machine))
         return parse_reply(GrantView, await require_answer(self._ask_grant(link, context, stops)), machine)
@@ -83,7 +83,9 @@ class Orders:
         return replace(context, grant=str(granted.get("grant", "")))
 
     async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> OrderView:
-        """An order beside a run, from the holder of control. Problem 504 where it is not known what came of it."""
+        """Carry out an order beside a run, from the holder of control. Problem 504 where it is not known what came of
+        it.
+        """
         context = await self.require_grant(machine, context)
         link = self._core.link(await self._core.machine(machine))
         sending = link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
@@ -92,7 +94,7 @@ class Orders:
     # ------------------------------------------------------------------
 
     async def _ask_first_grant(self, machine: str, context: OrderContext) -> Json:
-        """From where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
+        """Ask where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
         link = self._core.known_link(machine) or await self._core.renew_link(machine)
         try:
             return await self._ask_grant(link, context)
@@ -103,7 +105,9 @@ class Orders:
             return await self._ask_grant(present, context)
 
     async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None = None) -> Json:
-        """A grant of the agent, as long as the request is for now and no stop has come by since. AgentAwayError."""
+        """Ask the agent for a grant, as long as the request is for now and no stop has come by since.
+        AgentAwayError.
+        """
         body = {} if stops is None else {"stops": stops}
         left_s = ASK_S - (self._clock() - context.arrived_s)
         if left_s > 0:

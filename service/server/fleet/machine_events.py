@@ -43,7 +43,7 @@ class MachineEvents:
         self._failures = 0
 
     async def stream(self) -> AsyncGenerator[bytes]:
-        """Bytes of the event stream: `status` events hold how it stands, `log` events what happened."""
+        """Yield bytes of the event stream: `status` events hold how it stands, `log` events what happened."""
         core = self._core
         yield FIRST
         while not core.ending.is_set():
@@ -62,7 +62,7 @@ class MachineEvents:
                 self._machine = await core.machine(self._machine.name)
 
     async def _live(self) -> AsyncGenerator[bytes]:
-        """As long as the agent's stream goes on."""
+        """Yield as long as the agent's stream goes on."""
         link = self._core.link(self._machine)
         self._status = await link.get("/v1/status")
         yield await self._state(fresh=True)
@@ -89,7 +89,9 @@ class MachineEvents:
     # ------------------------------------------------------------------ what happened
 
     async def _history(self, link: AgentLink) -> list[bytes]:
-        """What the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is lost."""
+        """Return what the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is
+        lost.
+        """
         if self._remembered:
             return []
         entries = (await link.get("/v1/status")).get("events", [])
@@ -99,7 +101,7 @@ class MachineEvents:
         return [piece for entry in entries if isinstance(entry, dict) and (piece := self._entry(entry))]
 
     def _entry(self, entry: Json, event_id: str = "") -> bytes:
-        """Nothing for one that was told already."""
+        """Return the event of an entry; nothing for one that was told already."""
         place = (_number(entry, "at_s"), _number(entry, "number"))
         if place != (0.0, 0.0) and place <= self._told:
             return b""
@@ -109,7 +111,7 @@ class MachineEvents:
     # ------------------------------------------------------------------ how it stands
 
     async def _state(self, away: Problem | None = None, *, fresh: bool = False) -> bytes:
-        """A `status` where it is news, a comment now and then, else nothing."""
+        """Return a `status` where it is news, a comment now and then, else nothing."""
         now_s = time.monotonic()
         view = table(self._status or {}, "run")
         if fresh or now_s > self._looked_s + _TICK_S or self._run_is_news(view):
@@ -132,7 +134,7 @@ class MachineEvents:
         return bool(view) and known != (view.get("id"), view.get("state"))
 
     async def _open_run(self, view: Json) -> RunRow | None:
-        """The run that has the mill; what the agent says of it is written down where that is news."""
+        """Return the run that has the mill; what the agent says of it is written down where that is news."""
         runs = self._core.runs
         run = await self._core.do(runs.open_on, self._machine.name)
         if run is not None and _is_about(view, run):
@@ -141,7 +143,7 @@ class MachineEvents:
 
 
 def _is_about(view: Json, run: RunRow) -> bool:
-    """What the agent says is about this run, which it knows."""
+    """Return what the agent says is about this run, which it knows."""
     return run.agent_run is not None and view.get("id") == run.agent_run
 
 

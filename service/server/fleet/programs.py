@@ -29,7 +29,7 @@ class Program:
 
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
-    """The programs among a job's files, in the order in which they are run."""
+    """Return the programs among a job's files, in the order in which they are run."""
     found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
     passes = [run_order(file.name)[0] for file in found]
     return [
@@ -46,7 +46,7 @@ def programs_of(files: Sequence[Artifact]) -> list[Program]:
 
 
 def set_up(job: Job, number: int, part: int = 1) -> Json:
-    """Tool, block, zero and what changes since the program before, from the job's own spec and report.
+    """Return tool, block, zero and what changes since the program before, from the job's own spec and report.
 
     number : of the pass, from 1, 0 for the facing before them, one more than they are for the cutting out; part: of
              it, from 1
@@ -70,14 +70,14 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
 
 
 def _same_pass(row: Mapping[str, Any]) -> Json:
-    """Between two parts of one pass nothing may change: a mark would show where one goes on from the other."""
+    """Return no change between two parts of one pass: a mark would show where one goes on from the other."""
     radius = row.get("radius_mm")
     words = f"the same tool as before, {_tool(row)}, and all zeros as they are: the pass goes on where it ended"
     return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
 
 
 def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
-    """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
+    """Return what to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
     if old is not None and old == new and _shape(row) == _shape(before):
         words = f"the same tool as before, {_tool(row)}: it stays in, and all zeros as they are"
@@ -87,7 +87,9 @@ def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
 
 
 def _pass(job: Job, number: int) -> Mapping[str, Any]:
-    """Row `number` of the spec's passes, what the report says of it on top; what is milled around them by its table."""
+    """Return row `number` of the spec's passes, what the report says of it on top; what is milled around them by its
+    table.
+    """
     wanted, made = _rows(job.spec), _rows(job.report or {})
     stock = _table(job.spec, "stock")
     row: dict[str, Any] = {}

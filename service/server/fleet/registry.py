@@ -54,7 +54,7 @@ class KnownMachine:
 
 
 def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], list[str]]:
-    """The machines by name, sorted, and what is wrong with the list of remote ones."""
+    """Return the machines by name, sorted, and what is wrong with the list of remote ones."""
     found = {machine.name: machine for machine in _local_machines(settings)}
     problems: list[str] = []
     if settings.simulated_mill:
@@ -75,17 +75,17 @@ def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], l
 
 
 def local_folder(settings: ServerSettings, machine: str) -> Path:
-    """Where the agent that `serve` starts keeps everything."""
+    """Return where the agent that `serve` starts keeps everything."""
     return (settings.agents_folder / machine).absolute()
 
 
 def folder_of_simulated(settings: ServerSettings) -> Path:
-    """Profile and port of the simulated mill, and its agent's folder `agent`."""
+    """Return the folder of the simulated mill's profile and port, and its agent's folder `agent`."""
     return (settings.data / "simulated").absolute()
 
 
 def _describe_simulated(settings: ServerSettings) -> KnownMachine:
-    """The mill that `serve --with-simulated-mill` keeps."""
+    """Return the mill that `serve --with-simulated-mill` keeps."""
     folders = (folder_of_simulated(settings) / "agent",)
     try:
         profile = load_profile(SIMULATED, (folder_of_simulated(settings),))
@@ -111,8 +111,8 @@ def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
 
 
 def remote_machines(path: Path) -> list[KnownMachine]:
-    """The agents file: [[agents]] tables with machine, url, token_file, and private_network = true where nobody else is
-    on the network between here and the agent. InputError says what is wrong in it.
+    """Return the agents file: [[agents]] tables with machine, url, token_file, and private_network = true where nobody
+    else is on the network between here and the agent. InputError says what is wrong in it.
     """
     try:
         rows = tomllib.loads(path.read_text(encoding="utf-8")).get("agents", [])

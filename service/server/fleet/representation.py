@@ -32,7 +32,7 @@ class Surroundings:
     finished: frozenset[str] = frozenset()
 
     def left_out(self, number: int) -> list[Program]:
-        """Earlier passes that this mill has not finished."""
+        """Return earlier passes that this mill has not finished."""
         return [one for one in self.programs if one.number < number and one.sha256 not in self.finished]
 
     def following(self, number: int) -> Program | None:
@@ -40,7 +40,7 @@ class Surroundings:
 
 
 def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
-    """What a person has to confirm before the run may go on from here."""
+    """Return what a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
         needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
     elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
@@ -55,7 +55,7 @@ def has_started(run: RunRow) -> bool:
 
 
 def make_run_view(seen: Seen, around: Surroundings) -> RunView:
-    """A whole run."""
+    """Make a whole run."""
     run = seen.run
     following = around.following(run.number)
     return RunView(
@@ -89,7 +89,7 @@ def _links(run: RunRow) -> dict[str, str]:
 
 
 def make_live_run(seen: Seen) -> LiveRun:
-    """The part of a run that changes while it is on the mill."""
+    """Make the part of a run that changes while it is on the mill."""
     run, view = seen.run, seen.run.view or {}
     return LiveRun(
         id=run.id,
@@ -114,7 +114,7 @@ def _why(run: RunRow) -> Json:
 
 
 def _how_far(view: Json) -> Json:
-    """Out of what the agent says of a run."""
+    """Return how far it is, out of what the agent says of a run."""
     nothing = {"share": 0.0, "executed_line": 0, "lines": None, "time_s": None, "time_left_s": None, "operator": ""}
     return {name: view.get(name, none) for name, none in nothing.items()}
 
@@ -129,7 +129,9 @@ def _agent(status: Json | None, away: Problem | None) -> AgentView:
 def make_machine_view(
     machine: KnownMachine, status: Json | None, away: Problem | None, run: RunRow | None
 ) -> MachineView:
-    """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
+    """Make a mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has
+    control.
+    """
     profile = machine.profile
     name = quote(machine.name, safe="")
     here = f"/v1/machines/{name}"
@@ -153,7 +155,7 @@ def make_machine_view(
 
 
 def _profile(profile: MachineProfile) -> Json:
-    """What a person chooses a mill by; how bytes get there is the agent's business."""
+    """Return what a person chooses a mill by; how bytes get there is the agent's business."""
     values = dataclasses.asdict(profile)
     names = (
         "description",
@@ -172,7 +174,7 @@ def _profile(profile: MachineProfile) -> Json:
 
 
 def _open_run(run: RunRow) -> OpenRun:
-    """How far the run is, for who looks at the mill; the rest is in the run itself."""
+    """Return how far the run is, for who looks at the mill; the rest is in the run itself."""
     return OpenRun(
         id=run.id,
         state=run.state,
@@ -184,12 +186,12 @@ def _open_run(run: RunRow) -> OpenRun:
 
 
 def make_order_view(machine: str, order: str, status: Json) -> OrderView:
-    """What an order or a stop beside a run is answered with."""
+    """Return what an order or a stop beside a run is answered with."""
     return OrderView(machine=machine, order=order, mill=_mill(status))
 
 
 def _mill(status: Json) -> Json:
-    """What the mill does, out of its agent's status."""
+    """Return what the mill does, out of its agent's status."""
     told = table(status, "status")
     names = (
         "state",

@@ -39,7 +39,9 @@ class Controls:
         self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
 
     async def require_grant(self, run_id: str, context: OrderContext) -> OrderContext:
-        """As `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run before."""
+        """Raise as `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run
+        before.
+        """
         if context.grant:
             return context
         return await self._orders.require_grant((await self._require_handed_over(run_id)).machine, context)
@@ -68,7 +70,7 @@ class Controls:
         return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
     async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Seen:
-        """Only as the plan says that the caller has read: the one named, or the one shown to them last."""
+        """Recover only as the plan says that the caller has read: the one named, or the one shown to them last."""
         plan = said.seen or self._plans_shown.get((context.name, run_id), "")
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
@@ -92,7 +94,7 @@ class Controls:
                 await self._core.seen(await self._core.row(run_id))
 
     async def recovery(self, run_id: str, caller: str) -> RecoveryView:
-        """How the run would go on now; what the caller has been shown."""
+        """Return how the run would go on now; what the caller has been shown."""
         run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
         told = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
@@ -105,7 +107,7 @@ class Controls:
     # ------------------------------------------------------------------
 
     async def _require_handed_over(self, run_id: str, *, fresh: bool = False) -> RunRow:
-        """The run, with the agent's own id of it."""
+        """Return the run, with the agent's own id of it."""
         if not fresh and (known := self._core.known_runs.get(run_id)) is not None:
             return known
         run = await self._core.row(run_id)
@@ -119,7 +121,7 @@ class Controls:
     async def _send_once(
         self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
     ) -> Seen:
-        """Once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
+        """Send once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
         link = await self._link(run)
         try:
             path = f"/v1/runs/{run.agent_run}:{action}"

@@ -37,7 +37,7 @@ class RunEvents:
         self._failures = 0
 
     async def stream(self) -> AsyncGenerator[bytes]:
-        """Bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
+        """Yield bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
         core = self._core
         yield FIRST + _run_event(self._shown)
         while self._shown.open and not core.ending.is_set():
@@ -57,7 +57,7 @@ class RunEvents:
             self._shown = now
 
     async def _live(self) -> AsyncIterator[bytes]:
-        """As long as the agent's stream goes on and the run has not ended."""
+        """Yield as long as the agent's stream goes on and the run has not ended."""
         async for message in until(self._core.ending, _of_agent(self._core, self._seen.run, self._last_id)):
             if message is None:
                 continue
@@ -78,7 +78,7 @@ class RunEvents:
                 return
 
     async def _look(self) -> LiveRun:
-        """The mill's next run is there, so the end of this one may never be told; asked for once a second."""
+        """Ask once a second where the mill's next run is there: the end of this one may never be told."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return self._shown
         self._looked_s = time.monotonic()
@@ -89,7 +89,7 @@ class RunEvents:
 
 
 async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
-    """The messages of the agent's stream."""
+    """Yield the messages of the agent's stream."""
     if run.agent_run is None:
         raise AgentAwayError("the run is being prepared")
     link = await core.link_of(run)
@@ -103,7 +103,7 @@ def _run_event(run: LiveRun, event_id: str = "") -> bytes:
 
 
 def _told(run: RunRow, view: Json) -> LiveRun | None:
-    """How the run stands, by what the agent says of its run; None where that is another one."""
+    """Return how the run stands, by what the agent says of its run; None where that is another one."""
     if view.get("id") != run.agent_run:
         return None
     state = run_view(view, run.machine)["state"]
@@ -111,6 +111,6 @@ def _told(run: RunRow, view: Json) -> LiveRun | None:
 
 
 def _is_since(entry: Json, run: RunRow) -> bool:
-    """Whether an entry of the mill's log is younger than the run; one without a time is."""
+    """Return whether an entry of the mill's log is younger than the run; one without a time is."""
     at_s = entry.get("at_s")
     return not isinstance(at_s, int | float) or at_s >= ((run.view or {}).get("created_s") or 0.0)

@@ -35,7 +35,7 @@ class Stops:
         self._behind: set[asyncio.Future[Any]] = set()  # what goes on after the answer
 
     async def stop_machine(self, machine: str, stop: Stop, context: OrderContext) -> OrderView:
-        """Sent twice where no answer came. Problem 404 where there is no such machine, 503 or 504 for no answer."""
+        """Stop, twice where no answer came. Problem 404 where there is no such machine, 503 or 504 for no answer."""
         self._core.stopped_s[machine] = context.arrived_s
         path = f"/v1/control/{stop.value}"
         known = self._core.known_link(machine)
@@ -55,12 +55,12 @@ class Stops:
     async def _stop_present(
         self, machine: str, known: AgentLink, path: str, context: OrderContext
     ) -> asyncio.Future[Json] | None:
-        """The stop on its way to where the mill's agent is now; None where that is the known one."""
+        """Send the stop to where the mill's agent is now; None where that is the known one."""
         present = await self._present_link(machine, known)
         return None if present is known else self._go_on(present.urgent(path, headers=context.headers()))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
-        """As `stop_machine`, for the mill that has this run. Problem 404, 409 where the run is not on its mill.
+        """Stop as `stop_machine` the mill that has this run. Problem 404, 409 where the run is not on its mill.
 
         An abort also gives up a run that never reached its mill, or that its agent is no longer about.
         """
@@ -78,7 +78,7 @@ class Stops:
         return Seen(await self.wait_briefly(writing, _apply_view(run, view)))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:
-        """What comes of work that may wait for a database; it goes on where that takes too long."""
+        """Return what comes of work that may wait for a database; it goes on where that takes too long."""
         task = self._go_on(work)
         await asyncio.wait({task}, timeout=_BOOK_S)
         return task.result() if task.done() and task.exception() is None else otherwise
@@ -91,7 +91,7 @@ class Stops:
         return run, await require_answer(link.urgent(path, headers=context.headers()), stop)
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
-        """A run that this process has not seen yet: its agent knows it by our id. Problem where none of them does."""
+        """Ask all agents for a run that this process has not seen yet, by our id. Problem where none of them has it."""
         path = f"/v1/runs/{run_id}:{stop.value}"
         links = await self._all_links()
         answers = await asyncio.gather(
@@ -110,7 +110,7 @@ class Stops:
         raise refused or (away.problem(stop) if away else unknown)
 
     async def _present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
-        """The link by the profiles as they are now; the known one where that takes too long."""
+        """Return the link by the profiles as they are now; the known one where that takes too long."""
         looking = self._go_on(self._core.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
         if not looking.done() or (known is not None and looking.exception() is not None):
@@ -157,7 +157,7 @@ def _apply_view(run: RunRow, view: Json) -> RunRow:
 
 
 def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
-    """What is certain of a run without the database."""
+    """Return what is certain of a run without the database."""
     return RunRow(
         id=run_id,
         machine=link.machine.name,

@@ -38,7 +38,7 @@ def back_up(settings: ServerSettings, target: Path) -> list[str]:
     if settings.embedded and not (settings.data / DATABASES[-1]).is_file():
         raise InputError(f"--data {settings.data}: there is no {DATABASES[-1]}; allowed: the folder of a server")
     store = open_store(settings)
-    with _written(target) as file, tarfile.open(fileobj=file, mode="w|", format=tarfile.PAX_FORMAT) as tar:
+    with _create_whole(target) as file, tarfile.open(fileobj=file, mode="w|", format=tarfile.PAX_FORMAT) as tar:
         manifest: dict[str, object] = {
             "format": FORMAT,
             "version": metadata.version("causticmill"),
@@ -59,7 +59,9 @@ def back_up(settings: ServerSettings, target: Path) -> list[str]:
 
 
 def _add_databases(tar: tarfile.TarFile, settings: ServerSettings) -> dict[str, str]:
-    """Snapshots by SQLite's own backup, which neither waits for writers nor stops them; name and hash of each."""
+    """Add snapshots by SQLite's own backup, which neither waits for writers nor stops them; return name and hash of
+    each.
+    """
     hashes = {}
     with tempfile.TemporaryDirectory(dir=settings.data, prefix="backup-") as folder:
         for name in DATABASES:
@@ -75,7 +77,7 @@ def _add_databases(tar: tarfile.TarFile, settings: ServerSettings) -> dict[str, 
 
 
 def _add_objects(tar: tarfile.TarFile, store: Store) -> tuple[int, int, list[str], int]:
-    """How many, how many bytes, which of them are damaged, how many went meanwhile."""
+    """Return how many, how many bytes, which of them are damaged, how many went meanwhile."""
     count = size = gone = 0
     damaged = []
     for stored in store.list():
@@ -131,8 +133,8 @@ def _add(
 
 
 @contextlib.contextmanager
-def _written(target: Path) -> Iterator[IO[bytes]]:
-    """A new file that appears whole or not at all; nobody else may read it."""
+def _create_whole(target: Path) -> Iterator[IO[bytes]]:
+    """Create a file that appears whole or not at all; nobody else may read it."""
     if str(target) == "-":
         yield sys.stdout.buffer
         return

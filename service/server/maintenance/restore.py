@@ -32,8 +32,8 @@ _WITHOUT_DATABASE = [
 _MANIFEST_BYTES = 1 << 30
 
 
-def restore(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
-    """The lines say what was restored, what the backup did not hold, and what became of the tokens.
+def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
+    """Restore; return lines that say what was restored, what the backup lacked, and what became of the tokens.
 
     They are all revoked unless keep_tokens: the backup does not know which of them have been since it was made.
     """
@@ -80,7 +80,7 @@ def _words_of_tokens(ended: int | None, data: Path) -> list[str]:
 
 
 def _take(tar: tarfile.TarFile, folder: Path, store: Store) -> tuple[dict[str, str], list[str]]:
-    """Hash of each database and object that arrived, and those objects that are not what they are called."""
+    """Take what arrived; return the hash of each database and object, and objects that are not what they are called."""
     hashes: dict[str, str] = {}
     damaged: list[str] = []
     for member in tar:
@@ -136,7 +136,7 @@ def _require_whole(manifest: dict[str, Any], hashes: dict[str, str], damaged: li
 
 @contextlib.contextmanager
 def _begin_empty(data: Path) -> Iterator[None]:
-    """An empty folder of our own; as empty again if anything goes wrong."""
+    """Begin with an empty folder of our own; as empty again if anything goes wrong."""
     try:
         if data.exists() and any(data.iterdir()):
             raise InputError(f"--data {data} is not empty; allowed: a new or empty folder")

@@ -107,7 +107,7 @@ class UnitOrder:
 
 
 def unit_text(order: UnitOrder) -> str:
-    """The unit. InputError where a name cannot stand in one."""
+    """Return the unit. InputError where a name cannot stand in one."""
     if order.machine is not None and not _NAME.fullmatch(order.machine):
         raise InputError(f"--machine {order.machine!r}; allowed: letters, digits, . _ -")
     if not _NAME.fullmatch(order.account):
@@ -173,7 +173,7 @@ def _harden(order: UnitOrder, data: str) -> str:
 
 
 def _command() -> str:
-    """The command of this very installation."""
+    """Return the command of this very installation."""
     beside = Path(sys.executable).with_name("causticmill")
     found = str(beside) if beside.is_file() else shutil.which("causticmill")
     if found is None:
@@ -182,13 +182,13 @@ def _command() -> str:
 
 
 def _word(text: str, name: str) -> str:
-    """One word of a unit's line."""
+    """Return one word of a unit's line."""
     text = _text(text, name)
     return f'"{text}"' if " " in text else text
 
 
 def _text(text: str, name: str) -> str:
-    """As systemd will read it again: a specifier or a variable in it would mean something else."""
+    """Return the text as systemd will read it again: a specifier or a variable in it would mean something else."""
     if not text.isprintable() or any(c in text for c in "\"'\\"):
         raise InputError(f"{name} {text!r} cannot stand in a unit file; allowed: a name without quotes and backslashes")
     return text.replace("%", "%%").replace("$", "$$")

@@ -11,7 +11,7 @@ from service.store.opening import open_store
 
 
 def verify_store(settings: ServerSettings) -> list[str]:
-    """FailedError names each object that is not."""
+    """Verify every object; FailedError names each that is not what it is called."""
     store, count, size, damaged = open_store(settings), 0, 0, []
     for stored in store.list():
         digest = hashlib.sha256()

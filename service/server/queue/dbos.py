@@ -1,8 +1,8 @@
 """The job engine on DBOS Transact: the only file that imports it.
 
-A ticket is a workflow whose name is its id. Its body is called directly and not as a step of DBOS: the body can be
-called any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take
-the result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
+A ticket is a workflow whose name is its id. Its attempt is called directly and not as a step of DBOS: it can be called
+any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take the
+result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class DbosEngine:
     """The client's side connects when first used, and costs a worker nothing."""
 
     def __init__(self, settings: ServerSettings) -> None:
-        _quiet()
+        _redirect_logs()
         self._path = settings.data.absolute() / "engine.sqlite" if settings.embedded else None
         self._url = settings.sqlalchemy_url if self._path is None else f"sqlite:///{self._path}"
         self._client: DBOSClient | None = None
@@ -67,22 +67,22 @@ class DbosEngine:
     def cancel(self, ticket: Ticket) -> None:
         self._clients().cancel_workflow(ticket.text)
 
-    def known(self, tickets: list[Ticket]) -> set[Ticket]:
+    def list_known(self, tickets: list[Ticket]) -> set[Ticket]:
         return {Ticket.of(status.workflow_id) for status in self._statuses(tickets)}
 
-    def owners(self) -> dict[Ticket, str]:
+    def find_owners(self) -> dict[Ticket, str]:
         begun = self._clients().list_workflows(status="PENDING", name=WORKFLOW, load_input=False, load_output=False)
         return {Ticket.of(status.workflow_id): status.executor_id or "" for status in begun}
 
-    def ended(self, tickets: list[Ticket]) -> set[Ticket]:
+    def list_ended(self, tickets: list[Ticket]) -> set[Ticket]:
         return {Ticket.of(status.workflow_id) for status in self._statuses(tickets) if status.status not in OPEN}
 
     def forget(self, tickets: list[Ticket]) -> None:
-        if ended := self.ended(tickets):
+        if ended := self.list_ended(tickets):
             self._clients().delete_workflows([ticket.text for ticket in ended])
 
-    def serve(self, body: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
-        runner = self._runner = _Runner(body, self, executor)
+    def serve(self, attempt: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
+        runner = self._runner = _Runner(attempt, self, executor)
         DBOS(config=self._config(executor))
 
         @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_STARTS)
@@ -101,7 +101,7 @@ class DbosEngine:
     def pick_up(self) -> None:
         if self._runner is None:
             return
-        for ticket in self._runner.strays(self.owners()):
+        for ticket in self._runner.list_strays(self.find_owners()):
             self._clients().resume_workflow(ticket.text, queue_name=QUEUE)
 
     def give_back(self, ticket: Ticket, executor: str) -> None:
@@ -117,7 +117,7 @@ class DbosEngine:
             self._client = None
 
     def owns(self, ticket: Ticket, executor: str) -> bool:
-        """Is this executor the one that the engine lets run the ticket?"""
+        """Return whether the engine lets this executor run the ticket."""
         return any(s.status == "PENDING" and s.executor_id == executor for s in self._statuses([ticket]))
 
     def _statuses(self, tickets: list[Ticket]) -> list[WorkflowStatus]:
@@ -127,7 +127,7 @@ class DbosEngine:
         return self._clients().list_workflows(workflow_ids=ids, load_input=False, load_output=False)
 
     def _clients(self) -> DBOSClient:
-        """Made at the first use; an operation that finds no database fails instead of waiting for it."""
+        """Return the client, made at the first use; an operation without a database fails instead of waiting for it."""
         with self._lock:
             if self._client is None:
                 self._client = DBOSClient(
@@ -156,63 +156,63 @@ class DbosEngine:
 
 
 class _Runner:
-    """What DBOS calls: the body, again and again while it is fenced and the ticket is still ours."""
+    """What DBOS calls: the attempt, again and again while it is fenced and the ticket is still ours."""
 
-    def __init__(self, body: Callable[[Ticket], None], engine: DbosEngine, executor: str) -> None:
-        self._body = body
+    def __init__(self, attempt: Callable[[Ticket], None], engine: DbosEngine, executor: str) -> None:
+        self._attempt = attempt
         self._engine = engine
         self._executor = executor
         self._pause = threading.Event()
-        self._in_hand: Counter[Ticket] = Counter()
+        self._running: Counter[Ticket] = Counter()
         self._strays: dict[Ticket, float] = {}
 
     def run(self, text: str) -> None:
         ticket = Ticket.of(text)
-        self._in_hand[ticket] += 1
+        self._running[ticket] += 1
         try:
             self._go_on(ticket)
         finally:
-            self._in_hand[ticket] -= 1
+            self._running[ticket] -= 1
 
-    def strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
-        """Tickets that have been ours for a while, and are not in hand: DBOS may just be about to call us."""
+    def list_strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
+        """List tickets that have been ours for a while, and are not running: DBOS may just be about to call us."""
         now = time.monotonic()
-        mine = {t for t, owner in owners.items() if owner == self._executor and not self._in_hand[t]}
+        mine = {t for t, owner in owners.items() if owner == self._executor and not self._running[t]}
         self._strays = {ticket: self._strays.get(ticket, now) for ticket in mine}
         return [ticket for ticket, since in self._strays.items() if now - since > STRAY_S]
 
     def _go_on(self, ticket: Ticket) -> None:
         while True:
             try:
-                return self._body(ticket)
+                return self._attempt(ticket)
             except Fenced as error:
                 self._pause.wait(FENCED_PAUSE_S)
-                if (isinstance(error, Busy) and self._given_back(ticket)) or self._lost(ticket):
+                if (isinstance(error, Busy) and self._try_give_back(ticket)) or self._is_lost(ticket):
                     # DBOS sees for itself that the ticket is no longer ours, and records nothing.
                     return None
 
-    def _given_back(self, ticket: Ticket) -> bool:
+    def _try_give_back(self, ticket: Ticket) -> bool:
         try:
             self._engine.give_back(ticket, self._executor)
         except Exception:  # the database is away: it stays ours
             return False
         return True
 
-    def _lost(self, ticket: Ticket) -> bool:
+    def _is_lost(self, ticket: Ticket) -> bool:
         try:
             return not self._engine.owns(ticket, self._executor)
-        except Exception:  # the database is away: the body finds out
+        except Exception:  # the database is away: the attempt finds out
             return False
 
 
 def _first_line(record: logging.LogRecord) -> bool:
-    """It puts whole tracebacks into messages about a database that is away for a moment."""
+    """Cut a message to its first line: whole tracebacks come when the database is away for a moment."""
     record.msg, record.args = record.getMessage().partition("\n")[0], None
     return True
 
 
-def _quiet() -> None:
-    """DBOS's words go where all of the program's go, warnings and worse; it would write to stderr itself."""
+def _redirect_logs() -> None:
+    """Send DBOS's words where all of the program's go, warnings and worse; it would write to stderr itself."""
     logger = logging.getLogger("dbos")
     logger.handlers[:] = [logging.NullHandler()]
     logger.filters[:] = [_first_line]

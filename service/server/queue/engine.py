@@ -28,14 +28,14 @@ class Ticket:
 
 
 class Fenced(Exception):
-    """Raised by a body that may not go on: another worker owns the job, or this one may have lost its lease.
+    """Raised by a attempt that may not go on: another worker owns the job, or this one may have lost its lease.
 
-    The ticket has not ended. As long as it is still this executor's, the body is called again a little later.
+    The ticket has not ended. As long as it is still this executor's, the attempt is called again a little later.
     """
 
 
 class Busy(Fenced):
-    """Raised by a body when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
+    """Raised by a attempt when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
 
 
 class JobEngine(Protocol):
@@ -45,24 +45,26 @@ class JobEngine(Protocol):
         """Make what the engine needs in the database, or bring it up to date. Workers only."""
 
     def submit(self, ticket: Ticket, *, priority: int) -> None:
-        """Durable when it returns. A ticket that is known already is left as it is. Smaller priority runs earlier."""
+        """Queue durably. A ticket that is known already is left as it is. Smaller priority runs earlier."""
 
     def cancel(self, ticket: Ticket) -> None:
-        """It is not started (again). A running body is not stopped: it sees the job's own cancel_requested."""
+        """Keep it from being started (again). A running attempt is not stopped: it sees the job's own
+        cancel_requested.
+        """
 
-    def known(self, tickets: list[Ticket]) -> set[Ticket]:
-        """Those of the tickets that the engine will run, runs, or has run."""
+    def list_known(self, tickets: list[Ticket]) -> set[Ticket]:
+        """List those of the tickets that the engine will run, runs, or has run."""
 
-    def owners(self) -> dict[Ticket, str]:
-        """Executor of each ticket that has begun and not ended."""
+    def find_owners(self) -> dict[Ticket, str]:
+        """Find the executor of each ticket that has begun and not ended."""
 
-    def ended(self, tickets: list[Ticket]) -> set[Ticket]:
-        """Those of the tickets that the engine will not run (again)."""
+    def list_ended(self, tickets: list[Ticket]) -> set[Ticket]:
+        """List those of the tickets that the engine will not run (again)."""
 
     def forget(self, tickets: list[Ticket]) -> None:
         """Drop the history of tickets that have ended."""
 
-    def serve(self, body: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
+    def serve(self, attempt: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
         """Begin to run tickets in threads of this process: first those that this executor had begun before."""
 
     def take_over(self, executors: list[str]) -> None:

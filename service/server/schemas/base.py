@@ -16,12 +16,12 @@ class Body(BaseModel):
 
 
 def iso_time(at: float) -> str:
-    """Seconds since 1970 -> '2026-11-21T08:00:00.123Z'."""
+    """Return seconds since 1970 as '2026-11-21T08:00:00.123Z'."""
     return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def one_of(words: Iterable[str]) -> Any:
-    """Of a text in an answer: the words that it may be."""
+    """Return the type of a text in an answer that may be one of these words."""
     return Field(json_schema_extra={"enum": [str(word) for word in words]})
 
 

@@ -103,8 +103,8 @@ class SupervisedChild:
             while self.beats is not None and os.read(self.beats, 4096):
                 self._heard_at = time.monotonic()
 
-    def forgive(self) -> None:
-        """The supervisor itself was away: patience starts anew."""
+    def restart_timeout(self) -> None:
+        """Start the timeout anew: the supervisor itself was away."""
         self._heard_at = time.monotonic()
 
     def look(self, *, wanted: bool) -> None:
@@ -117,7 +117,7 @@ class SupervisedChild:
                 self.signal(signal.SIGKILL)
                 self._heard_at = now
             if self._process.poll() is not None:
-                self._ended(now, wanted=wanted)
+                self._record_end(now, wanted=wanted)
         elif wanted and self._again_at is not None and now >= self._again_at:
             self.start()
 
@@ -125,7 +125,7 @@ class SupervisedChild:
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(number)
 
-    def _ended(self, now: float, *, wanted: bool) -> None:
+    def _record_end(self, now: float, *, wanted: bool) -> None:
         assert self._process is not None and self.beats is not None
         lived_well = now - self._started_at >= _LIVED_WELL_S
         self._proven = self._proven or (self.trusted and lived_well)
@@ -137,10 +137,10 @@ class SupervisedChild:
         self.failures += 1
         self._wait_s = _FIRST_WAIT_S if lived_well else min(max(2 * self._wait_s, _FIRST_WAIT_S), _LONGEST_WAIT_S)
         self._again_at = now + self._wait_s
-        self._say(f"the {self.name} {_how(self.code)}; it is started again")
+        self._say(f"the {self.name} {_describe_end(self.code)}; it is started again")
 
 
-def _how(code: int) -> str:
+def _describe_end(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     try:

@@ -10,7 +10,7 @@ from service.processes import lifeline
 
 
 def main() -> int | None:
-    """The module sees its own name and the arguments after it."""
+    """Return the module sees its own name and the arguments after it."""
     lifeline.begin()
     sys.argv = sys.argv[1:]
     gc.disable()  # importing makes nothing but what stays

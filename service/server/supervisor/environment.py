@@ -13,7 +13,7 @@ _TRIALS = ("TRIAL", "BENCH_", "FUZZ_", "SLOW", "REWRITE_")
 
 
 def unknown_settings(environment: Mapping[str, str]) -> Iterator[str]:
-    """A sentence for each variable that looks like one of ours and is none."""
+    """Yield a sentence for each variable that looks like one of ours and is none."""
     settings = [name.upper() for name in ServerSettings.model_fields]
     for variable in sorted(environment):
         name = variable.upper().removeprefix(PREFIX)

@@ -13,7 +13,7 @@ from machines.errors import MachineError
 from machines.profiles import load_profile
 from service.errors import ServiceError
 from service.milling.agent.main import run_agent
-from service.milling.agent.settings import agent_settings
+from service.milling.agent.settings import make_agent_settings
 from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
@@ -21,14 +21,14 @@ _PATIENCE_S = 20.0
 
 
 def main() -> int:
-    """Until SIGTERM."""
+    """Run until SIGTERM."""
     try:
         folder = folder_of_simulated(ServerSettings.load())
         _await(folder / "port")
         profile = load_profile(SIMULATED, (folder,))
         port = profile.link.port or ""
         run_agent(
-            agent_settings(
+            make_agent_settings(
                 machine=SIMULATED,
                 port_url=port,
                 own_port=port,
@@ -46,7 +46,7 @@ def main() -> int:
 
 
 def _await(port: Path) -> None:
-    """The mill is started at the same time."""
+    """Wait for the mill, which is started at the same time."""
     until = time.monotonic() + _PATIENCE_S
     while not port.exists() and time.monotonic() < until:
         time.sleep(0.05)

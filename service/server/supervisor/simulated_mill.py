@@ -33,15 +33,15 @@ port = "{port}"
 
 
 def main() -> int:
-    """Until SIGTERM."""
+    """Run until SIGTERM."""
     for kind in lifeline.STOPPING:
         signal.signal(kind, _leave)
     try:
         folder = folder_of_simulated(ServerSettings.load())
         try:
             make_private(folder)
-            _written(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
-            endpoint = serve_pty(made(), TIME_FACTOR, folder / "port")
+            _write_whole(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
+            endpoint = serve_pty(make_mill(), TIME_FACTOR, folder / "port")
         except OSError as error:
             raise FailedError(sentence_of_os_error(error, doing="simulated mill: cannot use")) from None
     except ServiceError as error:
@@ -60,14 +60,14 @@ def _leave(*_: object) -> NoReturn:
     sys.exit(0)
 
 
-def made() -> SimulatedMill:
-    """The mill itself; it keeps no record of what it cuts."""
+def make_mill() -> SimulatedMill:
+    """Return the mill itself; it keeps no record of what it cuts."""
     from_here_mm = GRBL_11.power_up_machine_mm[2]  # where Z of the recording is zero
     traits = replace(GRBL_11, homing=True, probe_surface_mm=_TOUCHED_AT_MM - from_here_mm)
     return SimulatedMill(traits, recording=Recording(keep=False))
 
 
-def _written(path: Path, text: str) -> None:
+def _write_whole(path: Path, text: str) -> None:
     fresh = path.with_suffix(".new")
     fresh.write_text(text, encoding="utf-8")
     fresh.replace(path)

@@ -11,7 +11,7 @@ from service.errors import ServiceError, printable
 
 
 def main() -> int:
-    """Words go to stderr: one line for each mill."""
+    """Start the agents; one line for each mill goes to stderr."""
     from service.server.fleet.agent_launcher import start_agents
     from service.settings import ServerSettings
 

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import TextIO
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, ServiceError, printable
-from service.http.listener import answers, bound, complaint, url_of
+from service.http.listener import bind_address, is_answering, read_complaint, url_of
 from service.processes import lifeline
 from service.processes.folder_lock import lock_folder
 from service.server.pairing_code import code_lines, code_of, new_offer
@@ -71,28 +71,28 @@ class Supervisor:
         self._children = [_watch(name, modules[name], listener, offer) for name in names]
 
     def run(self) -> int:
-        """Until told to stop, or until a child refuses its configuration; returns the exit code."""
+        """Run until told to stop, or until a child refuses its configuration; return the exit code."""
         with _wakeups(self._obey_signal) as wake, selectors.DefaultSelector() as selector:
             selector.register(wake, selectors.EVENT_READ)
             for child in self._children:
                 child.start()
             while self._code is None or any(child.running for child in self._children):
-                patience_s, before = self._patience_s(), time.monotonic()
-                selector.select(patience_s)
+                timeout_s, before = self._select_timeout_s(), time.monotonic()
+                selector.select(timeout_s)
                 with contextlib.suppress(BlockingIOError):
                     wake.recv(4096)
-                if time.monotonic() - before > patience_s + _AWAY_S:  # stopped, or the computer slept
+                if time.monotonic() - before > timeout_s + _AWAY_S:  # stopped, or the computer slept
                     for child in self._children:
-                        child.forgive()
-                self._heed()
+                        child.restart_timeout()
+                self._handle_signal()
                 self._look()
             return self._code
 
     def _obey_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._signals += 1
 
-    def _heed(self) -> None:
-        """The first signal asks the children to end well, the second ends them."""
+    def _handle_signal(self) -> None:
+        """Ask the children to end well at the first signal, end them at the second."""
         if self._signals > self._heeded:
             if self._code is None:
                 self._stop(0)
@@ -112,7 +112,7 @@ class Supervisor:
                 child.signal(signal.SIGKILL)
 
     def _judge(self) -> None:
-        """Is all well, or is there no point in going on?"""
+        """Return whether all is well, or there is no point in going on."""
         if any(child.refused for child in self._children):
             return self._stop(EXIT_INPUT)  # it said why itself
         if self._ready:
@@ -122,19 +122,19 @@ class Supervisor:
                 if not child.failed:
                     _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
                 return self._stop(EXIT_FAILURE)
-        if answers(self._listener, self._probe, patience_s=_ANSWER_S):
+        if is_answering(self._listener, self._probe, timeout_s=_ANSWER_S):
             self._ready = True
             for child in self._children:
                 child.trusted = True
             self._announce(f"ready in {time.time() - self._began:.1f} s")
         elif not self._announced and time.time() - self._began > _LONG_S:
-            words = complaint(self._listener, self._probe, patience_s=_ANSWER_S)
+            words = read_complaint(self._listener, self._probe, timeout_s=_ANSWER_S)
             if words is not None:
                 self._announce(f"not ready: {words}")
         return None
 
     def _announce(self, words: str) -> None:
-        """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
+        """Announce where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
         where, folder = url_of(self._listener), _read_setting("DATA", "")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
@@ -146,7 +146,9 @@ class Supervisor:
         self._announced = True
 
     def _show_code(self, where: str) -> None:
-        """On a terminal only: a code opens a mill, and what goes into files and pipes is stored and shipped."""
+        """Show the code on a terminal only: it opens a mill, and what goes into files and pipes is stored and
+        shipped.
+        """
         if (terminal := _terminal()) is not None and self._offer:
             terminal.write(code_lines(terminal, where, code_of(self._offer)))
             terminal.flush()
@@ -161,8 +163,8 @@ class Supervisor:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)
 
-    def _patience_s(self) -> float:
-        """How long nothing needs to be looked at unless a signal comes."""
+    def _select_timeout_s(self) -> float:
+        """Return how long nothing needs to be looked at unless a signal comes."""
         if self._code is None and not self._ready:
             return _LONG_PROBE_S if self._announced else _PROBE_S
         due = [child.due_at for child in self._children if child.due_at is not None]
@@ -172,7 +174,9 @@ class Supervisor:
 
 
 def main() -> int:
-    """What `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=: nothing."""
+    """Return what `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=:
+    nothing.
+    """
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
     modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL", "false") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
@@ -180,7 +184,7 @@ def main() -> int:
         with (
             lock_folder(Path(_read_setting("DATA", "causticmill-data"))),
             contextlib.closing(
-                bound(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
+                bind_address(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
             ) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}
@@ -195,7 +199,7 @@ def _terminal() -> TextIO | None:
 
 
 def _read_setting(name: str, default: str) -> str:
-    """The command has checked them all and put them into the environment."""
+    """Read a setting; the command has checked them all and put them into the environment."""
     return os.environ.get(f"{_PREFIX}{name}", default)
 
 
@@ -212,7 +216,7 @@ def _watch(name: str, module: str, listener: socket.socket, offer: str) -> Super
 
 @contextlib.contextmanager
 def _wakeups(stop: Callable[[int, FrameType | None], None]) -> Iterator[socket.socket]:
-    """A socket that becomes readable with every signal: children's ends, and those that stop us."""
+    """Yield a socket that becomes readable with every signal: children's ends, and those that stop us."""
     ours, its = socket.socketpair()
     with ours, its:
         ours.setblocking(False)

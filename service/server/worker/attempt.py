@@ -17,8 +17,8 @@ from service.errors import ServiceError
 from service.server.database.claims import Claim
 from service.server.database.states import JobState
 from service.server.queue.engine import Busy, Fenced, Ticket
-from service.server.worker.context import AWAY, Bench, database_may_be_away, insist
-from service.server.worker.stage_runner import Walk
+from service.server.worker.context import AWAY, WorkerContext, fence_outage, retry_while_away
+from service.server.worker.stage_runner import StageRunner
 
 MEGA = 1_000_000
 log = structlog.get_logger()
@@ -27,30 +27,30 @@ log = structlog.get_logger()
 class Attempt:
     """What the engine calls with each ticket, from several threads."""
 
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-        self._slots = threading.BoundedSemaphore(bench.settings.slots)
+    def __init__(self, context: WorkerContext) -> None:
+        self._context = context
+        self._slots = threading.BoundedSemaphore(context.settings.slots)
         self._active: set[str] = set()
         self._lock = threading.Lock()
         self._disk_is_full = False
 
     def __call__(self, ticket: Ticket) -> None:
         ids = structlog.contextvars.bound_contextvars(job=ticket.job_id, attempt=ticket.attempt)
-        with ids, self._slot(), self._alone(ticket), database_may_be_away():
+        with ids, self._hold_slot(), self._hold_job(ticket), fence_outage():
             self._require_fitness()
-            claim = self._bench.work.claim(ticket, self._bench.executor)
+            claim = self._context.work.claim(ticket, self._context.executor)
             if claim is not None:
                 self._run(claim)
 
-    def in_hand(self) -> set[str]:
-        """Ids of the jobs that this worker is about: those it may be claiming just now included."""
+    def list_active(self) -> set[str]:
+        """List ids of the jobs that this worker is about: those it may be claiming just now included."""
         with self._lock:
             return set(self._active)
 
     def _run(self, claim: Claim) -> None:
-        with self._bench.watch.over(claim) as watched:
+        with self._context.watch.follow(claim) as watched:
             try:
-                Walk(self._bench, claim, watched).to_the_end()
+                StageRunner(self._context, claim, watched).run()
             except (Fenced, *AWAY):
                 raise
             except ServiceError as error:
@@ -61,23 +61,23 @@ class Attempt:
                 self._fail(claim, {"stage": None, "detail": words, "field": None})
 
     def _fail(self, claim: Claim, error: dict[str, object]) -> None:
-        insist(lambda: self._bench.work.finish(claim, JobState.FAILED, error=error))
+        retry_while_away(lambda: self._context.work.finish(claim, JobState.FAILED, error=error))
 
     def _require_fitness(self) -> None:
         """Begin nothing without a lease, while stopping, or on a disk that is full."""
-        bench = self._bench
-        if bench.watch.stopping.is_set() or not bench.lease.safe():
+        context = self._context
+        if context.watch.stopping.is_set() or not context.lease.is_safe():
             raise Fenced("this worker may not work now")
-        needed_mb, was_full = bench.settings.free_disk_mb, self._disk_is_full
-        self._disk_is_full = shutil.disk_usage(bench.settings.data).free < needed_mb * MEGA
+        needed_mb, was_full = context.settings.free_disk_mb, self._disk_is_full
+        self._disk_is_full = shutil.disk_usage(context.settings.data).free < needed_mb * MEGA
         if self._disk_is_full:
             if not was_full:
                 log.warning("jobs wait: too little free disk space", needed_mb=needed_mb)
             raise Fenced("too little free disk space")
 
     @contextmanager
-    def _slot(self) -> Iterator[None]:
-        """The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
+    def _hold_slot(self) -> Iterator[None]:
+        """Hold a slot. The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
         if not self._slots.acquire(blocking=False):
             raise Busy("all slots are taken")
         try:
@@ -86,8 +86,8 @@ class Attempt:
             self._slots.release()
 
     @contextmanager
-    def _alone(self, ticket: Ticket) -> Iterator[None]:
-        """One call per job at a time in this process, whatever the engine believes."""
+    def _hold_job(self, ticket: Ticket) -> Iterator[None]:
+        """Hold the job: one call per job at a time in this process, whatever the engine believes."""
         with self._lock:
             if ticket.job_id in self._active:
                 raise Fenced("it runs here already")

@@ -19,7 +19,7 @@ from service.server.worker.process.outcomes import StageEnd
 from service.settings import ServerSettings
 from service.store.base import Store
 
-INSIST_S = 600.0
+RETRY_S = 600.0
 PAUSE_S = 0.2
 AWAY = (sa.exc.OperationalError, sa.exc.InterfaceError, sa.exc.InternalError, sa.exc.TimeoutError)
 Result = TypeVar("Result")
@@ -36,7 +36,7 @@ class Processes(Protocol):
 
 
 @dataclass(frozen=True)
-class Bench:
+class WorkerContext:
     """All that a worker's jobs share."""
 
     settings: ServerSettings
@@ -54,17 +54,17 @@ class Bench:
 
 
 @contextmanager
-def database_may_be_away() -> Iterator[None]:
-    """A database that cannot be reached is no fault of the job: it is gone on with later."""
+def fence_outage() -> Iterator[None]:
+    """Fence an attempt whose database cannot be reached: no fault of the job, which is gone on with later."""
     try:
         yield
     except AWAY as error:
         raise Fenced(f"the database is away: {str(error).splitlines()[0]}") from error
 
 
-def insist(write: Callable[[], Result]) -> Result:
-    """Do it again and again while the database is away: work of hours is not thrown away over a restart of it."""
-    deadline = time.monotonic() + INSIST_S
+def retry_while_away(write: Callable[[], Result]) -> Result:
+    """Retry while the database is away: work of hours is not thrown away over a restart of it."""
+    deadline = time.monotonic() + RETRY_S
     while True:
         try:
             return write()

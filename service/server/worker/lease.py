@@ -56,7 +56,7 @@ class Lease:
             put_rows(connection, executors, [row | {"version": self.version, "started_at": at, "seen_at": at}])
         self._good_at = begun
 
-    def beat(self) -> None:
+    def renew(self) -> None:
         """Renew the row. NameTakenError where it is another process's."""
         begun = self.monotonic()
         with begin_writing(self.database) as connection:
@@ -67,19 +67,19 @@ class Lease:
         self._good_at = begun
 
     def give_back(self) -> None:
-        """Others need not wait for the lease to run out."""
+        """Give the lease back: others need not wait for it to run out."""
         with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
             connection.execute(executors.delete().where(mine))
         self._good_at = float("-inf")
 
-    def safe(self) -> bool:
-        """May this worker still work? Costs nothing."""
+    def is_safe(self) -> bool:
+        """Return whether this worker may still work. Costs nothing."""
         age_s = self.monotonic() - self._good_at
         return age_s < (float("inf") if self.alone else SAFE_SHARE * self.lease_s)
 
 
-class Heart:
+class LeaseRenewer:
     """Beats a lease from a thread of its own. `on_taken` is called once where the name is another process's."""
 
     def __init__(self, lease: Lease, on_taken: Callable[[], None]) -> None:
@@ -97,23 +97,23 @@ class Heart:
         self._thread.join(timeout=self._lease.lease_s)
 
     def is_turning(self) -> bool:
-        """False where the thread has hung for a lease: the process had better be started again."""
+        """Return False where the thread has hung for a lease: the process had better be started again."""
         return time.monotonic() - self._turn_at < max(self._lease.lease_s, 10.0)
 
     def _run(self) -> None:
         while not self._stop.wait(self._lease.lease_s / BEATS_PER_LEASE):
             self._turn_at = time.monotonic()
             try:
-                self._lease.beat()
+                self._lease.renew()
             except NameTakenError:
                 log.error("name taken: another process works under this executor's name")
                 self._on_taken()
                 return
             except Exception as error:  # the database is away: the lease runs down by itself
-                log.warning("no beat", error=str(error).splitlines()[0], safe=self._lease.safe())
+                log.warning("no beat", error=str(error).splitlines()[0], safe=self._lease.is_safe())
 
 
 def live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
-    """Workers that were heard of within a lease."""
+    """Return the workers that were heard of within a lease."""
     query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
     return set(connection.execute(query).scalars())

@@ -46,7 +46,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
 
 
 def catch_stop() -> socket.socket:
-    """A socket that becomes readable when this process is told to stop.
+    """Return a socket that becomes readable when this process is told to stop.
 
     The interpreter writes to it in the very handler: a wait for what a handler of ours would do (set an event, fill a
     queue) never ends where the signal comes just before the wait begins.
@@ -63,7 +63,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
     import sqlalchemy as sa
 
     from service.logs import configure_logs
-    from service.server.worker import warmup as preparing
+    from service.server.worker import warmup
     from service.server.worker.preconditions import executor_name
     from service.server.worker.worker import open_worker
 
@@ -71,8 +71,8 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
     try:
         with open_worker(settings, processes) as worker:
             worker.start()
-            print(f"ready: worker {worker.bench.executor}", flush=True)
-            if prepare and (process := preparing.begin()):
+            print(f"ready: worker {worker.context.executor}", flush=True)
+            if prepare and (process := warmup.begin()):
                 threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
             gc.freeze()  # what is here now stays: not worth looking at again and again
             end.recv(1)
@@ -83,7 +83,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
 
 
 def _jobs_wait(settings: ServerSettings) -> bool:
-    """Are there jobs to go on with? Asked without any library, and only where the answer is a file; else no."""
+    """Return whether there are jobs to go on with, without any library, where the database is a file; else no."""
     try:
         with closing(sqlite3.connect(f"file:{settings.sqlite}?mode=ro", uri=True, timeout=0.1)) as database:
             query = "SELECT 1 FROM jobs WHERE state IN ('queued', 'running') LIMIT 1"

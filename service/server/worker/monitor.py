@@ -33,12 +33,12 @@ class Watched:
         self._stopping = stopping
 
     def reason(self) -> str | None:
-        """Why its stage has to end now: "cancelled", "fenced", "stopping"; None: go on. Never waits."""
+        """Return why its stage has to end now: "cancelled", "fenced", "stopping"; None: go on. Never waits."""
         if self.wish != "go":
             return self.wish
         if self._stopping.is_set():
             return "stopping"
-        return None if self._lease.safe() else "fenced"
+        return None if self._lease.is_safe() else "fenced"
 
 
 class Watch:
@@ -61,7 +61,7 @@ class Watch:
             return self._change.wait_for(lambda: not self._jobs, timeout_s)
 
     @contextmanager
-    def over(self, claim: Claim) -> Iterator[Watched]:
+    def follow(self, claim: Claim) -> Iterator[Watched]:
         """Look after a job as long as it runs."""
         watched = Watched(claim, self._lease, self.stopping)
         with self._change:
@@ -87,7 +87,7 @@ class Watch:
             time.sleep(POLL_S)
 
     def _look(self, jobs: list[Watched]) -> None:
-        wishes = self._work.wanted(job.claim for job in jobs)
+        wishes = self._work.read_wishes(job.claim for job in jobs)
         for job in jobs:
             job.wish = wishes[job.claim.job.id]
 

@@ -52,7 +52,7 @@ PATIENCE_S = 2.0  # a worker that was killed just now may not be quite gone
 
 
 def executor_name(settings: ServerSettings) -> str:
-    """The worker's name: stable, so that after a crash it finds its own jobs again at once."""
+    """Return the worker's name: stable, so that after a crash it finds its own jobs again at once."""
     if settings.executor is not None:
         return settings.executor
     if settings.embedded:
@@ -63,7 +63,7 @@ def executor_name(settings: ServerSettings) -> str:
 
 
 def refuse_network_disk(settings: ServerSettings, mounts: Callable[[], str] = MOUNTS.read_text) -> None:
-    """InputError where the SQLite file would lie on a disk of another computer: its locks do not hold there."""
+    """Raise InputError where the SQLite file would lie on a disk of another computer: its locks do not hold there."""
     if not settings.embedded:
         return
     try:
@@ -78,7 +78,7 @@ def refuse_network_disk(settings: ServerSettings, mounts: Callable[[], str] = MO
 
 
 def file_system_of(folder: Path, mounts: str) -> str:
-    """The kind of the file system that holds `folder` (or would), from the text of /proc/self/mountinfo."""
+    """Return the kind of the file system that holds `folder` (or would), from the text of /proc/self/mountinfo."""
     path, best, kind = str(folder.resolve()), "", ""
     for line in mounts.splitlines():
         fields, _, rest = line.partition(" - ")

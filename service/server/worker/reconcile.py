@@ -31,7 +31,7 @@ Queued = dict[Ticket, int]  # and the priority of each
 
 
 class Reconciler:
-    """`in_hand` tells which jobs this worker is about."""
+    """`list_active` tells which jobs this worker is about."""
 
     def __init__(
         self,
@@ -40,18 +40,18 @@ class Reconciler:
         *,
         executor: str,
         lease_s: float,
-        in_hand: Callable[[], set[str]],
+        list_active: Callable[[], set[str]],
     ) -> None:
         self._database = database
         self._engine = engine
         self._executor = executor
         self._lease_s = lease_s
-        self._in_hand = in_hand
+        self._list_active = list_active
         self._last: tuple[int, float, str] | None = None  # place in the queue up to which the turn before has looked
 
     def turn(self) -> None:
         """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
-        self.let_go()
+        self.release_claims()
         queued = self._next_queued()
         self._submit_unknown(queued)
         self._engine.pick_up()
@@ -59,25 +59,27 @@ class Reconciler:
         self._end_cancelled(live)
         self._end_given_up(queued, live)
 
-    def let_go(self) -> None:
-        """Jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
+    def release_claims(self) -> None:
+        """Release jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
 
         They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
         """
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)
         with begin_reading(self._database) as connection:
-            found = set(connection.execute(query).scalars()) - self._in_hand()
+            found = set(connection.execute(query).scalars()) - self._list_active()
         for job_id in found:
             with begin_writing(self._database) as connection, suppress(UnknownJobError):
                 job, at = lock_job(connection, job_id), clock(connection)
                 # Asked again under the lock: who is about to claim the job has said so before.
-                if job.owner == self._executor and job_id not in self._in_hand():
+                if job.owner == self._executor and job_id not in self._list_active():
                     log.info("let go", job=job_id)
                     interrupt_tries(connection, job, at=at)
                     change_job(connection, job, owner=None, fence=job.fence + 1)
 
     def _next_queued(self) -> Queued:
-        """The jobs of the queue after those of the turn before, with their priorities; from its head after its end."""
+        """Return the jobs of the queue after those of the turn before, with their priorities; from its head after its
+        end.
+        """
         place = sa.tuple_(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
         query = (
             sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority, jobs.c.queued_at)
@@ -94,15 +96,15 @@ class Reconciler:
         return {Ticket(row.id, row.attempt): row.priority for row in rows if row.queued_at < at - GRACE_S}
 
     def _submit_unknown(self, queued: Queued) -> None:
-        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
-        known = self._engine.known(list(queued))
+        """Submit queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        known = self._engine.list_known(list(queued))
         for ticket in [ticket for ticket in queued if ticket not in known]:
             log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
             self._engine.submit(ticket, priority=queued[ticket])
 
     def _take_over_dead(self) -> set[str]:
-        """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
-        owners = set(self._engine.owners().values())
+        """Run elsewhere the tickets begun by workers that are not heard of any more; return the live workers."""
+        owners = set(self._engine.find_owners().values())
         with begin_reading(self._database) as connection:
             live = live_executors(connection, self._lease_s) | {self._executor}
         if dead := sorted(owners - live):
@@ -111,7 +113,7 @@ class Reconciler:
         return live
 
     def _end_cancelled(self, live: set[str]) -> None:
-        """Running jobs that were to be cancelled when their worker died."""
+        """End running jobs that were to be cancelled when their worker died."""
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.cancel_requested)
         with begin_reading(self._database) as connection:
             found = list(connection.execute(query).scalars())
@@ -119,14 +121,14 @@ class Reconciler:
             self._end(job_id, live, JobState.CANCELLED, None)
 
     def _end_given_up(self, queued: Queued, live: set[str]) -> None:
-        """Jobs that wait or run although the engine is done with their ticket.
+        """End jobs that wait or run although the engine is done with their ticket.
 
         The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
         """
         query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state == str(JobState.RUNNING))
         with begin_reading(self._database) as connection:
             running = [Ticket(row.id, row.attempt) for row in connection.execute(query)]
-        for ticket in self._engine.ended([*queued, *running]):
+        for ticket in self._engine.list_ended([*queued, *running]):
             error = {"stage": None, "detail": GIVEN_UP, "field": None}
             self._end(ticket.job_id, live, JobState.FAILED, error, attempt=ticket.attempt)
 
@@ -148,10 +150,10 @@ class Reconciler:
             end_job(connection, job, state, at=at, error=error)
 
     def _is_in_hand(self, job: Job, live: set[str]) -> bool:
-        return job.id in self._in_hand() or (job.owner != self._executor and job.owner in live)
+        return job.id in self._list_active() or (job.owner != self._executor and job.owner in live)
 
 
-class Rounds:
+class PeriodicThread:
     """Calls something again and again from a thread of its own; an error is logged, and the next round tries again."""
 
     def __init__(self, name: str, work: Callable[[], None], *, every_s: float) -> None:

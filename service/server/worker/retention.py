@@ -79,7 +79,9 @@ class Retention:
             pass
 
     def _drop_to_quota(self, quota: int) -> None:
-        """First results that only might be used again, the longest unused first; then whole jobs, the oldest first."""
+        """Drop first results that only might be used again, the longest unused first; then whole jobs, the oldest
+        first.
+        """
         while sum(self._named_bytes.values()) > quota:
             if self._drop_results(unused_for_s=self._grace_s, limit=BATCH):
                 continue
@@ -132,7 +134,7 @@ class Retention:
         return dropped
 
     def _drop_files(self, hashes: set[str]) -> None:
-        """Files of something that is gone, unless something else names them."""
+        """Drop files of something that is gone, unless something else names them."""
         named, at = self._find_named(lambda column: column.in_(hashes))
         for sha256 in hashes - named:
             with suppress(MissingObjectError):
@@ -141,7 +143,7 @@ class Retention:
                 self._named_bytes[part] = max(0, self._named_bytes.get(part, 0) - size)
 
     def _find_named(self, wanted: Callable[[sa.Column[Any]], sa.ColumnElement[bool]]) -> tuple[set[str], float]:
-        """Those hashes that the tables name, and the time at which they did."""
+        """Find those hashes that the tables name, and the time at which they did."""
         with self._database.connect() as plain:
             connection = plain if is_sqlite(plain) else plain.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():
@@ -150,7 +152,7 @@ class Retention:
                 return {sha256 for query in queries for sha256 in connection.execute(query).scalars()}, at
 
     def _sweep_parts(self) -> None:
-        """At first the whole store, whose size is not known yet; then a sixteenth of it."""
+        """Sweep at first the whole store, whose size is not known yet; then a sixteenth of it."""
         count = PARTS_A_TURN if self._named_bytes else len(PARTS)
         for _ in range(count):
             self._sweep(PARTS[self._next_part])
@@ -167,7 +169,9 @@ class Retention:
             log.info("files swept", count=len(swept), bytes=sum(one.bytes for one in swept))
 
     def _forget_ended(self) -> None:
-        """The engine's history of jobs that ended an hour ago: each once, those of two days once more after a start."""
+        """Forget the engine's history of jobs that ended an hour ago: each once, those of two days once more after a
+        start.
+        """
         place = sa.tuple_(jobs.c.ended_at, jobs.c.id)
         with begin_reading(self._database) as connection:
             at = clock(connection)
@@ -188,7 +192,7 @@ class Retention:
             last = (found[-1].ended_at, found[-1].id)
 
     def _forget_workers(self) -> None:
-        """Rows of workers that have not been heard of for a day and own nothing."""
+        """Forget rows of workers that have not been heard of for a day and own nothing."""
         owners = sa.select(jobs.c.owner).where(jobs.c.owner.is_not(None))
         with begin_writing(self._database) as connection:
             old = executors.c.seen_at < clock(connection) - DAY_S
@@ -196,7 +200,7 @@ class Retention:
 
 
 def _list_hashes_of_job(connection: sa.Connection, job_id: str) -> Iterator[str]:
-    """Hashes of a job's files and of what its stages said."""
+    """Yield hashes of a job's files and of what its stages said."""
     for column, table in ((artifacts.c.sha256, artifacts), (stage_runs.c.log_sha256, stage_runs)):
         query = sa.select(column).where(table.c.job_id == job_id, column.is_not(None))
         yield from connection.execute(query).scalars()

@@ -16,7 +16,7 @@ from service.job.stages.table import shares, stage_key
 from service.server.database.claims import STOPPED, Claim, StageClose, StageTry
 from service.server.database.states import JobState, StageState
 from service.server.queue.engine import Fenced
-from service.server.worker.context import Bench, insist
+from service.server.worker.context import WorkerContext, retry_while_away
 from service.server.worker.monitor import Watched
 from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.store.base import MissingObjectError
@@ -25,11 +25,11 @@ TRIES = 3
 log = structlog.get_logger()
 
 
-class Walk:
+class StageRunner:
     """Stages in order; `_files` are those that they have made."""
 
-    def __init__(self, bench: Bench, claim: Claim, watched: Watched) -> None:
-        self._bench = bench
+    def __init__(self, context: WorkerContext, claim: Claim, watched: Watched) -> None:
+        self._context = context
         self._claim = claim
         self._watched = watched
         self._so_far = JobSoFar(restore_job(claim.job.spec, claim.job.figures))
@@ -37,21 +37,21 @@ class Walk:
         self._done_share = 0.0
         self._files: dict[str, FileRef] = {}
 
-    def to_the_end(self) -> None:
-        """Every stage, then the job's end; or its end on the way."""
+    def run(self) -> None:
+        """Run every stage, then end the job; or end it on the way."""
         for stage in self._so_far.stages():
             with structlog.contextvars.bound_contextvars(stage=stage):
-                result = self._result_of(stage)
+                result = self._run_or_reuse(stage)
             if result is None:
                 return
-            self._done_share = self._whole(stage, 1.0)
+            self._done_share = self._job_share(stage, 1.0)
             self._files |= result.outputs
             self._so_far.add(result.report, result.notes)
             self._shares = shares(self._so_far.job.spec)
         self._finish(JobState.SUCCEEDED, report=self._so_far.report)
 
-    def _result_of(self, stage: str) -> StageResult | None:
-        """Equal work done before, or its own; None where the job has ended here."""
+    def _run_or_reuse(self, stage: str) -> StageResult | None:
+        """Reuse equal work done before, or run the stage; None where the job has ended here."""
         key = stage_key(
             stage,
             self._so_far.job,
@@ -63,36 +63,36 @@ class Walk:
             return result
         while True:
             if (reason := self._watched.reason()) is not None:
-                self._stopped(reason, None, None)
+                self._end_stopped(reason, None, None)
                 return None
-            begun = insist(lambda: self._bench.work.begin_stage(self._claim, stage, key))
+            begun = retry_while_away(lambda: self._context.work.begin_stage(self._claim, stage, key))
             path = self._scratch(begun, "log")
             end = self._run(begun, path)
-            record = self._log_of(path)
+            record = self._store_log(path)
             match end:
                 case Done(plain):
                     return self._commit(begun, StageResult.from_plain(plain), record)
-                case Crashed(words) if self._crashes(stage) < TRIES - 1:
+                case Crashed(words) if self._count_crashes(stage) < TRIES - 1:
                     self._close(begun, StageState.INTERRUPTED, words, record)
                 case Stopped(reason):
-                    self._stopped(reason, begun, record)
+                    self._end_stopped(reason, begun, record)
                     return None
                 case _:
                     self._fail(begun, end, record)
                     return None
 
     def _reuse(self, stage: str, key: str) -> StageResult | None:
-        found = self._bench.work.result(key)
+        found = self._context.work.result(key)
         if found is None:
             return None
         try:
             for file in found.outputs.values():
-                self._bench.store.head(file.sha256)
+                self._context.store.head(file.sha256)
         except MissingObjectError as error:
             log.warning("a finished stage has lost a file; it is done again", sha256=error.sha256)
-            self._bench.work.forget_result(key)
+            self._context.work.forget_result(key)
             return None
-        return self._bench.work.reuse_stage(self._claim, stage, key, whole=self._whole(stage, 1.0))
+        return self._context.work.reuse_stage(self._claim, stage, key, whole=self._job_share(stage, 1.0))
 
     def _run(self, begun: StageTry, path: Path) -> StageEnd:
         log.info("stage begins", number=begun.number)
@@ -110,14 +110,14 @@ class Walk:
             inputs=self._files,
             report=self._so_far.report,
             notes=self._so_far.notes,
-            limits=PictureLimits(max_pixels=int(self._bench.settings.max_megapixels * 1e6)),
+            limits=PictureLimits(max_pixels=int(self._context.settings.max_megapixels * 1e6)),
         )
 
         def on_progress(share: float) -> None:
-            self._watched.news = (begun.stage, share, self._whole(begun.stage, share))
+            self._watched.news = (begun.stage, share, self._job_share(begun.stage, share))
 
         try:
-            end = self._bench.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
+            end = self._context.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
         finally:
             self._watched.news = None
             shutil.rmtree(order.scratch, ignore_errors=True)  # a process that was killed could not
@@ -125,12 +125,14 @@ class Walk:
         return end
 
     def _commit(self, begun: StageTry, result: StageResult, record: FileRef | None) -> StageResult:
-        whole = self._whole(begun.stage, 1.0)
-        insist(lambda: self._bench.work.commit_stage(self._claim, begun, result, log=record, whole=whole))
+        whole = self._job_share(begun.stage, 1.0)
+        retry_while_away(lambda: self._context.work.commit_stage(self._claim, begun, result, log=record, whole=whole))
         return result
 
-    def _stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
-        """Cancelled: the job ends. Otherwise it goes on elsewhere, or here at another time."""
+    def _end_stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
+        """End a stopped stage. Cancelled: the job ends, too. Otherwise it goes on elsewhere, or here at another
+        time.
+        """
         if reason == "cancelled":
             if begun is not None:
                 self._close(begun, StageState.CANCELLED, "cancelled", record)
@@ -157,31 +159,31 @@ class Walk:
 
     def _finish(self, state: JobState, **values: Any) -> None:
         log.info("job ends", state=str(state))
-        insist(lambda: self._bench.work.finish(self._claim, state, **values))
+        retry_while_away(lambda: self._context.work.finish(self._claim, state, **values))
 
     def _close(self, begun: StageTry, state: StageState, words: str, record: FileRef | None) -> None:
         log.info("stage made nothing", number=begun.number, state=str(state), words=words)
         close = StageClose(state=state, words=words, log=record)
-        insist(lambda: self._bench.work.end_stage(self._claim, begun, close))
+        retry_while_away(lambda: self._context.work.end_stage(self._claim, begun, close))
 
-    def _crashes(self, stage: str) -> int:
-        return insist(lambda: self._bench.work.crashes(self._claim, stage))
+    def _count_crashes(self, stage: str) -> int:
+        return retry_while_away(lambda: self._context.work.count_crashes(self._claim, stage))
 
-    def _log_of(self, path: Path) -> FileRef | None:
-        """What the stage's process said, put into the store; None where it said nothing."""
+    def _store_log(self, path: Path) -> FileRef | None:
+        """Return what the stage's process said, put into the store; None where it said nothing."""
         try:
             if path.stat().st_size == 0:
                 return None
-            stored = self._bench.store.put_file(path)
+            stored = self._context.store.put_file(path)
             return FileRef(stored.sha256, stored.bytes)
         except (OSError, FailedError):  # a full disk: the stage is worth more than its words
             return None
         finally:
             path.unlink(missing_ok=True)
 
-    def _whole(self, stage: str, share: float) -> float:
-        """How far the job is, where this stage is at `share`."""
+    def _job_share(self, stage: str, share: float) -> float:
+        """Return how far the job is, where this stage is at `share`."""
         return min(1.0, self._done_share + share * self._shares[stage])
 
     def _scratch(self, begun: StageTry, kind: str) -> Path:
-        return self._bench.scratch / f"{self._claim.job.id}-{begun.id}.{kind}"
+        return self._context.scratch / f"{self._claim.job.id}-{begun.id}.{kind}"

@@ -38,8 +38,8 @@ _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\
 
 
 def begin(task: str = JOBS) -> subprocess.Popen[bytes] | None:
-    """The process, or None where nothing of the task is left to compile. Somebody has to wait for its end."""
-    return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _process(task)
+    """Start the process; None where nothing of the task is left to compile. Somebody has to wait for its end."""
+    return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _start_process(task)
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def _mark_ready(task: str) -> None:
         ready_mark(task).touch()
 
 
-def _process(part: str) -> subprocess.Popen[bytes]:
+def _start_process(part: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "service.server.worker.warmup", part, str(os.getpid())],
         stdin=subprocess.DEVNULL,
@@ -79,7 +79,7 @@ def main(part: str, parent: int) -> int:
     die_with_parent(parent, signal.SIGTERM)
     name_process("cm-preparing")
     give_way()
-    other = _process(_PROGRAMS) if part == JOBS else None
+    other = _start_process(_PROGRAMS) if part == JOBS else None
     use_current_kernels()  # before numba is imported
     with tempfile.TemporaryDirectory() as folder:
         _PARTS[part](Path(folder))
@@ -90,15 +90,15 @@ def main(part: str, parent: int) -> int:
     return 0
 
 
-def _light(folder: Path) -> None:
+def _warm_lenses(folder: Path) -> None:
     from service.job.pipeline import caustic
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    caustic(folder / "dome", _job(), reporter=QuietReporter())
+    caustic(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
 
 
-def _all_but_programs(folder: Path) -> None:
+def _warm_jobs(folder: Path) -> None:
     from PIL import Image
 
     from machines.preflight.limits import limits_of
@@ -106,24 +106,24 @@ def _all_but_programs(folder: Path) -> None:
     from service.milling.preflight_child import examine
     from service.progress import QuietReporter
 
-    _light(folder)
+    _warm_lenses(folder)
     picture, program = folder / "wedge.png", folder / "cut.nc"
     Image.linear_gradient("L").resize((64, 64)).save(picture)
-    design(picture, folder / "lens", _job(), reporter=QuietReporter())
+    design(picture, folder / "lens", _resolve_small_job(), reporter=QuietReporter())
     program.write_text(_PROGRAM, encoding="ascii")
-    examine(program, limits_of(_job().machine), lambda _: None)
+    examine(program, limits_of(_resolve_small_job().machine), lambda _: None)
 
 
-def _programs(folder: Path) -> None:
+def _warm_programs(folder: Path) -> None:
     from service.job.pipeline import cam
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    cam(folder / "dome", _job(), reporter=QuietReporter())
+    cam(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
 
 
 def _put_dome(folder: Path) -> None:
-    """A lens that nobody had to compute, and an even picture."""
+    """Write a lens that nobody had to compute, and an even picture."""
     import numpy as np
 
     from optics.heightfield import Heightfield
@@ -138,13 +138,13 @@ def _put_dome(folder: Path) -> None:
     (folder / MAP).write_bytes(target_bytes(np.ones((_VERTICES - 1, _VERTICES - 1))))
 
 
-def _job() -> ResolvedJob:
+def _resolve_small_job() -> ResolvedJob:
     from service.job.spec.loading import resolve_job
 
     return resolve_job(preset="draft", overrides=_SMALL)
 
 
-_PARTS = {LENSES: _light, JOBS: _all_but_programs, _PROGRAMS: _programs}
+_PARTS = {LENSES: _warm_lenses, JOBS: _warm_jobs, _PROGRAMS: _warm_programs}
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1], int(sys.argv[2])))

@@ -20,12 +20,12 @@ from service.server.database.claims import WorkBook
 from service.server.database.schema import open_database
 from service.server.queue.dbos import DbosEngine
 from service.server.worker.attempt import Attempt
-from service.server.worker.context import Bench
-from service.server.worker.lease import Heart, Lease
+from service.server.worker.context import WorkerContext
+from service.server.worker.lease import Lease, LeaseRenewer
 from service.server.worker.monitor import Watch
 from service.server.worker.preconditions import NameLock, executor_name, lock_data, refuse_network_disk
 from service.server.worker.process.pool import StageProcesses
-from service.server.worker.reconcile import Reconciler, Rounds
+from service.server.worker.reconcile import PeriodicThread, Reconciler
 from service.server.worker.retention import Retention
 from service.settings import ServerSettings
 from service.store.opening import open_store
@@ -38,7 +38,7 @@ log = structlog.get_logger()
 
 @contextmanager
 def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator[Worker]:
-    """A worker that is the only one of its name. InputError where it would not be safe to work."""
+    """Open a worker that is the only one of its name. InputError where it would not be safe to work."""
     refuse_network_disk(settings)
     executor = executor_name(settings)
     with ExitStack() as stack:
@@ -56,70 +56,70 @@ def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator
         lease = Lease(database, executor, settings.lease_s, pid=os.getpid(), version=ours, alone=settings.embedded)
         work = WorkBook(database, lease_s=settings.lease_s)
         watch = Watch(work, lease)
-        bench = Bench(settings, executor, work, store, processes, lease, watch)
-        yield Worker(bench, database, engine, name)
+        context = WorkerContext(settings, executor, work, store, processes, lease, watch)
+        yield Worker(context, database, engine, name)
 
 
 @dataclass
 class Worker:
     """All parts of a worker, put together."""
 
-    bench: Bench
+    context: WorkerContext
     database: sa.Engine
     engine: DbosEngine
     name: NameLock | None
 
     def __post_init__(self) -> None:
-        bench = self.bench
-        settings = bench.settings
-        self._heart = Heart(bench.lease, self._leave)
-        self._body = Attempt(bench)
+        context = self.context
+        settings = context.settings
+        self._renewer = LeaseRenewer(context.lease, self._leave)
+        self._attempt = Attempt(context)
         self._reconciler = Reconciler(
             self.database,
             self.engine,
-            executor=bench.executor,
+            executor=context.executor,
             lease_s=settings.lease_s,
-            in_hand=self._body.in_hand,
+            list_active=self._attempt.list_active,
         )
         every_s = min(max(settings.lease_s / 6, 0.3), 3.0)
-        retention = Retention(self.database, bench.store, self.engine, settings)
-        self._rounds = [
-            Rounds("reconcile", self._reconciler.turn, every_s=every_s),
-            Rounds("retention", retention.turn, every_s=RETENTION_S),
+        retention = Retention(self.database, context.store, self.engine, settings)
+        self._threads = [
+            PeriodicThread("reconcile", self._reconciler.turn, every_s=every_s),
+            PeriodicThread("retention", retention.turn, every_s=RETENTION_S),
         ]
         if self.name is not None:
-            self._rounds.append(Rounds("name", self.name.keep, every_s=settings.lease_s / 6))
+            self._threads.append(PeriodicThread("name", self.name.keep, every_s=settings.lease_s / 6))
 
     def start(self) -> None:
-        """Beat first, then run jobs: no job is begun without a lease."""
-        shutil.rmtree(self.bench.scratch, ignore_errors=True)
-        self.bench.lease.take()
-        self._heart.start()
-        lifeline.healthy = self._heart.is_turning
-        self.bench.watch.start()
-        self._reconciler.let_go()
-        self.engine.serve(self._body, executor=self.bench.executor, slots=self.bench.settings.slots)
-        for rounds in self._rounds:
+        """Renew the lease first, then run jobs: no job is begun without a lease."""
+        shutil.rmtree(self.context.scratch, ignore_errors=True)
+        self.context.lease.take()
+        self._renewer.start()
+        lifeline.healthy = self._renewer.is_turning
+        self.context.watch.start()
+        self._reconciler.release_claims()
+        self.engine.serve(self._attempt, executor=self.context.executor, slots=self.context.settings.slots)
+        for rounds in self._threads:
             rounds.start()
         log.info("worker ready")
 
     def stop(self) -> None:
-        """Running stages are stopped and noted as interrupted; their jobs go on at the next start, or elsewhere."""
+        """Stop running stages and note them as interrupted; their jobs go on at the next start, or elsewhere."""
         log.info("worker stops")
-        self.bench.watch.stopping.set()
-        for rounds in self._rounds:
+        self.context.watch.stopping.set()
+        for rounds in self._threads:
             rounds.stop()
-        if not self.bench.watch.is_idle_within(DRAIN_S):
+        if not self.context.watch.is_idle_within(DRAIN_S):
             log.warning("jobs did not stop in time")
         else:
-            shutil.rmtree(self.bench.scratch, ignore_errors=True)
-        self._heart.stop()
+            shutil.rmtree(self.context.scratch, ignore_errors=True)
+        self._renewer.stop()
         try:
-            self.bench.lease.give_back()
+            self.context.lease.give_back()
         except sa.exc.SQLAlchemyError as error:
             log.warning("the lease was not given back", error=str(error).splitlines()[0])
 
     def _leave(self) -> None:
-        """Another process works under our name: end, with everything that runs, before it is in its way."""
-        self.bench.processes.close()
+        """End, with everything that runs, as another process works under our name and must not be hindered."""
+        self.context.processes.close()
         os._exit(EXIT_NAME_TAKEN)

@@ -142,7 +142,7 @@ def _routes(client: httpx.Client, number: int) -> dict[str, Call]:
 
 def _loops(database: sa.Engine, settings: ServerSettings, engine: DbosEngine, number: int) -> Iterator[Figure]:
     """One turn each. The reconciler has handed the queue to the engine before."""
-    reconciler = Reconciler(database, engine, executor="worker", lease_s=30.0, in_hand=set)
+    reconciler = Reconciler(database, engine, executor="worker", lease_s=30.0, list_active=set)
     book, retention = JobBook(database), Retention(database, open_store(settings), engine, settings)
     followed = {job_id(job): 5 for job in range(min(number, _FOLLOWED))}
     yield row(f"{number:,} jobs: reconciler, first turn (200 of the queue submitted)", _s(reconciler.turn), "s", n=1)

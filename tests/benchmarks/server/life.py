@@ -16,7 +16,7 @@ from tests.trials.server.deployment import Deployment, embedded
 from tests.trials.server.processes import kill, of_kind, processes, wait_until
 
 _SETTLE_S = 5.0  # a child that has lived so long is started again at once
-_EVERYTHING = ("host", "api", "worker", "nursery", "stage", "picture")
+_EVERYTHING = ("host", "api", "worker", "fork server", "stage", "picture")
 
 
 def starts() -> Iterator[Figure]:

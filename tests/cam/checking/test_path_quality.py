@@ -142,7 +142,7 @@ def test_batches_do_not_change_the_measures(at_once):
         }
         batch: MoveBatch = replace(whole, points_mm=whole.points_mm[k : cut.stop + 1], **part)
         quality.add(batch, Touching(len(batch)))
-    found = quality.measures()
+    found = quality.measure()
     once = measured(circle(0.4, 0.01, turns=3), slope=0.1)
     assert found.tight_turn_share == pytest.approx(once.tight_turn_share, rel=0.01)
     assert found.aligned_share == pytest.approx(once.aligned_share, abs=0.01)

@@ -93,7 +93,7 @@ def test_the_sweep_is_the_lower_envelope_of_the_moving_ball(points, radius_mm, s
     for part in (points[: split + 1], points[split:]):
         if len(part) > 1:
             grid.cut(batch_of(part))
-    grid.rest()
+    grid.cut_at_rest()
     assert_between_brute_forces(grid, stock, points, radius_mm)
 
 
@@ -115,7 +115,7 @@ def test_nothing_stands_in_the_wedge_at_a_corner(turn_deg, dip):
     points = np.array([0.6, 1.2, -0.4]) + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
     grid = RemovalGrid(stock, radius_mm=0.5)
     grid.cut(batch_of(points))
-    grid.rest()
+    grid.cut_at_rest()
     assert_between_brute_forces(grid, stock, points, 0.5)
 
 
@@ -135,7 +135,7 @@ def test_short_steep_moves_over_a_slope_take_off_a_layer_everywhere(turn_deg):
     points = np.column_stack([place, tip_mm])
     grid = RemovalGrid(stock, radius_mm=radius_mm, shares=2)
     drops = grid.cut(batch_of(points))
-    grid.rest()
+    grid.cut_at_rest()
     assert_between_brute_forces(grid, stock, points, radius_mm)
     deepest_mm = drops.depth_mm[8:16].max(), drops.depth_mm[8:16].min()
     assert deepest_mm == pytest.approx((layer_mm * np.hypot(1, climb),) * 2, rel=0.05)

@@ -22,7 +22,7 @@ def widest(*paths, region=REGION, pitch=PITCH):
     gaps = TrackGaps(region, pitch_mm=pitch)
     for path in paths:
         gaps.add(np.asarray(path, dtype=float), np.ones(len(path) - 1, dtype=bool))
-    return gaps.widest()
+    return gaps.find_widest()
 
 
 def straight_lines(spacing, angle=0.0, offset=0.0, *, far=2.5, step=0.37):
@@ -140,7 +140,7 @@ def test_the_middle_of_the_gap_is_named():
 
 
 def test_no_track_at_all_is_a_gap_as_wide_as_the_lens():
-    assert TrackGaps(REGION, pitch_mm=PITCH).widest().width_mm == SIDE
+    assert TrackGaps(REGION, pitch_mm=PITCH).find_widest().width_mm == SIDE
 
 
 def test_the_region_of_tips_is_the_lens_shifted_downhill(make_lens):

@@ -81,7 +81,7 @@ def test_a_first_pass_leaves_less_where_that_spares_the_finish_its_layers() -> N
     roughing = Roughing(form=LensForm.of(bumps(1.0)), shop=shop(tool(6.0), margin_mm=16.0))
     for step_down_mm, spared in ((0.394, True), (0.2, False), (1.0, False)):
         finish = ball_pass("finish", radius_mm=2.0, pitch_mm=0.05, stock_to_leave_mm=0.0, step_down_mm=step_down_mm)
-        before = roughing.before(finish)
+        before = roughing.plan_before(finish)
         assert before is not None
         assert before.depth_mm <= finish.layer_mm
         assert (before.passes[0].stock_to_leave_mm < 0.2) is spared

@@ -66,7 +66,7 @@ def test_a_rest_pass_is_as_large_and_as_long_as_the_one_that_is_cut(direction: s
     """Area within 6 % of that of the stock which the big ball's program left, time within a tenth of its own
     program's: it has one entry and a few dozen short rows."""
     lens = grooved(0.12)
-    foretold = work(lens, BIG, SMALL).after(replace(FINISH, direction=direction))
+    foretold = work(lens, BIG, SMALL).plan_after(replace(FINISH, direction=direction))
     assert foretold is not None
     before = checked(lens, replace(FINISH, direction=direction), STOCK, StockGrid.block(STOCK, 0.03))
     found = checked(lens, foretold.spec, STOCK, before.stock_top)
@@ -79,14 +79,14 @@ def test_a_rest_pass_is_as_large_and_as_long_as_the_one_that_is_cut(direction: s
 
 def test_where_the_ball_fits_there_is_nothing_to_plan() -> None:
     lens = grooved(0.005)
-    assert work(lens, BIG, SMALL).after(FINISH) is None
-    assert RestWork(BIG, form=LensForm.of(lens), shop=shop(BIG, SMALL), fillings={}).after(FINISH) is None
+    assert work(lens, BIG, SMALL).plan_after(FINISH) is None
+    assert RestWork(BIG, form=LensForm.of(lens), shop=shop(BIG, SMALL), fillings={}).plan_after(FINISH) is None
 
 
 @pytest.mark.parametrize(("depth_mm", "taken"), [(0.05, "r1.5"), (0.12, "r0.5")])
 def test_the_largest_ball_that_reaches_is_taken(depth_mm: float, taken: str) -> None:
     """The bottoms have radii of 2.4 and 1 mm."""
-    found = work(grooved(depth_mm), BIG, MIDDLE, SMALL).after(FINISH)
+    found = work(grooved(depth_mm), BIG, MIDDLE, SMALL).plan_after(FINISH)
     assert found is not None
     assert found.tool.name == taken
     assert found.spec.where == "rest"
@@ -94,19 +94,19 @@ def test_the_largest_ball_that_reaches_is_taken(depth_mm: float, taken: str) -> 
 
 
 def test_a_ball_that_reaches_as_little_as_the_big_one_is_no_help() -> None:
-    assert work(grooved(0.12), BIG, tool(2.9)).after(FINISH) is None
+    assert work(grooved(0.12), BIG, tool(2.9)).plan_after(FINISH) is None
 
 
 def test_a_ball_whose_shank_would_touch_is_not_taken() -> None:
     stubby = replace(SMALL, shank_radius_mm=3.0, flute_length_mm=0.3)
-    assert work(grooved(0.12), BIG, stubby).after(FINISH) is None
+    assert work(grooved(0.12), BIG, stubby).plan_after(FINISH) is None
 
 
 def test_rows_are_as_close_for_their_ball_as_those_of_the_finish() -> None:
     """And never farther apart: scallops are as steep as the finish's, or less."""
     rests = work(grooved(0.12), BIG, SMALL)
     for pitch_mm in (0.07, 0.17, 0.34):
-        spec = rests.after(replace(FINISH, pitch_mm=pitch_mm)).spec
+        spec = rests.plan_after(replace(FINISH, pitch_mm=pitch_mm)).spec
         ratio = (spec.pitch_mm / spec.radius_mm) / (pitch_mm / BIG.radius_mm)
         assert 0.6 < ratio <= 1.0 + 1e-9 or spec.pitch_mm == 0.01
 

@@ -171,7 +171,7 @@ def rest_of(spec, radius_mm: float, make_bumps):
     text = generate_program(lens, first, STOCK, stock_top=top, post=GRBL)
     for batch in read_program(text):
         grid.cut(batch)
-    grid.rest()
+    grid.cut_at_rest()
     return lens, grid.stock()
 
 

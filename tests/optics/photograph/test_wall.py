@@ -99,7 +99,7 @@ def test_a_low_order_error_of_the_surface_is_told_with_its_sign(
     found = dict(zip(ORDERS, fit.surface_um, strict=True))
     assert found[order].exceeds(4)
     assert found[order].value == pytest.approx(um, rel=0.33)
-    assert all(abs(one.value) < 0.5 * abs(um) for other, one in found.items() if other != order and one.told)
+    assert all(abs(one.value) < 0.5 * abs(um) for other, one in found.items() if other != order and one.is_determined)
 
 
 def test_what_is_not_told_is_said_to_be_unknown(bench: Bench) -> None:
@@ -107,7 +107,7 @@ def test_what_is_not_told_is_said_to_be_unknown(bench: Bench) -> None:
     arch = np.sin(np.linspace(0, np.pi, 65))
     weak = Heightfield.on_aperture(0.004 * np.outer(arch, arch) - 0.2, width_mm=SIDE_MM, height_mm=SIDE_MM)
     fit = looked_at(weak, bench, light_on_the_wall(weak, bench, throw_mm=1.02 * THROW_MM))
-    assert not fit.throw_mm.told
+    assert not fit.throw_mm.is_determined
 
 
 def test_rays_of_the_set_up_as_it_is_make_the_simulated_light(lens: Heightfield, bench: Bench) -> None:

@@ -18,7 +18,7 @@ from machines.preflight.limits import limits_of, placement_problems
 from machines.preflight.preflight import Preflight
 from machines.profiles import MachineProfile, load_profile
 from service.milling import preflight as module
-from service.milling.preflight import PreflightError, preflight
+from service.milling.preflight import PreflightError, run_preflight
 from service.milling.preflight_child import examine
 
 GRBL = load_profile("grbl", [])
@@ -35,9 +35,9 @@ import json, sys
 from pathlib import Path
 from machines.gcode.program import ProgramReader
 from machines.profiles import load_profile
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 path, shares = Path(sys.argv[1]), []
-facts = preflight(path, load_profile("grbl", []), cache=Path(sys.argv[2]), on_progress=shares.append)
+facts = run_preflight(path, load_profile("grbl", []), cache=Path(sys.argv[2]), on_progress=shares.append)
 lines = len(list(ProgramReader(path, facts.index).lines()))
 heavy = sorted({"numpy", "numba", "scipy"} & set(sys.modules))
 print(json.dumps({"facts": facts.to_json(), "shares": shares, "lines": lines, "heavy": heavy}))
@@ -112,14 +112,14 @@ def test_a_result_is_kept_by_content_and_by_the_machine(
     assert examine_here(read.program, other).time_s > facts.time_s
     monkeypatch.setattr(module.subprocess, "Popen", no_child)
     with pytest.raises(AssertionError, match="child was started"):
-        preflight(read.program, other, cache=read.cache)
-    assert preflight(read.program, GRBL, cache=read.cache) == facts
+        run_preflight(read.program, other, cache=read.cache)
+    assert run_preflight(read.program, GRBL, cache=read.cache) == facts
     copy = tmp_path / "copy.nc"
     copy.write_bytes(PROGRAM)
-    assert preflight(copy, GRBL, cache=read.cache) == facts  # known by its content
+    assert run_preflight(copy, GRBL, cache=read.cache) == facts  # known by its content
     copy.write_bytes(PROGRAM.replace(b"X110", b"X111"))
     with pytest.raises(AssertionError, match="child was started"):
-        preflight(copy, GRBL, cache=read.cache)
+        run_preflight(copy, GRBL, cache=read.cache)
 
 
 def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
@@ -177,14 +177,14 @@ def test_warnings_and_assumptions(tmp_path: Path) -> None:
 def test_no_such_program_and_a_folder_are_one_line(tmp_path: Path, cache: Path) -> None:
     for path in (tmp_path / "none.nc", tmp_path):
         with pytest.raises(PreflightError) as caught:
-            preflight(path, GRBL, cache=cache)
+            run_preflight(path, GRBL, cache=cache)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_child_that_dies_is_told(read: Read, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.sys, "executable", "/bin/false")
     with pytest.raises(PreflightError, match="ended early"):
-        preflight(read.program, GRBL, cache=cache)
+        run_preflight(read.program, GRBL, cache=cache)
 
 
 def test_the_placement_at_the_present_offsets(read: Read) -> None:
@@ -196,9 +196,9 @@ def test_the_placement_at_the_present_offsets(read: Read) -> None:
     high = replace(right, offsets={"G54": (-290.0, -290.0, -4.0), "TLO": (0.0, 0.0, 0.0)})
     (problem,) = placement_problems(facts, high)
     assert problem.startswith("Z would go from -5.000 to 1.000 mm in machine coordinates (G54)")
-    (warning,) = preflight(read.program, GRBL, settings=high, cache=read.cache).warnings
+    (warning,) = run_preflight(read.program, GRBL, settings=high, cache=read.cache).warnings
     assert warning == f"at the present work zero {problem}"
-    assert preflight(read.program, GRBL, settings=right, cache=read.cache).warnings == ()
+    assert run_preflight(read.program, GRBL, settings=right, cache=read.cache).warnings == ()
     far = replace(right, offsets={"G54": (-305.0, -290.0, -44.0), "G92": (-10.0, 0.0, 0.0), "TLO": (0.0, 0.0, 2.0)})
     (problem,) = placement_problems(facts, far)
     assert problem.startswith("X would go from -305.000")
@@ -248,7 +248,7 @@ def test_what_the_child_refuses_is_told_and_not_kept(tmp_path: Path, cache: Path
     path = tmp_path / "p.rml"
     path.write_bytes(RML.replace(b"Z0,0,-100", b"Z40000,0,0"))
     with pytest.raises(ProgramRefusedError) as by_child:
-        preflight(path, RML_MILL, cache=cache)
+        run_preflight(path, RML_MILL, cache=cache)
     with pytest.raises(ProgramRefusedError) as here:
         examine_here(path, RML_MILL)
     assert (by_child.value.line, str(by_child.value)) == (3, str(here.value))
@@ -260,11 +260,11 @@ def test_an_rml_program_is_remembered_too_and_read_anew_where_that_is_damaged(
 ) -> None:
     path = tmp_path / "p.rml"
     path.write_bytes(RML)
-    facts = preflight(path, RML_MILL, cache=cache)
+    facts = run_preflight(path, RML_MILL, cache=cache)
     assert (facts.lines, facts.blocks, facts.spindle_rpm) == (6, 5, (15000, 15000))
     assert facts.time_s == pytest.approx(2.0 / 10 + 1.0)
     for kept in cache.glob("*.json"):
         kept.write_text(kept.read_text()[:-40])
-    assert preflight(path, RML_MILL, cache=cache) == facts
+    assert run_preflight(path, RML_MILL, cache=cache) == facts
     monkeypatch.setattr(subprocess, "Popen", no_child)
-    assert preflight(path, RML_MILL, cache=cache) == facts
+    assert run_preflight(path, RML_MILL, cache=cache) == facts

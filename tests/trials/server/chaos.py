@@ -18,7 +18,7 @@ from tests.trials.server.deployment import Deployment
 from tests.trials.server.processes import Process, kill, of_kind, processes, wait_until
 
 # Share of each kind among the kills. "api in a POST": the API while it answers somebody who submits.
-SHARES = {"stage": 26, "worker": 24, "api in a POST": 14, "api": 8, "nursery": 11, "host": 9, "picture": 8}
+SHARES = {"stage": 26, "worker": 24, "api in a POST": 14, "api": 8, "fork server": 11, "host": 9, "picture": 8}
 # A job's stages are hit at most twice: the third crash of one stage is a failed job, by design. (Kills of its worker do
 # not count.)
 _HITS_PER_JOB = 2
@@ -155,7 +155,7 @@ class Chaos:
         """The jobs that lose a try when this process is killed."""
         if process.kind == "stage":
             return [process.job]
-        if process.kind == "nursery":
+        if process.kind == "fork server":
             return [stage.job for stage in of_kind(self.deployment.mark, "stage") if stage.parent == process.pid]
         return []
 

@@ -14,7 +14,7 @@ MARK = "TRIAL_MARK"
 
 _KINDS = (
     ("service.server.supervisor.supervisor", "host"),
-    ("service.server.worker.process.forkserver", "nursery"),
+    ("service.server.worker.process.forkserver", "fork server"),
     ("service.server.worker.main", "worker"),
     ("service.server.api.main", "api"),
     ("service.server.api.intake.picture_child", "picture"),
@@ -26,7 +26,7 @@ _ID = 36  # characters of a job's id
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """kind: host, api, worker, nursery, stage, picture or other; job: the one that a stage's process works for.
+    """kind: host, api, worker, fork server, stage, picture or other; job: the one that a stage's process works for.
 
     frozen: stopped by SIGSTOP
     """
@@ -41,10 +41,10 @@ class Process:
 def processes(mark: str) -> list[Process]:
     """Those that live now; a dead one not yet waited for does not."""
     found = [process for pid in _pids() if (process := _seen(pid, mark)) is not None]
-    nurseries = {process.pid for process in found if process.kind == "nursery"}
+    fork_servers = {process.pid for process in found if process.kind == "fork server"}
     return [
         Process(p.pid, p.parent, "stage", _job_of(p.pid), p.frozen)
-        if p.kind == "nursery" and p.parent in nurseries
+        if p.kind == "fork server" and p.parent in fork_servers
         else p
         for p in found
     ]

@@ -24,7 +24,7 @@ _SHORT_LEASE = {"CAUSTICMILL_LEASE_S": str(LEASE_S)}
 
 
 def sqlite_storm(size: Size = SQLITE, *, seed: int = 1) -> Iterator[Figure]:
-    """`serve` alone: supervisor, API, worker, nursery, stages and the checker of pictures killed; workers frozen."""
+    """`serve` alone: supervisor, API, worker, fork server, stages and picture checker killed; workers frozen."""
     with tempfile.TemporaryDirectory(prefix="causticmill-storm-") as folder:
         with embedded(Path(folder), environment=_SHORT_LEASE | {"CAUSTICMILL_SLOTS": "2"}) as deployment:
             result = storm(deployment, deployment.data[0] / "objects", size, seed=seed, say=_say)

@@ -128,7 +128,12 @@ def _calm(deployment: Deployment, customers: Customers, store: Path, size: Size,
     result.verdict = verdict
     wait_until(lambda: not of_kind(deployment.mark, "stage"), _CALM_S)
     result.orphans += [f"{process} after the last job" for process in of_kind(deployment.mark, "stage")]
-    for kind, most in (("api", 1), ("worker", len(deployment.data)), ("nursery", len(deployment.data)), ("picture", 1)):
+    for kind, most in (
+        ("api", 1),
+        ("worker", len(deployment.data)),
+        ("fork server", len(deployment.data)),
+        ("picture", 1),
+    ):
         if len(found := of_kind(deployment.mark, kind)) > most:
             result.orphans.append(f"{len(found)} processes of kind {kind}: {[process.pid for process in found]}")
     result.left += [f"with all jobs ended: {line}" for line in _files_left(deployment)]

@@ -28,7 +28,7 @@ from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
-from service.milling.agent.request_fields import Fields, fields_of
+from service.milling.agent.request_fields import Fields, read_fields
 
 _MOST_MM = 5000.0
 _AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
@@ -52,13 +52,13 @@ class ControlRoutes:
         if what not in _COMMANDS and what != "resume":
             allowed = ", ".join(sorted([*_STOPS, *_COMMANDS, "resume"]))
             raise Problem(404, f"no control '{what}'; allowed: {allowed}")
-        fields = await fields_of(request)
+        fields = await read_fields(request)
         if what == "resume":
-            fields.done()
+            fields.refuse_unknown()
             await access.order("resume", Mill.resume, caller, needs_lease=True)
             return self._accept()
         command = _COMMANDS[what](fields)
-        fields.done()
+        fields.refuse_unknown()
         await access.order(what, lambda mill: mill.command(command), caller, needs_lease=True)
         return self._accept()
 

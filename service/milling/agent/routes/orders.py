@@ -10,7 +10,7 @@ from machines.mill.orders import GRANT_S, LEASE_S
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_control
-from service.milling.agent.request_fields import fields_of
+from service.milling.agent.request_fields import read_fields
 
 _MOST_ORDERS = 500
 
@@ -30,30 +30,30 @@ class OrderRoutes:
         ]
 
     async def grant(self, request: Request) -> Response:
-        """One order may be carried out under it, for a moment from now on."""
-        fields = await fields_of(request)
+        """Grant one order, which may be carried out under it for a moment from now on."""
+        fields = await read_fields(request)
         stops = int(fields.number("stops", 0, 1 << 53)) if fields.has("stops") else None
-        fields.done()
+        fields.refuse_unknown()
         grant = self._orders.issue_grant(read_control(request), stops_seen=stops)
         return JSONResponse({"grant": grant.word, "valid_s": GRANT_S, "stops": grant.stops}, status_code=201)
 
     async def take(self, request: Request) -> Response:
-        fields = await fields_of(request)
+        fields = await read_fields(request)
         operator, principal = fields.text("operator", longest=100), fields.text("principal", longest=200)
         take_over = fields.flag("take_over")
-        fields.done()
+        fields.refuse_unknown()
         secret, lease, new = self._orders.take_lease(operator, principal, read_control(request), take_over=take_over)
         await self._agent.access.call(lambda mill: mill.publish())
         told = lease.as_dict() | {"control": secret, "expires_s": LEASE_S}
         return JSONResponse(told, status_code=201 if new else 200)
 
     async def check(self, request: Request) -> Response:
-        """OrderRefusedError where somebody else than the caller has control."""
+        """Raise OrderRefusedError where somebody else than the caller has control."""
         self._orders.require_free(read_control(request))
         return Response(status_code=204)
 
     async def release(self, request: Request) -> Response:
-        """Nobody has control, if it was the caller's. OrderRefusedError where it is somebody else's."""
+        """Release control, if it was the caller's. OrderRefusedError where it is somebody else's."""
         control = read_control(request)
         if not self._orders.release_lease(control):
             self._orders.require_free(control)
@@ -61,7 +61,7 @@ class OrderRoutes:
         return Response(status_code=204)
 
     async def list_orders(self, request: Request) -> Response:
-        """Newest first: orders, stops, and what came of them."""
+        """List orders, stops, and what came of them, newest first."""
         before, limit = _number(request, "before", 1 << 53), _number(request, "limit", 50)
         limit = max(1, min(limit, _MOST_ORDERS))
         entries = await self._agent.access.work(lambda: self._agent.audit.read(before, limit))

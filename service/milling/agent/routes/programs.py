@@ -13,7 +13,7 @@ from machines.runs import RunState
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.programs import StoredProgram, fetch_program, valid_sha256
-from service.milling.agent.request_fields import fields_of
+from service.milling.agent.request_fields import read_fields
 
 
 class ProgramRoutes:
@@ -56,10 +56,10 @@ class ProgramRoutes:
         return Response(status_code=204)
 
     async def fetch(self, request: Request) -> Response:
-        fields = await fields_of(request)
+        fields = await read_fields(request)
         url, sha256 = fields.text("url", longest=2000), valid_sha256(fields.text("sha256"))
         token = fields.text("token") if fields.has("token") else None
-        fields.done()
+        fields.refuse_unknown()
         return _program_response(*await fetch_program(self._agent.store, url, sha256, token=token))
 
 

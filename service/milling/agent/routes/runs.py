@@ -19,7 +19,7 @@ from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
 from service.milling.agent.mill_access import START_S
-from service.milling.agent.request_fields import Fields, fields_of
+from service.milling.agent.request_fields import Fields, read_fields
 
 
 class RunRoutes:
@@ -47,28 +47,28 @@ class RunRoutes:
         return JSONResponse(self._run(request).as_dict())
 
     async def park(self, request: Request) -> Response:
-        fields = await fields_of(request)
+        fields = await read_fields(request)
         program = fields.text("program")
         name = fields.text("name", program[:12], longest=200)
         key = fields.text("key", longest=100) if fields.has("key") else ""
-        fields.done()
+        fields.refuse_unknown()
         path = self._agent.store.path_of(program)
         async with self._parking:  # a client that asks again must not overtake itself
             if (known := self._find_parked(key, program)) is not None:
                 return _run_response(known, status=200)
-            facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
+            facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
             run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
         return _run_response(run, status=201)
 
     def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
-        """On the mill's thread, as is a removal: the program is still there once the run is known."""
+        """Park on the mill's thread, where removals run as well: the program is still there once the run is known."""
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
     def _find_parked(self, key: str, program: str) -> RunView | None:
-        """The run that this key has parked; a Problem where it was for another program."""
+        """Find the run that this key has parked; a Problem where it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
         if run is not None and run.program != program:
@@ -76,19 +76,19 @@ class RunRoutes:
         return run
 
     async def start(self, request: Request) -> Response:
-        run, fields = self._run(request), await fields_of(request)
+        run, fields = self._run(request), await read_fields(request)
         said = _read_confirmation(fields, START_CHECKS)
         setup = fields.text("setup", longest=100) if fields.has("setup") else None
-        fields.done()
+        fields.refuse_unknown()
         await self._agent.access.order(
             "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
         )
         return self._answer(request)
 
     async def recover(self, request: Request) -> Response:
-        run, fields = self._run(request), await fields_of(request)
+        run, fields = self._run(request), await read_fields(request)
         said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
-        fields.done()
+        fields.refuse_unknown()
         await self._agent.access.order(
             "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
         )
@@ -105,8 +105,8 @@ class RunRoutes:
         return self._answer(request)
 
     def halt(self, stop: Stop) -> Callable[..., object]:
-        """A stop of the live run. For another run it is refused, but it is counted all the same: no order that was
-        given before it, such as this run's start, is carried out any more.
+        """Make the endpoint of a stop of the live run. For another run it is refused, but it is counted all the same:
+        no order that was given before it, such as this run's start, is carried out any more.
         """
 
         async def endpoint(request: Request) -> Response:
@@ -122,7 +122,7 @@ class RunRoutes:
         return endpoint
 
     def _require_present(self, run: RunView) -> None:
-        """Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
             raise Problem(
@@ -139,7 +139,7 @@ class RunRoutes:
         return self._agent.access.snapshot.runs
 
     def _run(self, request: Request) -> RunView:
-        """By our own id, or by the key that the job server gave it."""
+        """Find a run by our own id, or by the key that the job server gave it."""
         wanted = request.path_params["run"]
         own = self._agent.keys.run_of(wanted) or wanted
         for run in self._runs():

@@ -15,7 +15,9 @@ _HERE, _LONGEST = "this computer", 100
 
 
 def is_here(scope: Scope, headers: Mapping[bytes, bytes]) -> bool:
-    """The caller is on this computer, and no proxy has passed its request on; some say nothing but speak HTTP/1.0."""
+    """Return whether the caller is on this computer, and no proxy has passed its request on; some only speak
+    HTTP/1.0.
+    """
     peer = scope.get("client")
     forwarded = any(name in _FORWARDED or name.startswith(b"x-forwarded-") for name in headers)
     direct = not forwarded and scope.get("http_version") != "1.0"
@@ -23,7 +25,7 @@ def is_here(scope: Scope, headers: Mapping[bytes, bytes]) -> bool:
 
 
 def address_of(scope: Scope, *, behind_proxy: bool) -> str:
-    """A word for the place that a request comes from, for counting; of IPv6 the network.
+    """Return a word for the place that a request comes from, for counting; of IPv6 the network.
 
     Only a proxy that the settings know of is believed, and of what it passes on only the last entry, its own. One that
     adds none lets callers make addresses up: what must hold then, too, must not be counted by address alone.
@@ -37,12 +39,12 @@ def address_of(scope: Scope, *, behind_proxy: bool) -> str:
 
 
 def is_this_computer(address: str) -> bool:
-    """A word of `address_of` that stands for callers on this computer."""
+    """Return a word of `address_of` that stands for callers on this computer."""
     return address == _HERE
 
 
 def _network(text: str) -> str:
-    """An address as text, or the network of one; "" where it is none."""
+    """Return an address as text, or the network of one; "" where it is none."""
     try:
         address = ipaddress.ip_address(text)
     except ValueError:

@@ -130,7 +130,7 @@ class Guard:
             raise not_authorised("this token is unknown, expired or revoked") if wrong else not_authorised()
 
     async def _admit_socket(self, scope: Scope) -> None:
-        """Only the way for stops is a socket; who may, it finds out itself."""
+        """Admit the way for stops, the only socket; who may use it, it finds out itself."""
         headers = _plain_headers(scope)
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if scope["path"] != STOP_SOCKET or not is_own_host(host, self._names):
@@ -139,8 +139,8 @@ class Guard:
         note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
 
     async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
-        """To stop a mill is never too much, and asks for nothing that could be busy: a token that was seen before is
-        known from memory. One that was not is looked up as for any request.
+        """Admit a stop, which is never too much and asks for nothing that could be busy: a token that was seen before
+        is known from memory. One that was not is looked up as for any request.
         """
         secret = _secret(headers.get(b"authorization", b""))
         if (token := self._stop_access.find(secret)) is not None:
@@ -163,7 +163,7 @@ class Guard:
                 token = await ask(self._threads, self._tokens.find, secret := _secret(shown))
                 if token is not None:
                     self._stop_access.remember(secret, token)
-                return self._known(token) if token else None
+                return self._accept_token(token) if token else None
             if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
                 return ANONYMOUS
         except SQLAlchemyError:
@@ -171,18 +171,20 @@ class Guard:
             raise Problem(503, words, headers={"Retry-After": "2"}) from None
         return None
 
-    def _known(self, token: Token) -> Principal:
-        """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
+    def _accept_token(self, token: Token) -> Principal:
+        """Accept a token. Its use is noted by another thread: a busy database must not hold a caller up who only
+        reads.
+        """
         self._notes.submit(self._note_use, token)
         return _principal(token)
 
     def _note_use(self, token: Token) -> None:
-        """A page's token does not end while it watches a run: its use renews it."""
+        """Note a use. A page's token does not end while it watches a run: its use renews it."""
         with contextlib.suppress(SQLAlchemyError):
             self._tokens.note_use(token, renew_s=TOKEN_LIFE_S if self._fleet.has_live_run else None)
 
     def _charge(self, scope: Scope, principal: Principal | None, *, bucket: str = "peer") -> None:
-        """429 to one who asks for too much."""
+        """Raise 429 for one who asks for too much."""
         method, path, peer = scope["method"], scope["path"], scope.get("client")
         caller = f"{bucket} {peer[0] if peer else '?'}"
         if principal is not None and not principal.anonymous:
@@ -197,7 +199,9 @@ class Guard:
 
 
 def _plain_headers(scope: Scope) -> Headers:
-    """The headers as a table; a Problem where one that decides something is there twice, or where they are a flood."""
+    """Return the headers as a table; a Problem where one that decides something is there twice, or where they are a
+    flood.
+    """
     pairs = scope["headers"]
     if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
         raise Problem(431, f"allowed: {_MOST_HEADERS} headers of {_MOST_HEADER_BYTES} bytes in all")
@@ -208,7 +212,7 @@ def _plain_headers(scope: Scope) -> Headers:
 
 
 def _refuse_foreign_page(headers: Headers, host: str) -> None:
-    """A page of another site can make a browser send us things; the browser says so."""
+    """Refuse a page of another site, which can make a browser send us things; the browser says so."""
     origin = headers.get(b"origin")
     if origin is not None and _site(origin) != host:
         words = "Origin is another site; changes are taken from this server's own pages only"

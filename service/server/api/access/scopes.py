@@ -45,7 +45,7 @@ ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}
 
 
 def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
-    """A dependency that gives the Principal, if it has every one of the scopes; 401 or 403 otherwise."""
+    """Return a dependency that gives the Principal, if it has every one of the scopes; 401 or 403 otherwise."""
     needed = frozenset(map(str, scopes))
 
     async def dependency(
@@ -65,7 +65,9 @@ def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
 
 
 def require_stop() -> Callable[..., Awaitable[None]]:
-    """A dependency for what stops a mill: the guard has decided who may (service/server/api/access/stop_access.py)."""
+    """Return a dependency for what stops a mill: the guard has decided who may
+    (service/server/api/access/stop_access.py).
+    """
 
     async def dependency(
         request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
@@ -85,7 +87,7 @@ Admin = Annotated[Principal, Depends(require(ADMIN))]
 
 
 def principal_of(scope: Scope) -> Principal | None:
-    """Whom the guard has found to be calling."""
+    """Return whom the guard has found to be calling."""
     found = scope.get(_KEY)
     return found if isinstance(found, Principal) else None
 
@@ -95,7 +97,7 @@ def note_principal(scope: Scope, principal: Principal) -> None:
 
 
 def open_here(request: Request) -> bool:
-    """The guard let this request in without asking who it is from: it came from this computer, to an open address."""
+    """Return whether the guard let this request in anonymously: it came from this computer, to an open address."""
     return bool(request.scope.get(_OPEN_KEY))
 
 
@@ -108,7 +110,7 @@ def note_stopper(scope: Scope) -> None:
 
 
 def note_arrival(scope: Scope, *, at_server: bool) -> None:
-    """When the request came, by a clock that runs in suspend, and whether from this very computer."""
+    """Note when the request came, by a clock that runs in suspend, and whether from this very computer."""
     scope[_ARRIVED_KEY], scope[_AT_SERVER_KEY] = suspend_aware_clock_s(), at_server
 
 
@@ -125,7 +127,7 @@ def not_authorised(words: str = "a token is needed: Authorization: Bearer cm_...
 
 
 def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
-    """InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
+    """Raise InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
     if is_loopback(settings.host):
         return
     where = f"--host {settings.host} can be reached from other computers"

@@ -29,11 +29,11 @@ class StopAccess:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="stop-access")
 
     def find(self, secret: str) -> Token | None:
-        """The token that may stop mills, from memory."""
+        """Find the token that may stop mills, from memory."""
         return self._known.get(hash_secret(secret)) if secret else None
 
     def remember(self, secret: str, token: Token) -> None:
-        """One that has just been found to be good."""
+        """Remember one that has just been found to be good."""
         if TokenScope.MACHINE_RUN in token.scopes:
             self._known[hash_secret(secret)] = token
 

@@ -33,7 +33,8 @@ class Conditions:
 async def download(
     store: Store, file: Artifact, conditions: Conditions, *, with_body: bool, elsewhere: bool = True
 ) -> Response:
-    """MissingObjectError where the store has lost the file. `elsewhere`: the caller may be sent to the store itself.
+    """Send the file; MissingObjectError where the store lost it. `elsewhere`: the caller may be sent to the store
+    itself.
 
     A bucket knows the file by its hash only: pages, and the pictures in them, always come from here.
     """
@@ -59,11 +60,11 @@ async def download(
         await asyncio.to_thread(store.head, file.sha256)
         return Response(status_code=status, headers=headers, media_type=kind)
     pieces = await asyncio.to_thread(store.open_range, file.sha256, start, end)
-    return StreamingResponse(in_threads(pieces), status_code=status, headers=headers, media_type=kind)
+    return StreamingResponse(iterate_in_threads(pieces), status_code=status, headers=headers, media_type=kind)
 
 
-async def in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
-    """Each piece is made in a thread, when the one before has been taken; one more is ready at any time."""
+async def iterate_in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    """Make each piece in a thread, when the one before has been taken; one more is ready at any time."""
     ahead = asyncio.ensure_future(asyncio.to_thread(next, pieces, None))
     try:
         while (piece := await ahead) is not None:
@@ -90,7 +91,7 @@ def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
 
 
 def matches(if_none_match: str | None, etag: str) -> bool:
-    """True where the client has this version already (weak comparison)."""
+    """Return whether the client has this version already (weak comparison)."""
     if if_none_match is None:
         return False
     given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}

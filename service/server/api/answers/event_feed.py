@@ -68,7 +68,7 @@ class Feed:
 
     @contextlib.asynccontextmanager
     async def follow(self, job_id: str, after: int) -> AsyncIterator[Follower]:
-        """A follower that gets every event after `after`, and the end."""
+        """Yield a follower that gets every event after `after`, and the end."""
         follower = Follower(job_id, after)
         self._followers.add(follower)
         if self._closed:
@@ -88,16 +88,16 @@ class Feed:
             self._drop(follower)
         self._wake.set()
 
-    def gone(self, job_id: str) -> None:
-        """The job was deleted here."""
+    def drop_job(self, job_id: str) -> None:
+        """Drop the followers of a job that was deleted here."""
         for follower in [each for each in self._followers if each.job_id == job_id]:
             self._drop(follower)
 
     async def _poll(self) -> None:
-        """Until nobody follows any more."""
+        """Poll until nobody follows any more."""
         while self._followers:
             self._wake.clear()
-            asked = self._asked()
+            asked = self._list_wanted()
             wait_s = self._poll_s
             try:
                 found = await asyncio.to_thread(self._book.latest, asked)
@@ -111,15 +111,15 @@ class Feed:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), wait_s)
 
-    def _asked(self) -> dict[str, int]:
-        """For each job, the event after which somebody needs the rest."""
+    def _list_wanted(self) -> dict[str, int]:
+        """Return for each job the event after which somebody needs the rest."""
         asked: dict[str, int] = {}
         for follower in self._followers:
             asked[follower.job_id] = min(follower.seen, asked.get(follower.job_id, follower.seen))
         return asked
 
     def _hand_out(self, asked: Mapping[str, int], news: News, *, whole: bool) -> None:
-        """To each follower what it has not seen. `whole`: nothing was left behind in the database."""
+        """Hand each follower what it has not seen. `whole`: nothing was left behind in the database."""
         events: dict[str, list[JobEvent]] = {}
         for event in news.events:
             events.setdefault(event.job_id, []).append(event)

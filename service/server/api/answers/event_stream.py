@@ -54,7 +54,7 @@ class EventStream(Response):
         await sent(send, b"", more=False)
 
     async def _still_there(self) -> bool:
-        """False for a job that was deleted by another process."""
+        """Return False for a job that was deleted by another process."""
         with contextlib.suppress(Exception):  # the database may be away; then nothing is known
             try:
                 await asyncio.to_thread(self._book.get, self._job_id)

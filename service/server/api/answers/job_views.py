@@ -31,7 +31,7 @@ _NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is as
 def make_summary(
     job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None
 ) -> JobSummary:
-    """A job as the list shows it; `picture` is the artifact to show for it."""
+    """Make a job as the list shows it; `picture` is the artifact to show for it."""
     address = f"/v1/jobs/{job.id}"
     links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
     links["archive"] = f"{address}/archive.zip"
@@ -66,7 +66,7 @@ def make_view(
     runs: Sequence[StageRun],
     files: Sequence[Artifact],
 ) -> JobView:
-    """A job with its report, spec, stages and programs."""
+    """Make a job with its report, spec, stages and programs."""
     return JobView(
         **dict(make_summary(job, position=position, progress=progress, picture=picture)),
         report=job.report,
@@ -77,7 +77,7 @@ def make_view(
 
 
 def etag(job: JobListRow, *, position: int | None, progress: Progress | None) -> str:
-    """Changes with everything that the job's body shows."""
+    """Return a tag that changes with everything that the job's body shows."""
     share = round(_progress(job, progress) * 10_000)
     return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
 
@@ -94,7 +94,9 @@ def make_artifact_view(file: Artifact) -> ArtifactView:
 
 
 def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
-    """The programs by number, from 1 in the order in which they are run: that of their pass, unless one is split."""
+    """Return the programs by number, from 1 in the order in which they are run: that of their pass, unless one is
+    split.
+    """
     found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
     return dict(enumerate(found, 1))
 
@@ -116,7 +118,7 @@ def _progress(job: JobListRow, progress: Progress | None) -> float:
 
 
 def _stages(job: Job, runs: Sequence[StageRun]) -> list[StageView]:
-    """Every stage of the job's plan, with what became of it in this attempt."""
+    """Return every stage of the job's plan, with what became of it in this attempt."""
     last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
     usual = usual_seconds(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
     whole = sum(usual.values())
@@ -136,7 +138,7 @@ def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Sta
 
 
 def read_view(services: Services, job: Job) -> JobView:
-    """The job with all that the book knows of it."""
+    """Return the job with all that the book knows of it."""
     book = services.book
     position = _position(job, book.queue_positions()) if job.state is JobState.QUEUED else None
     progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None

@@ -32,7 +32,7 @@ class RequestBody:
         self._more = True
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
+        """Yield the body; Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
         began, taken = time.monotonic(), 0
         while self._more:
             try:
@@ -65,7 +65,7 @@ class RequestBody:
         return bytes(message.get("body", b""))
 
 
-class SmallBodies:
+class BodyLimit:
     """ASGI middleware: no body is longer than 64 kB, but those posted to some addresses, which count for themselves.
 
     but : a pattern of those addresses
@@ -81,7 +81,7 @@ class SmallBodies:
             return
         taken = 0
 
-        async def counted() -> Message:
+        async def receive_counted() -> Message:
             nonlocal taken
             message = await receive()
             taken += len(message.get("body", b""))
@@ -89,10 +89,10 @@ class SmallBodies:
                 raise HTTPException(413)  # the framework passes this one on, and makes 400 of all others
             return message
 
-        await self._app(scope, counted, send)
+        await self._app(scope, receive_counted, send)
 
 
-class Patient:
+class BodyTimeout:
     """ASGI middleware: 408 for a body that stops coming, an end for a connection that stops reading."""
 
     def __init__(self, app: ASGIApp, *, piece_s: float = _PIECE_S, taken_s: float = _TAKEN_S) -> None:
@@ -106,7 +106,7 @@ class Patient:
             return
         coming = True
 
-        async def received() -> Message:
+        async def receive_in_time() -> Message:
             nonlocal coming
             if not coming:  # only the end of the connection is waited for
                 return await receive()
@@ -118,8 +118,8 @@ class Patient:
             coming = bool(message.get("more_body"))
             return message
 
-        async def sent(message: Message) -> None:
+        async def send_in_time(message: Message) -> None:
             async with asyncio.timeout(self._taken_s):
                 await send(message)
 
-        await self._app(scope, received, sent)
+        await self._app(scope, receive_in_time, send_in_time)

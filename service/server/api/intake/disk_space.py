@@ -22,13 +22,15 @@ class Space:
         self._makes_programs = settings.embedded and settings.store_url is None
 
     def require(self, coming_bytes: int = 0) -> None:
-        """Problem 507 where less is free, or would be after so much more, than the settings want to stay free."""
+        """Raise Problem 507 where less is free, or would be after so much more, than the settings want to stay free."""
         free_mb = self._free_mb()
         if free_mb - coming_bytes / 1e6 < self._floor_mb:
             raise Problem(507, f"{free_mb:.0f} MB are free; new jobs need {self._floor_mb} MB", headers=_RETRY)
 
     def require_for_programs(self, spec: dict[str, Any]) -> None:
-        """Problem 507 for a job whose programs this disk cannot hold; of other computers' disks nothing is known."""
+        """Raise Problem 507 for a job whose programs this disk cannot hold; of other computers' disks nothing is
+        known.
+        """
         if not self._makes_programs:
             return
         wanted_mb, free_mb = job_bytes(JobSpec.model_validate(spec)) / 1e6, self._free_mb()

@@ -35,7 +35,7 @@ Answer = dict[str, Any]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class _Ask:
+class _Request:
     caller: str
     asked: dict[str, Any]
     is_long: bool
@@ -58,19 +58,20 @@ class Estimator:
         self._idle_s = idle_s
         self._module = module
         self._bell = threading.Condition()
-        self._waiting: list[_Ask] = []
-        self._running: _Ask | None = None
+        self._waiting: list[_Request] = []
+        self._running: _Request | None = None
         self._closed = self._killed = False
         self._keeper: threading.Thread | None = None
         self._child: LineChild | None = None
         self._warm = False
 
     def ask(self, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[Answer]:
-        """What the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too many wait.
+        """Return what the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too
+        many wait.
 
         is_long : the answer may take LONG_S
         """
-        ask = _Ask(caller=caller, asked=asked, is_long=is_long)
+        ask = _Request(caller=caller, asked=asked, is_long=is_long)
         with self._bell:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
@@ -88,16 +89,16 @@ class Estimator:
         return ask.answer
 
     def leave(self, caller: str) -> None:
-        """A caller's asks are ended: it has gone, or asked for something else."""
+        """End a caller's asks: it has gone, or asked for something else."""
         with self._bell:
             self._end_all_of(caller)
 
-    def _asks_of(self, caller: str) -> list[_Ask]:
-        """With the bell held."""
+    def _asks_of(self, caller: str) -> list[_Request]:
+        """Return a caller's asks, with the bell held."""
         return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
 
     def _end_all_of(self, caller: str) -> None:
-        """With the bell held."""
+        """End a caller's asks, with the bell held."""
         older = self._asks_of(caller)
         for one in older:
             one.end(Problem(409, f"a newer {self._what} was asked for"))
@@ -107,7 +108,7 @@ class Estimator:
             self._child.kill()  # the keeper buries it
 
     def prepare(self) -> None:
-        """What estimates need is compiled now, where it was not yet, so that the first person need not wait for it."""
+        """Compile what estimates need, where it was not yet, so that the first person need not wait for it."""
         if not ready_mark(ESTIMATES).exists():
             with suppress(Problem):  # as good as busy with it
                 self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS})
@@ -138,12 +139,12 @@ class Estimator:
             self._keeper.join()
 
     def _keep(self) -> None:
-        while (ask := self._next()) is not None:
+        while (ask := self._wait_for_next()) is not None:
             self._finish(ask)
         self._drop()
 
-    def _next(self) -> _Ask | None:
-        """The next one to be answered; meanwhile an idle process is ended. None: closed."""
+    def _wait_for_next(self) -> _Request | None:
+        """Return the next one to be answered; meanwhile an idle process is ended. None: closed."""
         with self._bell:
             self._running = None
             if self._killed:
@@ -158,7 +159,7 @@ class Estimator:
                     self._drop()
             return None
 
-    def _finish(self, ask: _Ask) -> None:
+    def _finish(self, ask: _Request) -> None:
         try:
             found = self._answer(ask)
         except (ChildLate, ChildDied, OSError) as error:
@@ -178,7 +179,7 @@ class Estimator:
         with suppress(InvalidStateError):
             ask.answer.set_result(found[self._what])
 
-    def _answer(self, ask: _Ask) -> dict[str, Any]:
+    def _answer(self, ask: _Request) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
         if ask.is_long and ask.answer.done():

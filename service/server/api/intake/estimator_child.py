@@ -49,7 +49,7 @@ def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _prepare(limits: PictureLimits) -> dict[str, Any]:
-    """The usual job of a picture that goes from black to white."""
+    """Estimate the usual job of a picture that goes from black to white."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "wedge.png"
         Image.linear_gradient("L").save(path)

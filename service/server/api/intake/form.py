@@ -60,14 +60,14 @@ async def receive_form(
     picture: str = "image",
     small: Mapping[str, int] = _SMALL,
 ) -> AsyncIterator[JobForm]:
-    """The whole form; its file is removed at the end. Problem for what is no such form, too large, or too much.
+    """Receive the whole form; its file is removed at the end. Problem for what is no such form, too large, or too much.
 
     picture : name of the part that holds the picture
     small   : names of the other parts that are taken, and how many bytes each may have
     """
     body = RequestBody(request)
     try:
-        with _new_file(folder) as (path, file):
+        with _create_file(folder) as (path, file):
             yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
     except Problem:
         await body.linger()
@@ -87,7 +87,7 @@ async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
             raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
-    return await asyncio.to_thread(reader.done)
+    return await asyncio.to_thread(reader.finish)
 
 
 def sweep_uploads(folder: Path) -> None:
@@ -135,8 +135,8 @@ class _Reader:
             "on_end": self._end,
         }
 
-    def done(self) -> JobForm:
-        """The form, if it is whole."""
+    def finish(self) -> JobForm:
+        """Return the form, if it is whole."""
         self._file.flush()
         if not self._ended:
             raise Problem(400, "the body ends in the middle of the form", field="body")
@@ -212,7 +212,7 @@ def _boundary(request: Request) -> bytes:
 
 
 def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
-    """A header's value and its parameters; nothing where it makes no sense."""
+    """Return a header's value and its parameters; nothing where it makes no sense."""
     try:
         kind, options = parse_options_header(header)
     except (ValueError, LookupError, TypeError):
@@ -231,7 +231,7 @@ def _too_large(most: int, picture: str) -> Problem:
 
 
 @contextlib.contextmanager
-def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+def _create_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{secrets.token_hex(8)}.upload"
     try:
@@ -243,7 +243,9 @@ def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
 
 
 def harmless_name(given: bytes | str, *, default: str) -> str:
-    """The last part of a path in any system's spelling, printable, at most 100 characters; `default` for nothing."""
+    """Return the last part of a path in any system's spelling, printable, at most 100 characters; `default` for
+    nothing.
+    """
     text = given if isinstance(given, str) else given.decode("utf-8", "replace")
     text = unicodedata.normalize("NFC", text.replace("\\", "/").rpartition("/")[2])
     text = "".join(c if c.isprintable() and c not in '<>:"|?*' else "_" for c in text).strip(" .")

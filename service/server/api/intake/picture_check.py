@@ -66,7 +66,7 @@ class PictureChecker:
         self._drop()
 
     def _check(self, asked: dict[str, Any]) -> PictureFacts:
-        """A child that dies is no proof against the picture: it is tried once more in a new one."""
+        """Check a picture. A child that dies is no proof against it: it is tried once more in a new one."""
         name = asked["name"]
         for _ in range(2):
             child = self._ready_child()

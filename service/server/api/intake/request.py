@@ -31,7 +31,7 @@ class JobRequest:
 
 
 def job_request(form: JobForm) -> JobRequest:
-    """SpecError or Problem for what cannot be used."""
+    """Parse a request; SpecError or Problem for what cannot be used."""
     job = _resolve(bytes(form.texts.get("spec", b"")))
     spec = job.spec.model_dump(mode="json")
     priority = _priority(form.texts.get("priority"))
@@ -41,7 +41,7 @@ def job_request(form: JobForm) -> JobRequest:
 
 
 def idempotency_key(header: str | None, principal: Principal) -> ClientKey | None:
-    """The header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
+    """Return the header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
     if header is None:
         return None
     key = header.strip()
@@ -61,14 +61,16 @@ def _resolve(text: bytes) -> ResolvedJob:
 
 
 def _parse(text: bytes) -> dict[str, Any]:
-    """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
+    """Parse the JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
 
     The values are counted before they are parsed: what each of them costs from here on is paid by this process.
     """
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
         raise _unusable(f"holds more than {_MOST_VALUES} values")
     try:
-        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_once, parse_constant=_no_constant)
+        data = json.loads(
+            text.decode("utf-8-sig"), object_pairs_hook=_refuse_duplicates, parse_constant=_refuse_constant
+        )
     except UnicodeDecodeError:
         raise _unusable("is not UTF-8") from None
     except RecursionError:
@@ -82,7 +84,7 @@ def _parse(text: bytes) -> dict[str, Any]:
     return data
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for key, value in pairs:
         if key in made:
@@ -91,7 +93,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return made
 
 
-def _no_constant(word: str) -> float:
+def _refuse_constant(word: str) -> float:
     raise ValueError(f"{word} is no number")
 
 

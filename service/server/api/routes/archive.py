@@ -13,7 +13,7 @@ from starlette.responses import Response, StreamingResponse
 
 from service.job.files import is_drawing, zip_entry
 from service.server.api.access.scopes import Reader
-from service.server.api.answers.download import in_threads, matches
+from service.server.api.answers.download import iterate_in_threads, matches
 from service.server.api.openapi import Responses, refusals
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
@@ -69,7 +69,7 @@ async def archive(
     for file in files:
         await asyncio.to_thread(services.store.head, file.sha256)  # refused now, not in the middle
     pieces = _zip(services.store, files)
-    return StreamingResponse(in_threads(pieces), headers=headers, media_type="application/zip")
+    return StreamingResponse(iterate_in_threads(pieces), headers=headers, media_type="application/zip")
 
 
 class _Outlet:

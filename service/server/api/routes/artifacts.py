@@ -22,7 +22,7 @@ router = APIRouter(tags=["artifacts"])
 
 
 def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
-    """What a download may answer, for the document; kinds: media types."""
+    """Return what a download may answer, for the document; kinds: media types."""
     content: dict[str, Any] = {kind: {"schema": {}} for kind in kinds}
     return {
         200: {"description": f"the {what}; ETag is its SHA-256", "content": content},
@@ -52,7 +52,7 @@ Number = Annotated[int, Path(ge=1, le=999, description="number of the pass, from
 
 
 def _get_and_head(path: str, **told: Any) -> Any:
-    """Registers a route for GET, which the document shows, and HEAD, as RFC 9110 wants it."""
+    """Register a route for GET, which the document shows, and HEAD, as RFC 9110 wants it."""
 
     def register(function: Any) -> Any:
         name = function.__name__
@@ -104,11 +104,11 @@ async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: 
 
 
 async def sent(request: Request, file: Artifact, asked: Conditions) -> Response:
-    """The file as it was asked for; a browser gets it from here, whatever store it is in."""
+    """Send the file as it was asked for; a browser gets it from here, whatever store it is in."""
     store, with_body = services_of(request).store, request.method == "GET"
     return await download(store, file, asked, with_body=with_body, elsewhere=not _by_browser(request))
 
 
 def _by_browser(request: Request) -> bool:
-    """Its scripts may not follow to another site, and it saves a file under the name that it has there: a hash."""
+    """Return whether a browser asks: its scripts may not follow to another site, and it would save a hash as name."""
     return "sec-fetch-mode" in request.headers or "text/html" in request.headers.get("accept", "")

@@ -62,11 +62,13 @@ def _after(last_event_id: str | None) -> int | None:
 
 
 def _known(services: Services, job_id: str, after: int | None) -> int | None:
-    """The id, if there is such an event; else (the database is an older one, put back) the client begins anew."""
+    """Return the id, if there is such an event; else (the database is an older one, put back) the client begins
+    anew.
+    """
     return after if after and services.book.events(job_id, after - 1, 1) else None
 
 
 def _is_over(services: Services, job_id: str, after: int | None) -> bool:
-    """True where a client that comes back has nothing to wait for. UnknownJobError."""
+    """Return whether a client that comes back has nothing to wait for. UnknownJobError."""
     ended = services.book.get(job_id).ended
     return ended and after is not None and not services.book.events(job_id, after, 1)

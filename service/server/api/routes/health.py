@@ -17,7 +17,7 @@ router = APIRouter(tags=["operations"])
 
 
 async def _here_or_known(request: Request) -> None:
-    """From this computer, or with any token."""
+    """Admit callers on this computer, or with any token."""
     if not open_here(request):
         await require()(request, None)
 

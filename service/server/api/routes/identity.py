@@ -49,7 +49,7 @@ async def pair(request: Request, response: Response, body: PairingBody) -> Pairi
 
 
 def _pair(request: Request, body: PairingBody) -> PairingView:
-    """In a thread: digests are slow, and a terminal may be, too."""
+    """Pair in a thread: digests are slow, and a terminal may be, too."""
     services = services_of(request)
     address = address_of(request.scope, behind_proxy=services.settings.behind_proxy)
     # Whoever is at this computer is not slowed down by a crowd elsewhere.

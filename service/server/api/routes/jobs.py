@@ -121,7 +121,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
         _tell_engine(services, services.book.delete(str(job_id)))
 
     await asyncio.to_thread(change)
-    services.feed.gone(str(job_id))
+    services.feed.drop_job(str(job_id))
     return Response(status_code=204)
 
 
@@ -137,7 +137,7 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
 
 
 def _tell_engine(services: Services, job: Job) -> None:
-    """The job is not to be started any more; a worker that starts it all the same sees that in the book."""
+    """Tell the engine not to start the job any more; a worker that starts it all the same sees that in the book."""
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
     except Exception as error:  # whatever the engine's database does: the book has it

@@ -39,7 +39,7 @@ def file(request: Request, path: str) -> Response:
 
 
 def index(request: Request) -> Response:
-    """What a browser gets at /."""
+    """Return what a browser gets at /."""
     found = _files.file(INDEX)
     if found is None:
         raise Problem(404, "the page is not installed", field="path")
@@ -61,7 +61,7 @@ def _sent(request: Request, found: PageFile, *, vary: str = "Accept-Encoding") -
 
 
 def _takes_gzip(header: str) -> bool:
-    """RFC 9110: named, and not with the weight 0."""
+    """Return whether gzip is named, and not with the weight 0 (RFC 9110)."""
     for coding in header.lower().split(","):
         name, _, weight = coding.replace(" ", "").partition(";q=")
         if name == "gzip":

@@ -138,7 +138,7 @@ async def measure(request: Request, response: Response, principal: Writer, profi
 
 @asynccontextmanager
 async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
-    """The request's photograph, as the process that looks is asked for it; its file is removed at the end."""
+    """Receive the request's photograph, as the process that looks takes it; its file is removed at the end."""
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
@@ -163,7 +163,7 @@ def _require_profile(name: str) -> None:
 
 
 def _fetch(services: Services, job_id: str, folder: Path) -> None:
-    """The files of the job that a look needs. Problem 409 where there is no lens yet."""
+    """Fetch the files of the job that a look needs. Problem 409 where there is no lens yet."""
     job = services.book.get(job_id)
     files = {file.name: file for file in services.book.artifacts(job_id)}
     missing = [name for name in (job_files.HEIGHTFIELD, job_files.MAP) if name not in files]

@@ -124,6 +124,6 @@ def mills_by_profile(
 
 
 def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
-    """Whether programs for one are programs for the other: all but name, link and homing."""
+    """Return whether programs for one are programs for the other: all but name, link and homing."""
     ours, theirs = asdict(one), asdict(other)
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})

@@ -52,7 +52,7 @@ async def stops(socket: WebSocket) -> None:
 
 
 def _context(socket: WebSocket, services: Services, secret: str) -> OrderContext | None:
-    """Who stops mills over this socket; None for one who may not."""
+    """Return who stops mills over this socket; None for one who may not."""
     if (token := services.stop_access.find(secret)) is not None:
         return context_of(socket, name=token.name)
     return context_of(socket) if is_at_server(socket.scope) else None
@@ -100,7 +100,7 @@ async def _beat(socket: WebSocket) -> None:
 
 
 async def _make_room() -> None:
-    """The one that is open longest goes: its page opens it again."""
+    """Close the socket that is open longest: its page opens it again."""
     while len(_open) >= _MOST:
         oldest = _open.pop(next(iter(_open)))
         with contextlib.suppress(RuntimeError):

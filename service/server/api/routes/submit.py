@@ -121,7 +121,9 @@ def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, 
 
 
 def hand_to_engine(services: Services, job: Job) -> None:
-    """What the engine does not get now it gets from the workers, who look for queued jobs that it does not know."""
+    """Hand the job to the engine; what it does not get now it gets from workers, who look for queued jobs unknown to
+    it.
+    """
     try:
         services.engine.submit(Ticket(job.id, job.attempt), priority=job.priority)
     except Exception as error:  # whatever the engine's database does: the job is durable already

@@ -36,7 +36,7 @@ _HOPELESS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChildOrder:
-    """What the nursery hands to a child. Files: `order` JSON to read, `words` to write, `beats` to read, `log`."""
+    """What the fork server hands to a child. Files: `order` JSON to read, `words` to write, `beats` to read, `log`."""
 
     parent: int
     entry: str
@@ -49,29 +49,29 @@ class ChildOrder:
 
 
 def find_entry(name: str) -> Entry:
-    """The function `module:function` that does a stage's work."""
+    """Return the function `module:function` that does a stage's work."""
     module, _, function = name.partition(":")
     found: Entry = getattr(importlib.import_module(module), function)
     return found
 
 
 def run_child(given: ChildOrder) -> NoReturn:
-    """The whole life of the process after the fork; it never returns to the nursery's code."""
+    """Live the whole life of the process after the fork; never return to the fork server's code."""
     code = 70
     try:
-        _become_a_stage(given)
-        words = PipeOfWords(given.words)
+        _set_up_stage_process(given)
+        words = MessagePipe(given.words)
         threading.Thread(target=_watch, args=(given.beats, given.silence_s), name="beats", daemon=True).start()
-        words.last(_work(given, words))
+        words.send_last(_work(given, words))
         code = 0
     except BaseException:
         traceback.print_exc()
     finally:
-        _flush()
+        _flush_output()
         os._exit(code)
 
 
-def _become_a_stage(given: ChildOrder) -> None:
+def _set_up_stage_process(given: ChildOrder) -> None:
     os.setsid()  # a group of its own: one signal reaches everything that the stage starts
     signal.set_wakeup_fd(-1)
     for kind in (signal.SIGTERM, signal.SIGCHLD, signal.SIGINT, signal.SIGHUP):
@@ -84,19 +84,19 @@ def _become_a_stage(given: ChildOrder) -> None:
     _close_all_but({given.order, given.words, given.beats})
     with contextlib.suppress(OSError):  # short of memory, the kernel shall take this process and not the server
         Path("/proc/self/oom_score_adj").write_text(_TAKE_ME_FIRST, encoding="ascii")
-    _limit(given.memory_mb)
+    _limit_memory(given.memory_mb)
     faulthandler.enable(2)  # the stage's log shows where a signal struck
 
 
 def _close_all_but(kept: set[int]) -> None:
-    """Other children's pipes are open here, too: their ends would never be seen."""
+    """Close other children's pipes, which are open here, too: their ends would never be seen."""
     first = 3
     for number in (*sorted(kept), os.sysconf("SC_OPEN_MAX")):
         os.closerange(first, number)
         first = number + 1
 
 
-def _limit(memory_mb: int) -> None:
+def _limit_memory(memory_mb: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = address_space_bytes() + memory_mb * 1_000_000
@@ -106,7 +106,7 @@ def _limit(memory_mb: int) -> None:
 
 
 def _watch(beats: int, silence_s: float) -> None:
-    """End the whole group when the worker, or the nursery between, is gone or stands still."""
+    """End the whole group when the worker, or the fork server between, is gone or stands still."""
     while True:
         ready, _, _ = select.select([beats], [], [], silence_s)
         if not ready or not os.read(beats, 65536):
@@ -114,7 +114,7 @@ def _watch(beats: int, silence_s: float) -> None:
             os.killpg(0, signal.SIGKILL)
 
 
-class PipeOfWords:
+class MessagePipe:
     """The pipe to the worker. Progress is dropped while the pipe is full: nothing waits, nothing piles up."""
 
     def __init__(self, pipe: int) -> None:
@@ -123,7 +123,7 @@ class PipeOfWords:
         self._told_at = 0.0
         os.set_blocking(pipe, False)
 
-    def share(self, share: float) -> None:
+    def send_share(self, share: float) -> None:
         now = time.monotonic()
         with self._lock:
             if now - self._told_at < _PROGRESS_EVERY_S:
@@ -134,7 +134,7 @@ class PipeOfWords:
             except BlockingIOError:
                 return
 
-    def last(self, word: dict[str, Any]) -> None:
+    def send_last(self, word: dict[str, Any]) -> None:
         text = _line(word)
         with self._lock:
             os.set_blocking(self._pipe, True)
@@ -146,12 +146,12 @@ def _line(word: dict[str, Any]) -> bytes:
     return json.dumps(word).encode() + b"\n"
 
 
-def _work(given: ChildOrder, words: PipeOfWords) -> dict[str, Any]:
+def _work(given: ChildOrder, words: MessagePipe) -> dict[str, Any]:
     """Do the work; whatever becomes of it is one word."""
     try:
         with os.fdopen(given.order, "rb") as file:
             order = json.load(file)
-        return {"result": find_entry(given.entry)(order, words.share)}
+        return {"result": find_entry(given.entry)(order, words.send_share)}
     except InputError as error:
         return {"refused": str(error).split("\n"), "field": _field(error)}
     except ServiceError as error:
@@ -187,7 +187,7 @@ def _field(error: InputError) -> str:
     return ""
 
 
-def _flush() -> None:
+def _flush_output() -> None:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

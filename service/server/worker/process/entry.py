@@ -1,4 +1,4 @@
-"""What the nursery imports before any fork, and what a child does with its order."""
+"""What the fork server imports before any fork, and what a child does with its order."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ __all__ = ["LATER", "run_stage"]
 
 
 def run_stage(order: dict[str, Any], on_progress: Callable[[float], None]) -> dict[str, Any]:
-    """The stage that `order` (StageOrder.plain) asks for, with the store of the environment's settings."""
+    """Return the stage that `order` (StageOrder.plain) asks for, with the store of the environment's settings."""
     store = open_store(ServerSettings.load())
     return run_order(StageOrder.from_plain(order), store, on_progress).plain()

@@ -1,4 +1,4 @@
-"""The nursery: a warm process with one thread that forks a child for each stage, watches over it and buries it.
+"""The fork server: a warm process with one thread that forks a child for each stage, watches over it and buries it.
 
 Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
 any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
@@ -40,7 +40,7 @@ from service.server.worker.process.child import ChildOrder, find_entry, run_chil
 
 MESSAGE_BYTES = 65536
 FILES = 3  # that come with an order: the order itself, the pipe of words, the log
-_BURYING_S = 0.01
+_REAP_S = 0.01
 _ENDING_S = 2.0  # a process in the middle of a disk access may take longer: the kernel ends it later
 
 
@@ -56,7 +56,7 @@ class _Stage:
     peak_mb: float = 0.0
 
 
-class _Nursery:
+class _Loop:
     def __init__(self, line: socket.socket, entry: str) -> None:
         self._line = line
         self._entry = entry
@@ -67,7 +67,7 @@ class _Nursery:
         self._wakers = socket.socketpair()  # held as long as signals may come
 
     def serve(self) -> None:
-        """Until the worker closes its end, is gone, or a SIGTERM has come."""
+        """Serve until the worker closes its end, is gone, or a SIGTERM has come."""
         wake, woken = self._wakers
         for end in self._wakers:
             end.setblocking(False)
@@ -79,7 +79,7 @@ class _Nursery:
         poll.register(self._line, select.POLLIN)
         poll.register(wake, select.POLLIN)
         while not self._is_ending:
-            ready = {number for number, _ in poll.poll(self._patience_s() * 1000)}
+            ready = {number for number, _ in poll.poll(self._timeout_s() * 1000)}
             if not ready:
                 self._import_one_more()
             if wake.fileno() in ready:
@@ -88,10 +88,10 @@ class _Nursery:
             if self._line.fileno() in ready and not self._listen():
                 return
             self._kill_the_silent()
-            self._bury()
+            self._reap()
 
     def _on_sigterm(self, *_: object) -> None:
-        """Only note it: whatever was interrupted, an import or the end itself, is not entered a second time."""
+        """Note the signal only: whatever was interrupted, an import or the end itself, is not entered a second time."""
         if os.getpid() != self._pid:  # a child that was told to end before it had made itself at home
             os._exit(128 + signal.SIGTERM)
         self._is_ending = True
@@ -108,7 +108,7 @@ class _Nursery:
                         os.kill(pid, signal.SIGKILL)
                 while os.waitpid(-1, os.WNOHANG)[0]:
                     continue
-                time.sleep(_BURYING_S)
+                time.sleep(_REAP_S)
         os._exit(0)
 
     def _import_one_more(self) -> None:
@@ -118,18 +118,18 @@ class _Nursery:
                 gc.freeze()
                 self._tell({"warm": True, "threads": thread_count()})
 
-    def _patience_s(self) -> float:
+    def _timeout_s(self) -> float:
         if self._later:
             return 0.0
         if any(stage.status is not None for stage in self._stages.values()):
-            return _BURYING_S
+            return _REAP_S
         now = time.monotonic()
         return max(
             0.0, min((s.beaten_at + s.silence_s - now for s in self._stages.values() if not s.silent), default=60.0)
         )
 
     def _listen(self) -> bool:
-        """One message; False: the worker is gone."""
+        """Take one message; False: the worker is gone."""
         try:
             data, files, _, _ = socket.recv_fds(self._line, MESSAGE_BYTES, FILES)
         except InterruptedError:
@@ -142,12 +142,12 @@ class _Nursery:
             os.set_inheritable(file, False)
         message = json.loads(data)
         if "beat" in message:
-            self._beat(message["beat"])
+            self._pass_beat(message["beat"])
         else:
             self._start(message, files)
         return True
 
-    def _beat(self, number: int) -> None:
+    def _pass_beat(self, number: int) -> None:
         for stage in self._stages.values():
             if stage.number == number:
                 stage.beaten_at = time.monotonic()
@@ -182,9 +182,9 @@ class _Nursery:
                 stage.silent = True
                 signal_stage(stage.pid, signal.SIGKILL)
 
-    def _bury(self) -> None:
+    def _reap(self) -> None:
         """Wait for the dead, kill who outlives his leader or has left his group, report whose group is gone."""
-        while (dead := _somebody_dead()) is not None:
+        while (dead := _find_dead()) is not None:
             if (stage := self._stages.get(dead)) is not None:
                 signal_group(dead, signal.SIGKILL)
                 _, stage.status, usage = os.wait4(dead, 0)
@@ -192,14 +192,14 @@ class _Nursery:
             else:
                 os.waitpid(dead, 0)
         ended = [stage for stage in self._stages.values() if stage.status is not None]
-        if not ended or self._strays_killed():
+        if not ended or self._kill_strays():
             return
         for stage in ended:
             if not signal_group(stage.pid, signal.SIGKILL):
                 self._report(stage)
 
-    def _strays_killed(self) -> bool:
-        """Adopted processes that belong to the group of no stage."""
+    def _kill_strays(self) -> bool:
+        """Kill adopted processes that belong to the group of no stage; return whether there were any."""
         strays = [pid for pid in own_children() if pid not in self._stages and _group(pid) not in self._stages]
         for pid in strays:
             with contextlib.suppress(OSError):
@@ -216,8 +216,8 @@ class _Nursery:
             self._line.send(json.dumps(message).encode())
 
 
-def _somebody_dead() -> int | None:
-    """A child that has ended and was not waited for; it is left so."""
+def _find_dead() -> int | None:
+    """Find a child that has ended and was not waited for; it is left so."""
     try:
         found = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
@@ -233,9 +233,9 @@ def _group(pid: int) -> int:
 
 
 def main() -> None:
-    """Arguments: the socket, the worker's process id, the function that does a stage's work."""
+    """Run. Arguments: the socket, the worker's process id, the function that does a stage's work."""
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-    name_process("cm-nursery")
+    name_process("cm-forkserver")
     die_with_parent(worker)  # whatever an import may be waiting for
     give_way()
     use_current_kernels()
@@ -244,10 +244,10 @@ def main() -> None:
     gc.freeze()
     gc.enable()
     adopt_orphans()
-    nursery = _Nursery(socket.socket(fileno=line), entry)
+    loop = _Loop(socket.socket(fileno=line), entry)
     die_with_parent(worker, signal.SIGTERM)
-    nursery.serve()
-    nursery.end()
+    loop.serve()
+    loop.end()
 
 
 if __name__ == "__main__":

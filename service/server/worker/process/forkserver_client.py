@@ -1,6 +1,6 @@
-"""The worker's end of the nursery: starts it when it is needed, hands it orders and beats, hears who has ended.
+"""The worker's end of the fork server: starts it when it is needed, hands it orders and beats, hears who has ended.
 
-One thread, the keeper, starts the nursery process and listens to it: the kernel ties a process to the thread that
+One thread, the keeper, starts the fork server process and listens to it: the kernel ties a process to the thread that
 started it, so that thread has to live as long.
 """
 
@@ -24,28 +24,28 @@ _IDLE_S = 60.0
 _ANSWER_S = 10.0
 
 
-class NurseryError(Exception):
-    """There is no nursery, or it went away, before a child was started."""
+class ForkServerError(Exception):
+    """There is no fork server, or it went away, before a child was started."""
 
 
 @dataclass(slots=True, eq=False)
 class Child:
-    """One stage's process as the nursery tells of it. `gone`: nobody of its group is left, or the nursery is dead."""
+    """One stage's process as the fork server reports it. `gone`: nobody of its group is left, or the server is dead."""
 
     number: int
-    life: _Life
+    server: _ForkServer
     pid: int = 0
     status: int | None = None
     silent: bool = False
     peak_mb: float = 0.0
-    orphaned: bool = False  # the nursery died before it
+    orphaned: bool = False  # the fork server died before it
     refused: str = ""
     answered: threading.Event = field(default_factory=threading.Event)
     gone: threading.Event = field(default_factory=threading.Event)
 
 
-class _Life:
-    """One nursery process, from its start to its end."""
+class _ForkServer:
+    """One fork server process, from its start to its end."""
 
     def __init__(self, settings: ServerSettings, entry: str) -> None:
         self.ready = threading.Event()
@@ -60,30 +60,30 @@ class _Life:
         self.closing = False
         self._line, self._its_line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._line.settimeout(1.0)
-        self._keeper = threading.Thread(target=self._keep, name="nursery keeper", daemon=True)
+        self._keeper = threading.Thread(target=self._keep, name="fork server keeper", daemon=True)
         self._keeper.start()
 
     def add(self, child: Child, message: dict[str, Any], files: list[int]) -> None:
-        """Order a child. NurseryError where this nursery takes no more."""
+        """Order a child. ForkServerError where this fork server takes no more."""
         with self.lock:
             if self.closing or self.over.is_set():
-                raise NurseryError(self.words)
+                raise ForkServerError(self.words)
             self._children[child.number] = child
         try:
             socket.send_fds(self._line, [json.dumps(message).encode()], files)
         except OSError as error:
             with self.lock:
                 self._children.pop(child.number, None)
-            raise NurseryError(str(error)) from None
+            raise ForkServerError(str(error)) from None
 
-    def beat(self, child: Child) -> None:
+    def send_beat(self, child: Child) -> None:
         try:
             self._line.send(json.dumps({"beat": child.number}).encode(), socket.MSG_DONTWAIT)
         except OSError:
             return  # it is full or gone: both show elsewhere
 
     def close(self) -> None:
-        """No more children; those there are die, and it ends."""
+        """Take no more children; those there are die, and it ends."""
         with self.lock:
             self.closing = True
         try:
@@ -92,7 +92,7 @@ class _Life:
             return
 
     def kill(self) -> None:
-        """It does not answer: the kernel ends its children with it."""
+        """Kill it, as it does not answer: the kernel ends its children with it."""
         with self.lock:
             if self._process is not None:
                 self._process.kill()
@@ -102,7 +102,7 @@ class _Life:
 
     def _keep(self) -> None:
         try:
-            self._process = self._started()
+            self._process = self._start_process()
             self._its_line.close()
             self._listen()
         except OSError as error:
@@ -110,7 +110,7 @@ class _Life:
         finally:
             self._end()
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start_process(self) -> subprocess.Popen[bytes]:
         one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         return subprocess.Popen(
             [
@@ -160,22 +160,22 @@ class _Life:
                 self._children[number].pid = pid
                 self._children[number].answered.set()
             case {"not_started": number, "words": words}:
-                child = self._forgotten(number)
+                child = self._forget(number)
                 child.refused = words
                 child.answered.set()
                 child.gone.set()
             case {"ended": number, "status": status, "silent": silent, "peak_mb": peak_mb}:
-                child = self._forgotten(number)
+                child = self._forget(number)
                 child.status, child.silent, child.peak_mb = status, silent, peak_mb
                 child.gone.set()
 
-    def _forgotten(self, number: int) -> Child:
+    def _forget(self, number: int) -> Child:
         with self.lock:
             self.idle_since = time.monotonic()
             return self._children.pop(number)
 
     def _end(self) -> None:
-        """Whatever ended it: no process of it is left, and who waits for a child hears that it is orphaned."""
+        """End, whatever ended it: no process of it is left, and who waits for a child learns that it is orphaned."""
         self._line.close()
         self._its_line.close()
         if self._process is not None:
@@ -199,50 +199,50 @@ def _wait_for(process: subprocess.Popen[bytes]) -> int:
         return process.wait()
 
 
-class NurseryLink:
-    """The nursery there is, or a new one. Any thread may call."""
+class ForkServerLink:
+    """The fork server there is, or a new one. Any thread may call."""
 
     def __init__(self, settings: ServerSettings, entry: str) -> None:
         self._settings, self._entry = settings, entry
         self._lock = threading.Lock()
-        self._life: _Life | None = None
+        self._server: _ForkServer | None = None
         self._number = 0
         self._closed = False
 
-    def begin(self) -> _Life:
+    def begin(self) -> _ForkServer:
         """Start it if there is none; it need not be ready."""
         with self._lock:
             if self._closed:
-                raise NurseryError("the worker is ending")
-            if self._life is None or self._life.over.is_set() or self._life.closing:
-                self._life = _Life(self._settings, self._entry)
-            return self._life
+                raise ForkServerError("the worker is ending")
+            if self._server is None or self._server.over.is_set() or self._server.closing:
+                self._server = _ForkServer(self._settings, self._entry)
+            return self._server
 
-    def child(self, life: _Life, files: list[int], *, silence_s: float) -> Child:
-        """A child that works on the files' order; NurseryError where it could not be started."""
+    def start_child(self, server: _ForkServer, files: list[int], *, silence_s: float) -> Child:
+        """Start a child that works on the files' order; ForkServerError where it could not be started."""
         with self._lock:
             self._number += 1
-            child = Child(self._number, life)
+            child = Child(self._number, server)
         order = {"start": child.number, "silence_s": silence_s, "memory_mb": self._settings.stage_memory_mb}
-        life.add(child, order, files)
+        server.add(child, order, files)
         if not child.answered.wait(_ANSWER_S):
-            life.kill()
+            server.kill()
             child.answered.wait()
         if child.pid == 0:
-            raise NurseryError(child.refused or life.words)
+            raise ForkServerError(child.refused or server.words)
         return child
 
-    def beat(self, child: Child) -> None:
-        """The worker is well, and still owns the child's job."""
-        child.life.beat(child)
+    def send_beat(self, child: Child) -> None:
+        """Tell that the worker is well, and still owns the child's job."""
+        child.server.send_beat(child)
 
     def give_up(self, child: Child) -> None:
-        """The nursery does not tell of this child any more: end the nursery."""
-        child.life.kill()
+        """End the fork server, which does not tell of this child any more."""
+        child.server.kill()
 
     def close(self) -> None:
         with self._lock:
-            self._closed, life = True, self._life
-        if life is not None:
-            life.close()
-            life.join()
+            self._closed, server = True, self._server
+        if server is not None:
+            server.close()
+            server.join()

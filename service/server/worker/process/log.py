@@ -24,14 +24,14 @@ class StageLog:
         self._freed = HALF
 
     def look(self) -> None:
-        """While it is being written."""
+        """Look while it is being written."""
         end = self._path.stat().st_size - HALF
         if end > self._freed + MOST_BYTES:
             give_back_blocks(self._path, self._freed, end - self._freed)
             self._freed = end
 
     def end(self) -> None:
-        """Nobody writes any more: the first half, and the last."""
+        """End it, as nobody writes any more: the first half, and the last."""
         size = self._path.stat().st_size
         if size > MOST_BYTES:
             with self._path.open("r+b") as file:

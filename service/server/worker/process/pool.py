@@ -1,4 +1,4 @@
-"""Stages as child processes: `StageProcesses.run` starts one in the nursery and supervises it to its end.
+"""Stages as child processes: `StageProcesses.run` starts one in the fork server and supervises it to its end.
 
 A cancelled, late or silent stage is killed with everything it started, and `run` returns only when nobody is left.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import FailedError
-from service.server.worker.process.forkserver_client import Child, NurseryError, NurseryLink
+from service.server.worker.process.forkserver_client import Child, ForkServerError, ForkServerLink
 from service.server.worker.process.log import StageLog
 from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.server.worker.process.supervision import Supervision, Task
@@ -38,11 +38,11 @@ class StageProcesses:
         if sys.platform != "linux":
             raise FailedError("stages run under Linux only: elsewhere a stopped job could leave processes behind")
         self._settings = settings
-        self._link = NurseryLink(settings, entry)
+        self._link = ForkServerLink(settings, entry)
 
     def warm(self) -> None:
         """Begin to get ready for a stage; returns at once."""
-        with contextlib.suppress(NurseryError):  # it is ending
+        with contextlib.suppress(ForkServerError):  # it is ending
             self._link.begin()
 
     def close(self) -> None:
@@ -64,24 +64,24 @@ class StageProcesses:
                 has answered: as long as it hangs, so does the worker's claim, and the stage ends itself at 0.6 lease
         """
         with _Files(order, log) as files:
-            child = self._child(files, stop)
+            child = self._start_child(files, stop)
             if not isinstance(child, Child):
                 return child
             files.hand_over()
             task = Task(settings=self._settings, log=StageLog(log), on_progress=on_progress, stop=stop)
             return Supervision(self._link, child, files.words, task).follow()
 
-    def _child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:
-        """A started child; a nursery that is not there yet is waited for."""
+    def _start_child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:
+        """Start a child; a fork server that is not there yet is waited for."""
         words = ""
         for _ in range(_STARTS):
             try:
-                life = self._link.begin()
-                while not life.ready.wait(_TICK_S):
+                server = self._link.begin()
+                while not server.ready.wait(_TICK_S):
                     if reason := stop():
                         return Stopped(reason)
-                return self._link.child(life, files.given, silence_s=0.6 * self._settings.lease_s)
-            except NurseryError as error:
+                return self._link.start_child(server, files.given, silence_s=0.6 * self._settings.lease_s)
+            except ForkServerError as error:
                 words = str(error)
         return Crashed(f"the stage could not be started: {words}")
 
@@ -110,7 +110,7 @@ class _Files:
             raise
 
     def hand_over(self) -> None:
-        """The child has its own: the pipe's end shall show when the child has closed it."""
+        """Close what the child has of its own: the pipe's end shall show when the child has closed it."""
         while self.given:
             os.close(self.given.pop())
 

@@ -15,14 +15,14 @@ from typing import Any
 from service.errors import printable
 from service.processes.linux import list_living_members, signal_group, signal_stage
 from service.server.worker.process.child import out_of_memory
-from service.server.worker.process.forkserver_client import Child, NurseryLink
+from service.server.worker.process.forkserver_client import Child, ForkServerLink
 from service.server.worker.process.log import StageLog
 from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.settings import ServerSettings
 
 _TICK_S = 0.1
 _GRACE_S = 1.0  # between SIGTERM and SIGKILL
-_BURIAL_S = 5.0  # a nursery that has not told of a dead child by then is stuck
+_REAP_S = 5.0  # a fork server that has not told of a dead child by then is stuck
 _LINE_BYTES = 64_000_000  # longer words are no words
 _MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
 
@@ -40,9 +40,9 @@ class Task:
 class Supervision:
     """Use once: `follow` returns how the stage ended, when nobody of its group is left."""
 
-    def __init__(self, link: NurseryLink, child: Child, pipe: int, task: Task) -> None:
+    def __init__(self, link: ForkServerLink, child: Child, pipe: int, task: Task) -> None:
         self._link, self._child, self._task = link, child, task
-        self._words = _Words(pipe)
+        self._words = _MessageReader(pipe)
         self._begun = time.monotonic()
         self._beaten_at = 0.0
         self._verdict: StageEnd | None = None
@@ -58,10 +58,10 @@ class Supervision:
             self._leave_nobody()
         self._task.log.end()
         self._words.drain()
-        return self._verdict or self._told() or self._explain_unexpected()
+        return self._verdict or self._parse_last() or self._explain_unexpected()
 
     def _wait(self) -> None:
-        """For a word, the end of the words, the child's end, or the next beat."""
+        """Wait for a message, the end of the messages, the child's end, or the next beat."""
         tick_s = min(_TICK_S, self._task.settings.lease_s / 20)
         if self._words.open:
             self._words.read(tick_s)
@@ -76,27 +76,29 @@ class Supervision:
         if self._verdict is None:
             limit_s = self._task.settings.stage_time_s
             if reason := self._task.stop():
-                self._condemn(Stopped(reason))
+                self._end_with(Stopped(reason))
             elif now > self._begun + limit_s:
-                self._condemn(Failed((f"the stage took longer than {limit_s:g} s (CAUSTICMILL_STAGE_TIME_S)",)))
+                self._end_with(Failed((f"the stage took longer than {limit_s:g} s (CAUSTICMILL_STAGE_TIME_S)",)))
             elif now > self._beaten_at + self._task.settings.lease_s / 20:
                 self._beaten_at = now
-                self._link.beat(self._child)
+                self._link.send_beat(self._child)
         overdue_s = now - _GRACE_S - min(self._term_at, self._closed_at)
         if overdue_s > 0:  # told to end, or without its pipe, and still there
             signal_stage(self._child.pid, signal.SIGKILL)
-        if overdue_s > _BURIAL_S:
+        if overdue_s > _REAP_S:
             self._link.give_up(self._child)
 
-    def _condemn(self, verdict: StageEnd) -> None:
+    def _end_with(self, verdict: StageEnd) -> None:
         self._verdict, self._term_at = verdict, time.monotonic()
         signal_stage(self._child.pid, signal.SIGTERM)
 
     def _leave_nobody(self) -> None:
-        """Also after an error of the worker's own; the nursery has buried the group, or is dead itself."""
+        """Leave no process, also after an error of the worker's own; the fork server has reaped the group, or is
+        dead.
+        """
         if not self._child.gone.is_set():
             signal_stage(self._child.pid, signal.SIGKILL)
-            if not self._child.gone.wait(_BURIAL_S):
+            if not self._child.gone.wait(_REAP_S):
                 self._link.give_up(self._child)
                 self._child.gone.wait()
         if self._child.orphaned:
@@ -104,7 +106,7 @@ class Supervision:
                 signal_group(self._child.pid, signal.SIGKILL)
                 time.sleep(0.01)
 
-    def _told(self) -> StageEnd | None:
+    def _parse_last(self) -> StageEnd | None:
         match self._words.last:
             case {"result": dict() as result}:
                 return Done(result)
@@ -131,7 +133,7 @@ class Supervision:
         return Crashed(f"the stage's process was ended by signal {-code} ({_signal_name(-code)}){hint}")
 
 
-class _Words:
+class _MessageReader:
     """Reads the child's JSON lines as they come. What is none is passed over; nothing grows without bound."""
 
     def __init__(self, pipe: int) -> None:
@@ -148,7 +150,7 @@ class _Words:
             self._take()
 
     def drain(self) -> None:
-        """All that the dead child had still written."""
+        """Read all that the dead child had still written."""
         while self.open and self._poll.poll(0):
             self._take()
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from service.milling.agent.main import run_agent
-from service.milling.agent.settings import agent_settings
+from service.milling.agent.settings import make_agent_settings
 from service.milling.connect import machine_and_port
 from tests.service.milling.agent.client import AgentClient, await_agent
 from tests.waiting import PATIENCE_S
@@ -28,7 +28,7 @@ class AgentThread:
         self.folder = folder
         self._told = threading.Event()
         profile, url = machine_and_port(machine, port_url)
-        settings = agent_settings(
+        settings = make_agent_settings(
             machine=machine,
             port_url=url,
             own_port=port_url,

@@ -14,7 +14,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from service.errors import InputError
 from service.milling.agent.auth import AgentGuard, make_token, read_token
-from service.milling.agent.settings import agent_settings, mill_folder, port_slug
+from service.milling.agent.settings import make_agent_settings, mill_folder, port_slug
 
 TOKEN = "a-token-of-some-length"
 
@@ -104,7 +104,7 @@ def test_an_address_others_can_reach_needs_tls_and_a_token_of_the_person(tmp_pat
     """As the job server does: in the clear, whoever listens on the wire has the token, and the mill with it."""
 
     def settings(token_file: Path | None, *, behind_proxy: bool) -> str:
-        return agent_settings(
+        return make_agent_settings(
             machine="m", port_url="p", own_port=None, host=host, bind_port=1, data=tmp_path / "data",
             token_file=token_file, behind_proxy=behind_proxy,
         ).token  # fmt: skip

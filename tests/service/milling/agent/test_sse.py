@@ -26,8 +26,8 @@ def numbers(hub: Hub, last_id: str) -> list[int]:
 def test_a_reader_that_comes_back_gets_exactly_what_it_missed_or_is_told_of_the_gap(ring: int) -> None:
     hub = Hub(ring=ring, readers=1)
     for n in range(6):
-        hub.status({"n": n})  # statuses in between take numbers, too
-        hub.event({"n": n})
+        hub.publish_status({"n": n})  # statuses in between take numbers, too
+        hub.publish_event({"n": n})
     kept = list(range(6))[-ring:]
     ids = [f"{hub.life}-{2 * n + 2}" for n in range(6)]
     for seen, last_id in enumerate(ids):
@@ -41,7 +41,7 @@ def test_a_reader_that_comes_back_gets_exactly_what_it_missed_or_is_told_of_the_
 def test_every_reader_begins_with_the_latest_status_only() -> None:
     hub = Hub(ring=10, readers=1)
     for n in range(5):
-        hub.status({"n": n})
+        hub.publish_status({"n": n})
     _, first = hub.join("")
     assert [(message.kind, json.loads(message.data)) for message in first] == [("status", {"n": 4})]
 
@@ -53,7 +53,7 @@ def test_a_reader_that_does_not_read_is_dropped_and_the_others_get_all() -> None
         quick, _ = hub.join("")
         got = 0
         for n in range(2 * event_hub._QUEUE):
-            hub.event({"n": n})
+            hub.publish_event({"n": n})
             message = quick.queue.get_nowait()
             assert message is not None
             got += json.loads(message.data)["n"] == n
@@ -67,8 +67,8 @@ def test_statuses_do_not_push_a_late_reader_out() -> None:
     hub = Hub(ring=10, readers=1)
     reader, _ = hub.join("")
     for n in range(10 * event_hub._QUEUE):
-        hub.status({"n": n})
-    hub.event({"n": 1})
+        hub.publish_status({"n": n})
+    hub.publish_event({"n": 1})
     assert not reader.dropped
 
 
@@ -91,11 +91,11 @@ def test_the_stream_has_ids_heartbeats_and_an_end() -> None:
             await asyncio.Event().wait()
             raise AssertionError
 
-        hub.event({"n": 0})
+        hub.publish_event({"n": 0})
         stream = asyncio.ensure_future(HubStream(hub, f"{hub.life}-0", heartbeat_s=0.01)({}, receive, send))
         while b": still here" not in sent:
             await asyncio.sleep(0.005)
-        hub.event({"n": 1})
+        hub.publish_event({"n": 1})
         hub.close()
         await asyncio.wait_for(stream, 5)
         return bytes(sent).replace(hub.life.encode(), b"L").replace(b": still here\n\n", b"")

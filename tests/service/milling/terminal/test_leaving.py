@@ -61,18 +61,18 @@ def test_a_run_that_is_over_is_followed_until_the_banner_after_its_reset(over: R
     """A mill that stands in Hold holds its queue still."""
     thread, follower = follow_watched()
     for state in (MillState.HOLDING, MillState.HELD, MillState.ALARM):
-        assert follower._ended(thread.shows(state, over, epoch=1)) is None
-    ended = follower._ended(thread.shows(MillState.CONNECTING, over, epoch=2))
+        assert follower._find_end(thread.shows(state, over, epoch=1)) is None
+    ended = follower._find_end(thread.shows(MillState.CONNECTING, over, epoch=2))
     assert ended is (Ended.FAULT if over is RunState.INTERRUPTED else Ended.ABORTED)
-    assert follower._outcome(ended).cleared
+    assert follower._make_outcome(ended).cleared
 
 
 def test_a_link_that_came_back_proves_nothing() -> None:
     """A new link counts banners from 0, and the mill goes on alone: no end without the words."""
     thread, follower = follow_watched()
     for state in (MillState.DISCONNECTED, MillState.RUN, MillState.IDLE):
-        assert follower._ended(thread.shows(state, RunState.INTERRUPTED, epoch=0)) is Ended.FAULT
-        assert not follower._outcome(Ended.FAULT).cleared
+        assert follower._find_end(thread.shows(state, RunState.INTERRUPTED, epoch=0)) is Ended.FAULT
+        assert not follower._make_outcome(Ended.FAULT).cleared
 
 
 def test_a_run_of_before_that_finished_says_nothing_of_this_one() -> None:
@@ -125,7 +125,7 @@ def test_no_end_leaves_lines_in_the_controller_without_a_word(tmp_path: Path, wa
 
 
 BREAKS = {
-    "the display": "import service.milling.terminal.follow as module; name = 'RunFollower'; what = '_view'",
+    "the display": "import service.milling.terminal.follow as module; name = 'RunFollower'; what = '_make_view'",
     "the mill's thread": "import machines.mill.mill as module; name = 'Mill'; what = 'step'",
 }
 

@@ -17,7 +17,7 @@ import httpx
 import uvicorn
 from PIL import Image
 
-from service.http.listener import bound, url_of
+from service.http.listener import bind_address, url_of
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
 from service.server.database.connection import begin_writing, connect
@@ -90,7 +90,7 @@ def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
         **{"data": data, "port": 0, "requests_per_s": 1e5, "jobs_per_min": 1e6, "free_disk_mb": 0} | settings
     )
     migrate(given)
-    with contextlib.closing(bound(given.host, given.port)) as listener, open_services(given) as services:
+    with contextlib.closing(bind_address(given.host, given.port)) as listener, open_services(given) as services:
         server = server_of(services)
         with _serving(server, listener):
             running = ApiServer(services, url_of(listener), server)

@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
 from service.http import uvicorn_protocol
-from service.server.api.intake.body import Patient
+from service.server.api.intake.body import BodyTimeout
 from service.server.api.intake.disk_space import Space
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S, until
@@ -100,7 +100,7 @@ def test_a_body_that_stops_coming_and_a_reader_that_stops_reading_are_given_up()
         await asyncio.sleep(60)
         raise AssertionError
 
-    patient = Patient(app, piece_s=0.01, taken_s=0.01)
+    patient = BodyTimeout(app, piece_s=0.01, taken_s=0.01)
     for path, error in (("/body", HTTPException), ("/", TimeoutError)):
         with pytest.raises(error):
             asyncio.run(patient({"type": "http", "path": path}, never, never))  # type: ignore[arg-type]

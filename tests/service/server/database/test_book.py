@@ -195,8 +195,8 @@ def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, da
     work.note_progress(old, "map", 0.9, whole=0.9)
     assert (book.get(old.job.id), book.events(old.job.id), book.stages(old.job.id)) == before
     assert [run.state for run in book.stages(old.job.id)] == [StageState.INTERRUPTED]
-    assert work.wanted([old])[old.job.id] == "fenced"
-    assert work.wanted([new])[old.job.id] == "go"
+    assert work.read_wishes([old])[old.job.id] == "fenced"
+    assert work.read_wishes([new])[old.job.id] == "go"
     with begin_writing(database) as connection:
         assert connection.execute(sa.select(sa.func.count()).select_from(artifacts)).scalar() == 0
 
@@ -229,7 +229,7 @@ def test_equal_work_is_taken_from_another_job_and_own_work_without_a_word(book: 
 def test_cancelled_in_the_last_moment_is_cancelled(book: JobBook, work: WorkBook) -> None:
     claim = claimed(book, work)
     assert book.request_cancel(claim.job.id, "me").state == JobState.RUNNING
-    assert work.wanted([claim])[claim.job.id] == "cancelled"
+    assert work.read_wishes([claim])[claim.job.id] == "cancelled"
     work.finish(claim, JobState.SUCCEEDED, report={})
     assert book.get(claim.job.id).state == JobState.CANCELLED
 

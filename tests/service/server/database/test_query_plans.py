@@ -221,7 +221,7 @@ def test_no_periodic_loop_reads_a_table_from_end_to_end(many: sa.Engine, farm: S
     engine.prepare()
     retention = Retention(many, open_store(settings), engine, settings)
     retention._named_bytes["00"] = 2_000_000  # over quota until the first jobs have gone
-    reconciler = Reconciler(many, engine, executor="worker", lease_s=10.0, in_hand=set)
+    reconciler = Reconciler(many, engine, executor="worker", lease_s=10.0, list_active=set)
     with recorded(many) as queries:
         retention.turn()
         for _ in range(3):
@@ -240,8 +240,8 @@ def test_no_step_of_a_worker_reads_a_table_from_end_to_end(many: sa.Engine) -> N
         assert work.reuse_stage(claim, "image", "new", whole=0.1)
         work.end_stage(claim, work.begin_stage(claim, "map", "other"), StageClose(state=StageState.FAILED, words=""))
         work.note_progress(claim, "map", 0.5, whole=0.2)
-        work.crashes(claim, "map")
-        work.wanted([claim])
+        work.count_crashes(claim, "map")
+        work.read_wishes([claim])
         work.result("new")
         work.forget_result("new")
         work.finish(claim, JobState.FAILED)

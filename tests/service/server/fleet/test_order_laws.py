@@ -19,7 +19,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, Stop
 from machines.preflight.preflight import Preflight
 from machines.profiles import load_profile
-from service.milling.preflight import preflight
+from service.milling.preflight import run_preflight
 from tests.service.server.fleet.order_world import ASK_S, Weather, World
 
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
@@ -44,7 +44,7 @@ def program() -> tuple[Preflight, Path]:
     folder = Path(tempfile.mkdtemp(prefix="order-laws-"))
     path = folder / "p.nc"
     path.write_text("\n".join(LINES) + "\n")
-    return preflight(path, load_profile("grbl"), settings=None, cache=folder / "cache"), path
+    return run_preflight(path, load_profile("grbl"), settings=None, cache=folder / "cache"), path
 
 
 class OrderHistories(RuleBasedStateMachine):

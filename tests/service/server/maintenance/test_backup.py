@@ -19,7 +19,7 @@ from service.server.database.pairing import PairingBook
 from service.server.database.schema import open_database
 from service.server.database.tokens import TokenBook
 from service.server.maintenance.backup import back_up
-from service.server.maintenance.restore import restore
+from service.server.maintenance.restore import restore_backup
 from service.server.maintenance.verify import verify_store
 from service.server.pairing_code import new_offer
 from service.settings import ServerSettings
@@ -64,7 +64,7 @@ def test_round_trip(server: ServerSettings, tmp_path: Path) -> None:
     back_up(server, tmp_path / "backup.tar")
     assert (tmp_path / "backup.tar").stat().st_mode & 0o777 == 0o600
     again = ServerSettings(data=tmp_path / "again")
-    restore(tmp_path / "backup.tar", again)
+    restore_backup(tmp_path / "backup.tar", again)
     assert named(again.data) == named(server.data) == held(again.data)
     assert verify_store(again)
     assert {path.name for path in again.data.iterdir()} == {
@@ -93,7 +93,7 @@ def test_every_object_that_is_named_is_there_however_much_is_written_meanwhile(
         writer.join()
     for number in range(3):
         again = ServerSettings(data=tmp_path / f"again-{number}")
-        restore(tmp_path / f"{number}.tar", again)
+        restore_backup(tmp_path / f"{number}.tar", again)
         assert named(again.data) <= held(again.data)
 
 
@@ -109,7 +109,7 @@ def test_a_restored_backup_revives_no_revoked_token(tmp_path: Path, keep: bool) 
     back_up(server, tmp_path / "backup.tar")
     book.revoke(made.id)
     database.dispose()
-    words = " ".join(restore(tmp_path / "backup.tar", again, keep_tokens=keep))
+    words = " ".join(restore_backup(tmp_path / "backup.tar", again, keep_tokens=keep))
     assert not (again.data / "causticmill.sqlite-wal").exists()
     database = open_database(again)
     book = TokenBook(database)
@@ -124,7 +124,7 @@ def test_a_folder_that_holds_something_is_not_touched(server: ServerSettings, tm
     back_up(server, tmp_path / "backup.tar")
     before = held(server.data)
     with pytest.raises(InputError, match="not empty"):
-        restore(tmp_path / "backup.tar", server)
+        restore_backup(tmp_path / "backup.tar", server)
     assert held(server.data) == before
 
 
@@ -170,7 +170,7 @@ def test_what_is_not_whole_is_refused_and_leaves_an_empty_folder(
     back_up(server, tmp_path / "backup.tar")
     (tmp_path / "harmed.tar").write_bytes(harm((tmp_path / "backup.tar").read_bytes()))
     with pytest.raises(FailedError):
-        restore(tmp_path / "harmed.tar", ServerSettings(data=tmp_path / "again"))
+        restore_backup(tmp_path / "harmed.tar", ServerSettings(data=tmp_path / "again"))
     assert list((tmp_path / "again").iterdir()) == []
 
 
@@ -183,7 +183,7 @@ def test_nothing_else_comes_out_of_a_backup(tmp_path: Path, name: str) -> None:
         member.size = 4
         tar.addfile(member, io.BytesIO(b"evil"))
     with pytest.raises(InputError):
-        restore(tmp_path / "evil.tar", ServerSettings(data=tmp_path / "again"))
+        restore_backup(tmp_path / "evil.tar", ServerSettings(data=tmp_path / "again"))
     assert {path.name for path in tmp_path.iterdir()} == {"evil.tar", "again"}
 
 
@@ -197,7 +197,7 @@ def test_a_damaged_object_is_named_and_the_rest_is_saved(server: ServerSettings,
         verify_store(server)
     with pytest.raises(FailedError, match=sha256):
         back_up(server, tmp_path / "backup.tar")
-    lines = restore(tmp_path / "backup.tar", ServerSettings(data=tmp_path / "again"))
+    lines = restore_backup(tmp_path / "backup.tar", ServerSettings(data=tmp_path / "again"))
     assert sha256 in lines[-1]
     assert held(tmp_path / "again") == named(server.data) - {sha256}
 
@@ -226,5 +226,5 @@ def test_of_a_farm_the_store_is_saved_and_the_rest_is_said(server: ServerSetting
     lines = back_up(farm, tmp_path / "backup.tar")
     assert "pg_dump" in lines[-1]
     again = farm.model_copy(update={"data": tmp_path / "again", "store_url": (tmp_path / "store").as_uri()})
-    assert "pg_restore" in restore(tmp_path / "backup.tar", again)[-1]
+    assert "pg_restore" in restore_backup(tmp_path / "backup.tar", again)[-1]
     assert {stored.sha256 for stored in LocalStore(tmp_path / "store").list()} == held(server.data)

@@ -126,7 +126,7 @@ def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path
         job = submitted(serving)
         until_at_work(serving, job)
         below = descendants(serving.pid)
-        assert len(below) > 3, "worker, API, nursery, stage"
+        assert len(below) > 3, "worker, API, fork server, stage"
         serving.kill(serving.pid, word)
         serving.ended()
         until(lambda: not any(map(is_alive, below)), what="the end of all")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.server.worker.stage_bench import HERE, Bench, nurseries
+from tests.service.server.worker.stage_bench import HERE, Bench, fork_servers
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench(tmp_path)
     yield made
     made.processes.close()
-    assert nurseries() == []
+    assert fork_servers() == []
 
 
 @pytest.fixture
@@ -26,4 +26,4 @@ def computing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench
     made = Bench(tmp_path, "array_stages:run", stage_memory_mb=2000)
     yield made
     made.processes.close()
-    assert nurseries() == []
+    assert fork_servers() == []

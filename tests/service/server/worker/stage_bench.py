@@ -65,18 +65,18 @@ def lives(pid: int) -> bool:
     return state not in "ZX"
 
 
-def nurseries() -> list[int]:
-    """Nursery processes of this test process; one that ends while they are looked at is none."""
+def fork_servers() -> list[int]:
+    """Fork-server processes of this test process; one that ends while they are looked at is none."""
     found = []
     for pid in own_children():
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            if Path(f"/proc/{pid}/comm").read_text().strip() == "cm-nursery":
+            if Path(f"/proc/{pid}/comm").read_text().strip() == "cm-forkserver":
                 found.append(pid)
     return found
 
 
-def nursery_pid() -> int:
-    (pid,) = nurseries()
+def fork_server_pid() -> int:
+    (pid,) = fork_servers()
     return pid
 
 

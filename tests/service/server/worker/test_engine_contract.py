@@ -55,7 +55,7 @@ class Stand:
         return self.notes(word)
 
     def await_end(self, *tickets: Ticket) -> None:
-        until(lambda: self.engine.ended(list(tickets)) == set(tickets), what=f"the end of {tickets}")
+        until(lambda: self.engine.list_ended(list(tickets)) == set(tickets), what=f"the end of {tickets}")
 
     def close(self) -> None:
         self.engine.close()
@@ -98,11 +98,11 @@ def test_known_ended_forgotten(stand: Stand) -> None:
     stand.await_end(done)
     stand.engine.submit(waits, priority=1)
     stand.await_notes(2)
-    assert stand.engine.known([done, waits, unheard]) == {done, waits}
-    assert stand.engine.ended([done, waits, unheard]) == {done}
-    assert stand.engine.owners() == {waits: "a"}
+    assert stand.engine.list_known([done, waits, unheard]) == {done, waits}
+    assert stand.engine.list_ended([done, waits, unheard]) == {done}
+    assert stand.engine.find_owners() == {waits: "a"}
     stand.engine.forget([done, waits, unheard])
-    assert stand.engine.known([done, waits, unheard]) == {waits}
+    assert stand.engine.list_known([done, waits, unheard]) == {waits}
 
 
 @pytest.mark.thorough
@@ -132,7 +132,7 @@ def test_a_killed_process_goes_on_at_its_next_start(stand: Stand) -> None:
     stand.await_notes(1)
     process.kill()
     process.wait()
-    assert stand.engine.owners() == {ticket: "a"}
+    assert stand.engine.find_owners() == {ticket: "a"}
     stand.serve("a")
     stand.await_notes(2)
     (stand.folder / "release").touch()
@@ -152,7 +152,7 @@ def test_two_that_take_over_from_a_dead_one_run_its_ticket_once(stand: Stand) ->
     for name in ("b", "c"):
         stand.serve(name, "a")
     heirs = stand.await_notes(2)[1:]
-    until(lambda: stand.engine.owners() == {ticket: heirs[0][1]}, what="the new owner")
+    until(lambda: stand.engine.find_owners() == {ticket: heirs[0][1]}, what="the new owner")
     (stand.folder / "release").touch()
     stand.await_end(ticket)
     assert (len(stand.notes()), len(stand.notes("end"))) == (2, 1)
@@ -172,8 +172,8 @@ def test_a_frozen_owner_that_wakes_up_changes_nothing(stand: Stand) -> None:
     stand.await_end(ticket)
     os.kill(frozen.pid, signal.SIGCONT)
     stand.await_notes(2, "end")
-    assert stand.engine.ended([ticket]) == {ticket}
-    assert stand.engine.owners() == {}
+    assert stand.engine.list_ended([ticket]) == {ticket}
+    assert stand.engine.find_owners() == {}
 
 
 @pytest.mark.thorough

@@ -14,7 +14,7 @@ from service.server.database.records import NewJob
 from service.server.database.states import JobState
 from service.server.database.tables import executors
 from service.server.queue.engine import Fenced, Ticket
-from service.server.worker.lease import Heart, Lease, NameTakenError, live_executors
+from service.server.worker.lease import Lease, LeaseRenewer, NameTakenError, live_executors
 from tests.waiting import PATIENCE_S
 
 NEW = NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
@@ -44,26 +44,26 @@ def age(database: sa.Engine, name: str, seconds: float) -> None:
 def test_a_lease_is_safe_for_six_tenths_of_it_after_a_good_beat(database: sa.Engine) -> None:
     time = Clock()
     mine = lease(database, clock=time)
-    assert not mine.safe()
+    assert not mine.is_safe()
     mine.take()
     time.now += 5.9
-    assert mine.safe()
-    mine.beat()
+    assert mine.is_safe()
+    mine.renew()
     time.now += 5.9
-    assert mine.safe()
+    assert mine.is_safe()
     time.now += 0.2
-    assert not mine.safe()
+    assert not mine.is_safe()
 
 
 def test_who_cannot_be_taken_over_need_not_stop_while_the_database_is_away(database: sa.Engine) -> None:
     time = Clock()
     mine = Lease(database, "a", 10.0, pid=1, version="1", alone=True, monotonic=time)
-    assert not mine.safe()
+    assert not mine.is_safe()
     mine.take()
     time.now += 1000.0
-    assert mine.safe()
+    assert mine.is_safe()
     mine.give_back()
-    assert not mine.safe()
+    assert not mine.is_safe()
 
 
 def test_the_time_that_a_beat_took_counts_against_it(database: sa.Engine) -> None:
@@ -96,13 +96,13 @@ def test_who_starts_under_a_name_ends_the_one_who_had_it(database: sa.Engine) ->
     old.take()
     new.take()
     with pytest.raises(NameTakenError):
-        old.beat()
-    new.beat()
+        old.renew()
+    new.renew()
     taken = threading.Event()
-    Heart(old, taken.set).start()
+    LeaseRenewer(old, taken.set).start()
     assert taken.wait(PATIENCE_S)
     old.give_back()  # not his to give
-    new.beat()
+    new.renew()
 
 
 def test_a_live_workers_job_is_not_claimed_a_dead_ones_is(database: sa.Engine) -> None:
@@ -113,13 +113,13 @@ def test_a_live_workers_job_is_not_claimed_a_dead_ones_is(database: sa.Engine) -
     assert first is not None
     with pytest.raises(Fenced):
         work.claim(Ticket(job.id, 1), "b")
-    assert work.wanted([first])[job.id] == "go"
+    assert work.read_wishes([first])[job.id] == "go"
     age(database, "a", 11.0)
     second = work.claim(Ticket(job.id, 1), "b")
     assert second is not None
     assert second.fence > first.fence
-    assert work.wanted([first, second])[job.id] == "go"
-    assert work.wanted([first])[job.id] == "fenced"
+    assert work.read_wishes([first, second])[job.id] == "go"
+    assert work.read_wishes([first])[job.id] == "fenced"
 
 
 def test_nothing_is_claimed_of_jobs_that_ended_are_gone_or_were_retried(database: sa.Engine) -> None:

@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 from service.processes.kernel_cache import JOBS, ready_mark
-from service.server.worker import warmup as preparing
+from service.server.worker import warmup
 from tests.service.server.supervisor.processes import is_alive
 from tests.waiting import PATIENCE_S, until
 
 BEGIN_AND_DIE = """
 import sys, time
 from pathlib import Path
-from service.server.worker import warmup as preparing
-process = preparing.begin()
+from service.server.worker import warmup
+process = warmup.begin()
 while not list(Path(sys.argv[1]).iterdir()):
     time.sleep(0.05)
 print(process.pid, flush=True)
@@ -28,7 +28,7 @@ print(process.pid, flush=True)
 def test_nothing_is_begun_where_all_is_compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     ready_mark(JOBS).touch()
-    assert preparing.begin() is None
+    assert warmup.begin() is None
 
 
 def test_it_ends_with_the_worker_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_it_ends_with_the_worker_and_leaves_no_folder(tmp_path: Path) -> None:
 def test_the_job_is_one_that_can_be_made() -> None:
     mark = ready_mark(JOBS)
     mark.unlink(missing_ok=True)
-    process = preparing.begin()
+    process = warmup.begin()
     assert process is not None
     assert process.wait(timeout=PATIENCE_S) == 0
     assert mark.exists()

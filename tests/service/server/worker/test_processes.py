@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from service.processes.linux import own_children
-from service.server.worker.process.child import PipeOfWords
+from service.server.worker.process.child import MessagePipe
 from service.server.worker.process.pool import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
 from service.settings import ServerSettings
-from tests.service.server.worker.stage_bench import Bench, lives, nursery_pid, pids_in
+from tests.service.server.worker.stage_bench import Bench, fork_server_pid, lives, pids_in
 from tests.waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run under Linux only")
@@ -117,13 +117,13 @@ def test_a_log_is_cut_in_its_middle(bench: Bench) -> None:
 def test_progress_is_dropped_while_the_pipe_is_full_and_the_last_word_waits() -> None:
     """The child's side alone: a worker that reads nothing for minutes."""
     pipe, its_end = os.pipe()
-    words = PipeOfWords(its_end)
+    words = MessagePipe(its_end)
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(its_end, b"\n" * 4096)
-    words.share(0.5)
+    words.send_share(0.5)
     with ThreadPoolExecutor(1) as pool:
-        last = pool.submit(words.last, {"result": "x" * 200_000})
+        last = pool.submit(words.send_last, {"result": "x" * 200_000})
         with os.fdopen(pipe, "rb") as file:
             lines = iter(file.readline, b"")
             assert next(line for line in lines if line != b"\n") == b'{"result": "' + b"x" * 200_000 + b'"}\n'
@@ -142,7 +142,7 @@ def test_an_error_of_the_worker_leaves_no_process(bench: Bench, tmp_path: Path) 
     assert not lives(pids_in(tmp_path / "pids")[0])
 
 
-def test_a_child_of_the_warm_nursery_computes_with_threads_and_solvers(computing: Bench) -> None:
+def test_a_child_of_the_warm_fork_server_computes_with_threads_and_solvers(computing: Bench) -> None:
     """Twice the same bits: nothing depends on what the process before left behind."""
     first, second = (computing.run("compute") for _ in range(2))
     assert isinstance(first, Done)
@@ -152,15 +152,15 @@ def test_a_child_of_the_warm_nursery_computes_with_threads_and_solvers(computing
 
 
 @pytest.mark.thorough
-def test_the_nursery_has_one_thread_when_it_forks(computing: Bench) -> None:
+def test_the_fork_server_has_one_thread_when_it_forks(computing: Bench) -> None:
     """With everything imported that the real stages need, too."""
     computing.run("compute")
-    assert len(list(Path(f"/proc/{nursery_pid()}/task").iterdir())) == 1
+    assert len(list(Path(f"/proc/{fork_server_pid()}/task").iterdir())) == 1
     computing.processes.close()
     real = StageProcesses(ServerSettings.load(data=computing.folder))
     real.warm()
     end = real.run({"stage": "none"}, log=computing.log, on_progress=lambda _: None, stop=lambda: None)
-    assert isinstance(end, Crashed)  # no such order; but the nursery is warm
+    assert isinstance(end, Crashed)  # no such order; but the fork server is warm
     until(lambda: real._link.begin().threads)
     assert real._link.begin().threads == 1
     real.close()
@@ -171,11 +171,11 @@ def test_a_hundred_stages_leave_no_file_and_no_process(bench: Bench) -> None:
     bench.run("echo")
     gc.collect()  # what earlier tests left behind would go at a moment of its own
     before = len(list(Path("/proc/self/fd").iterdir())), threading.active_count()
-    nursery, children = nursery_pid(), set(own_children())
-    its_files = len(list(Path(f"/proc/{nursery}/fd").iterdir()))
+    fork_server, children = fork_server_pid(), set(own_children())
+    its_files = len(list(Path(f"/proc/{fork_server}/fd").iterdir()))
     for number in range(100):
         assert isinstance(bench.run("echo", say=number), Done)
     assert len(list(Path("/proc/self/fd").iterdir())) <= before[0]
     assert threading.active_count() <= before[1]
-    assert len(list(Path(f"/proc/{nursery}/fd").iterdir())) <= its_files
+    assert len(list(Path(f"/proc/{fork_server}/fd").iterdir())) <= its_files
     assert set(own_children()) == children

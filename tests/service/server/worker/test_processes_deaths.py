@@ -19,9 +19,9 @@ from tests.service.server.worker.stage_bench import (
     PROMPT_S,
     Bench,
     a_worker,
+    fork_server_pid,
+    fork_servers,
     lives,
-    nurseries,
-    nursery_pid,
     parent_of,
     pids_in,
     start_worker,
@@ -34,10 +34,10 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run unde
 @pytest.mark.parametrize("do", ["sleep", "hold_interpreter", "family"])
 def test_a_killed_worker_leaves_nothing(tmp_path: Path, do: str) -> None:
     worker, pids = a_worker(tmp_path, do)
-    nursery = parent_of(pids[0])
+    fork_server = parent_of(pids[0])
     worker.kill()
     worker.communicate()
-    assert until(lambda: not any(map(lives, [nursery, *pids]))) < PROMPT_S
+    assert until(lambda: not any(map(lives, [fork_server, *pids]))) < PROMPT_S
 
 
 @pytest.mark.thorough
@@ -53,26 +53,26 @@ def test_the_stage_of_a_frozen_worker_ends_by_itself(tmp_path: Path, do: str) ->
 
 
 @pytest.mark.thorough
-def test_the_stage_ends_by_itself_when_the_nursery_freezes_with_the_worker(tmp_path: Path) -> None:
+def test_the_stage_ends_by_itself_when_the_fork_server_freezes_with_the_worker(tmp_path: Path) -> None:
     worker, pids = a_worker(tmp_path, "sleep", lease_s=8.0)
-    nursery = parent_of(pids[0])
-    for pid in (nursery, worker.pid):
+    fork_server = parent_of(pids[0])
+    for pid in (fork_server, worker.pid):
         os.kill(pid, signal.SIGSTOP)
     try:
         assert until(lambda: not any(map(lives, pids))) < 8.0
     finally:
-        for pid in (nursery, worker.pid):
+        for pid in (fork_server, worker.pid):
             os.kill(pid, signal.SIGKILL)
         worker.communicate()
 
 
 @pytest.mark.parametrize("do", ["sleep", "family", "hold_interpreter"])
-def test_a_killed_nursery_is_a_crash_and_the_next_stage_works(bench: Bench, do: str) -> None:
+def test_a_killed_fork_server_is_a_crash_and_the_next_stage_works(bench: Bench, do: str) -> None:
     told = bench.folder / "pids"
     with ThreadPoolExecutor(1) as pool:
         future = pool.submit(bench.run, do, tell=str(told))
         until(told.exists)
-        os.kill(nursery_pid(), signal.SIGKILL)
+        os.kill(fork_server_pid(), signal.SIGKILL)
         assert isinstance(future.result(timeout=PATIENCE_S), Crashed)
     pids = pids_in(told)
     assert not list_living_members(pids[0])
@@ -83,7 +83,7 @@ def test_a_killed_nursery_is_a_crash_and_the_next_stage_works(bench: Bench, do: 
 
 
 @pytest.mark.parametrize("do", ["sleep", "hold_interpreter"])
-def test_a_worker_killed_together_with_its_nursery_leaves_nothing(tmp_path: Path, do: str) -> None:
+def test_a_worker_killed_together_with_its_fork_server_leaves_nothing(tmp_path: Path, do: str) -> None:
     worker, pids = a_worker(tmp_path, do, lease_s=60.0)
     for pid in (parent_of(pids[0]), worker.pid):
         os.kill(pid, signal.SIGKILL)
@@ -91,7 +91,7 @@ def test_a_worker_killed_together_with_its_nursery_leaves_nothing(tmp_path: Path
     assert until(lambda: not any(map(lives, pids))) < PROMPT_S
 
 
-def test_a_frozen_nursery_does_not_keep_a_stage_from_being_stopped(
+def test_a_frozen_fork_server_does_not_keep_a_stage_from_being_stopped(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("service.server.worker.process.supervision._BURIAL_S", 0.5)
@@ -100,7 +100,7 @@ def test_a_frozen_nursery_does_not_keep_a_stage_from_being_stopped(
     with ThreadPoolExecutor(1) as pool:
         future = pool.submit(bench.run, "sleep", lambda: wanted[0] if wanted else None, tell=str(told))
         until(told.exists)
-        os.kill(nursery_pid(), signal.SIGSTOP)
+        os.kill(fork_server_pid(), signal.SIGSTOP)
         wanted.append("cancelled")
         assert future.result(timeout=PATIENCE_S) == Stopped("cancelled")
     assert not lives(pids_in(told)[0])
@@ -131,30 +131,30 @@ def test_a_log_that_cannot_be_written_leaves_no_file_open(bench: Bench, tmp_path
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_an_idle_nursery_ends_and_comes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_idle_fork_server_ends_and_comes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.server.worker.process.forkserver_client._IDLE_S", 0.2)
     assert isinstance(bench.run("echo"), Done)
-    until(lambda: nurseries() == [])
+    until(lambda: fork_servers() == [])
     assert isinstance(bench.run("echo"), Done)
 
 
-def test_a_nursery_that_cannot_start_is_a_crash_in_words(bench: Bench, tmp_path: Path) -> None:
+def test_a_fork_server_that_cannot_start_is_a_crash_in_words(bench: Bench, tmp_path: Path) -> None:
     processes = StageProcesses(ServerSettings.load(data=tmp_path), entry="no_such_module:run")
     end = processes.run({}, log=bench.log, on_progress=lambda _: None, stop=lambda: None)
     assert isinstance(end, Crashed) and "could not be started" in end.words
     processes.close()
 
 
-def test_a_nursery_in_the_middle_of_its_imports_dies_with_the_worker(tmp_path: Path) -> None:
+def test_a_fork_server_in_the_middle_of_its_imports_dies_with_the_worker(tmp_path: Path) -> None:
     worker = start_worker(tmp_path, "none", entry="slow_import:run")
     until((tmp_path / "importing").exists)
-    (nursery,) = pids_in(tmp_path / "importing")
+    (fork_server,) = pids_in(tmp_path / "importing")
     worker.kill()
     worker.communicate()
-    assert until(lambda: not lives(nursery)) < PROMPT_S
+    assert until(lambda: not lives(fork_server)) < PROMPT_S
 
 
-def test_a_stage_that_waits_for_the_nursery_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_that_waits_for_the_fork_server_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(HERE / "entries"))
     bench = Bench(tmp_path, "slow_import:run")
     told = tmp_path / "importing"

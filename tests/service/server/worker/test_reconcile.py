@@ -32,7 +32,7 @@ class Stand:
         self.running: set[str] = set()
         self.me = Lease(database, "me", 10.0, pid=1, version="1")
         self.me.take()
-        self.loop = Reconciler(database, self.engine, executor="me", lease_s=10.0, in_hand=lambda: self.running)
+        self.loop = Reconciler(database, self.engine, executor="me", lease_s=10.0, list_active=lambda: self.running)
 
     def job(self, *, age_s: float = 60.0) -> Job:
         job, _ = self.book.create(NEW)
@@ -55,7 +55,7 @@ def test_a_job_that_never_reached_the_engine_is_submitted(stand: Stand) -> None:
     """The API died between the two; one that was made just now is left to it."""
     old, new = stand.job(), stand.job(age_s=0.0)
     stand.loop.turn()
-    assert stand.engine.known([Ticket(old.id, 1), Ticket(new.id, 1)]) == {Ticket(old.id, 1)}
+    assert stand.engine.list_known([Ticket(old.id, 1), Ticket(new.id, 1)]) == {Ticket(old.id, 1)}
     stand.loop.turn()
     assert stand.book.get(old.id).state == JobState.QUEUED
 
@@ -113,10 +113,10 @@ def test_what_stands_under_my_name_without_being_in_my_hands_is_let_go(stand: St
         stand.work.claim(Ticket(job.id, 1), "other")
     stand.running = {job.id}
     stand.loop.turn()
-    assert stand.work.wanted([before])[job.id] == "go"
+    assert stand.work.read_wishes([before])[job.id] == "go"
     stand.running = set()
     stand.loop.turn()
-    assert stand.work.wanted([before])[job.id] == "fenced"
+    assert stand.work.read_wishes([before])[job.id] == "fenced"
     assert [run.state for run in stand.book.stages(job.id)] == [StageState.INTERRUPTED]
     assert stand.work.claim(Ticket(job.id, 1), "other") is not None
 
@@ -131,8 +131,8 @@ def test_a_claim_in_the_same_moment_is_not_let_go(stand: Stand) -> None:
         asked.append(None)
         return {job.id} if len(asked) > 1 else set()
 
-    loop = Reconciler(stand.database, stand.engine, executor="me", lease_s=10.0, in_hand=in_hand)
-    loop.let_go()
+    loop = Reconciler(stand.database, stand.engine, executor="me", lease_s=10.0, list_active=in_hand)
+    loop.release_claims()
     assert stand.book.get(job.id).owner == "me"
 
 
@@ -142,7 +142,7 @@ def test_a_long_queue_is_looked_through_a_part_at_a_time(stand: Stand, monkeypat
     tickets = [Ticket(stand.job().id, 1) for _ in range(5)]
     for known in (2, 4, 5):
         stand.loop.turn()
-        assert len(stand.engine.known(tickets)) == known
+        assert len(stand.engine.list_known(tickets)) == known
     late = stand.job(age_s=1000.0)  # its place is at the head
     stand.loop.turn()
-    assert stand.engine.known([Ticket(late.id, 1)])
+    assert stand.engine.list_known([Ticket(late.id, 1)])

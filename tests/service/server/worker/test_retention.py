@@ -163,7 +163,7 @@ def test_the_engine_forgets_what_was_deleted(stand: Stand) -> None:
     stand.engine.submit(ticket, priority=1)
     stand.engine.cancel(ticket)  # in place of a worker that has run it
     stand.turn(keep_days=7.0)
-    assert stand.engine.known([ticket]) == set()
+    assert stand.engine.list_known([ticket]) == set()
 
 
 def test_what_the_engine_has_forgotten_is_not_asked_for_again(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -114,7 +114,7 @@ def test_on_a_full_disk_nothing_is_begun_and_the_log_says_so_once(tmp_path: Path
         return (tmp_path / "one.log").read_text().count("too little free disk space")
 
     until(lambda: told() > 0, what="the warning")
-    until(lambda: storm.engine.owners() == {Ticket(job_id, 1): "local"}, what="the ticket's beginning")
+    until(lambda: storm.engine.find_owners() == {Ticket(job_id, 1): "local"}, what="the ticket's beginning")
     time.sleep(1.5)  # some more calls of the body
     assert told() == 1
     assert storm.book.get(job_id).state == JobState.QUEUED

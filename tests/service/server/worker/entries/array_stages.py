@@ -1,4 +1,4 @@
-"""Stages that compute, found by the nursery as `array_stages:run`: kernels on threads, BLAS, a sparse solve."""
+"""Stages that compute, found by the fork server as `array_stages:run`: kernels on threads, BLAS, a sparse solve."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from optics.threads import over_rows, thread_count
+from optics.threads import run_on_rows, thread_count
 
 
 @numba.njit(nogil=True)
@@ -36,7 +36,7 @@ def run(order, on_progress):
 def compute(order):
     generator = np.random.default_rng(1)
     values = generator.random((500, 400))
-    strips = over_rows(row_sums, 500, values)
+    strips = run_on_rows(row_sums, 500, values)
     matrix = scipy.sparse.diags([-1.0, 4.0, -1.0], [-1, 0, 1], shape=(1000, 1000), format="csc")
     solved = scipy.sparse.linalg.spsolve(matrix, np.ones(1000))
     product = values.T @ values
@@ -49,7 +49,7 @@ def compute(order):
 
 
 def spin_kernel(order):
-    over_rows(spin, 2, 1e-6)
+    run_on_rows(spin, 2, 1e-6)
     Path(order["tell"]).write_text("ready")
-    over_rows(spin, 2, 60.0)
+    run_on_rows(spin, 2, 60.0)
     return {}

@@ -1,4 +1,4 @@
-"""Stages that do what a test asks for: found by the nursery as `odd_stages:run`. Light: the standard library only."""
+"""Stages that do what a test asks for: found by the fork server as `odd_stages:run`. Standard library only."""
 
 from __future__ import annotations
 
