@@ -85,8 +85,8 @@ function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
   const none = error.status === 404;
   if (!expected) console.error(error);
-  const told = error.status === 401 ? "This server asks for its code before it shows this." : sentence(error.detail ?? "");
-  const words = expected ? told : `This view cannot be shown (${error.message}). Load the page again.`;
+  const detail = error.status === 401 ? "This server asks for its code before it shows this." : sentence(error.detail ?? "");
+  const words = expected ? detail : `This view cannot be shown (${error.message}). Load the page again.`;
   app.title("Not shown");
   replace(
     place,

@@ -26,8 +26,8 @@ ON_TOP = XY_SET | {"work_mm": [0.0, 0.0, -21.0], "machine_mm": [-150.0, -150.0, 
 ALL_SET = ON_TOP | {"zeroed": "XYZ", "work_mm": [0.0, 0.0, 0.0]}
 RAISED = {"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]}
 DUE = """async ([machine, run, mine, ticked, load]) => {
-    const { dueOf } = await import("/page/machine/due.js");
-    const due = dueOf({machine, run, mine, away: "", gone: ""}, {load: {ready: true, ...load}, ticked});
+    const { findNextStep } = await import("/page/machine/next_step.js");
+    const due = findNextStep({machine, run, mine, away: "", gone: ""}, {load: {ready: true, ...load}, ticked});
     return [due.step, due.act?.label ?? "", due.words];
 }"""
 READY = PLAN | {"ready": True, "needs": []}

@@ -91,9 +91,9 @@ function figures(sides, names) {
 function figureRow([what, say, better, value], sides) {
   const found = sides.map((side) => value(side) ?? null);
   if (found.every((each) => each === null)) return null;
-  const told = found.map((each) => (each === null ? "–" : say(each)));
-  const known = better !== 0 && told[0] !== told[1] && !found.includes(null);
-  const cells = told.map((text, k) => {
+  const texts = found.map((each) => (each === null ? "–" : say(each)));
+  const known = better !== 0 && texts[0] !== texts[1] && !found.includes(null);
+  const cells = texts.map((text, k) => {
     const wins = known && (found[k] - found[1 - k]) * better > 0;
     return h("td", { class: wins ? "number wins" : "number" }, wins ? winner(text) : text);
   });
@@ -112,8 +112,8 @@ function settings(sides, names) {
     h("tr", {}, h("th", { scope: "row" }, capital(settingWords(key, spec))), values.map(cell(key))),
   );
   const title = h("h2", { id: "compare-settings" }, "Settings that differ");
-  const told = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");
-  return h("section", { class: "card", "aria-labelledby": "compare-settings" }, title, told);
+  const content = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");
+  return h("section", { class: "card", "aria-labelledby": "compare-settings" }, title, content);
 }
 
 /** numbers: its columns are figures. */
@@ -128,8 +128,8 @@ function specOf(job) {
 
 /** [dotted key, value here, value there] of all that is not the same in two values of JSON. */
 export function differences(a, b, key = "") {
-  const nested = (value) => value !== null && typeof value === "object";
-  if (!nested(a) || !nested(b)) return JSON.stringify(a) === JSON.stringify(b) ? [] : [[key, a, b]];
+  const isNested = (value) => value !== null && typeof value === "object";
+  if (!isNested(a) || !isNested(b)) return JSON.stringify(a) === JSON.stringify(b) ? [] : [[key, a, b]];
   const keys = [...new Set([...Object.keys(a), ...Object.keys(b)])];
   return keys.flatMap((each) => differences(a[each], b[each], key ? `${key}.${each}` : each));
 }

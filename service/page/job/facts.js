@@ -35,8 +35,8 @@ function table(sides, figures) {
 }
 
 function row([what, figure, words]) {
-  const told = h("dd", {}, h("strong", {}, figure), words && h("span", { class: "dim" }, words));
-  return h("div", {}, h("dt", {}, what), told);
+  const value = h("dd", {}, h("strong", {}, figure), words && h("span", { class: "dim" }, words));
+  return h("div", {}, h("dt", {}, what), value);
 }
 
 /** {node, update(job)}: the report's warnings; nothing where there are none. */
@@ -47,12 +47,12 @@ export function warningsPart() {
   let shown = "";
 
   function update(job) {
-    const told = job.report?.warnings ?? [], key = told.join("\n");
-    node.hidden = told.length === 0;
+    const texts = job.report?.warnings ?? [], key = texts.join("\n");
+    node.hidden = texts.length === 0;
     if (key === shown) return;
     shown = key;
     const words = (text) => h("span", {}, withCode(sentence(text)));
-    replace(list, told.map((text) => h("p", { class: "notice warn" }, shape("warn"), words(text))));
+    replace(list, texts.map((text) => h("p", { class: "notice warn" }, shape("warn"), words(text))));
   }
   return { node, update };
 }

@@ -13,23 +13,23 @@ export function finishingPart() {
   let shown = "";
 
   function update(job) {
-    const report = job.report ?? {}, told = report.finishing, key = JSON.stringify([told, report.as_milled, report.as_finished]);
-    node.hidden = !told;
-    if (!told || key === shown) return;
+    const report = job.report ?? {}, finishing = report.finishing, key = JSON.stringify([finishing, report.as_milled, report.as_finished]);
+    node.hidden = !finishing;
+    if (!finishing || key === shown) return;
     shown = key;
-    title.textContent = `Finishing by hand: ${told.title}`;
-    replace(body, warnings(report).map(warning), figures(report), told.steps.length > 0 && howTo(told));
+    title.textContent = `Finishing by hand: ${finishing.title}`;
+    replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing));
   }
   return { node, update };
 }
 
 /** [[what, figure]] of the work and of what the wall shows. */
-export function finishingRows({ finishing: told, as_milled: milled, as_finished: finished }) {
-  const rows = [], depth = told.depth_um;
-  if (told.minutes != null) rows.push(["Time, the whole lens", hours(60 * told.minutes)]);
+export function finishingRows({ finishing, as_milled: milled, as_finished: finished }) {
+  const rows = [], depth = finishing.depth_um;
+  if (finishing.minutes != null) rows.push(["Time, the whole lens", hours(60 * finishing.minutes)]);
   if (depth) rows.push([depth > 0 ? "Comes off" : "Is added", mm(Math.abs(depth) / 1000)]);
-  if (told.levelled_mm) rows.push(["Levels", `waves under ${mm(told.levelled_mm)}`]);
-  if (told.run_out_mm) rows.push(["Rims", `mask them, or finish ${mm(told.run_out_mm)} beyond the lens`]);
+  if (finishing.levelled_mm) rows.push(["Levels", `waves under ${mm(finishing.levelled_mm)}`]);
+  if (finishing.run_out_mm) rows.push(["Rims", `mask them, or finish ${mm(finishing.run_out_mm)} beyond the lens`]);
   for (const [words, seen] of [["The wall as milled", milled], ["The wall as finished", finished]])
     if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
   if (finished?.smallest_detail_mm !== undefined) rows.push(["Smallest detail, finished", mm(finished.smallest_detail_mm)]);
@@ -37,13 +37,13 @@ export function finishingRows({ finishing: told, as_milled: milled, as_finished:
 }
 
 /** What speaks against this finish, as sentences. */
-export function warnings({ finishing: told, as_milled: milled, as_finished: finished }) {
-  const found = [], { minutes, least_minutes: least, most_minutes: most } = told, said = (time) => hours(60 * time);
+export function warnings({ finishing, as_milled: milled, as_finished: finished }) {
+  const found = [], { minutes, least_minutes: least, most_minutes: most } = finishing, inTime = (time) => hours(60 * time);
   if (finished?.psnr_db < milled?.psnr_db - WORTH_DB)
     found.push("This finish makes the picture worse than the mill left it: leave it out, or finish for longer.");
   if (minutes < least || minutes > most)
-    found.push(`${said(minutes)} lies outside what this process is known for, ${said(least)} to ${said(most)} on a lens of this size. A test piece tells.`);
-  if (!told.steps.length) found.push("This process is in no library: there are no instructions for it, its figures are your own.");
+    found.push(`${inTime(minutes)} lies outside what this process is known for, ${inTime(least)} to ${inTime(most)} on a lens of this size. A test piece tells.`);
+  if (!finishing.steps.length) found.push("This process is in no library: there are no instructions for it, its figures are your own.");
   return found;
 }
 
@@ -55,16 +55,16 @@ function figures(report) {
   return h("dl", { class: "facts" }, finishingRows(report).map(([what, figure]) => h("div", {}, h("dt", {}, what), h("dd", {}, h("strong", {}, figure)))));
 }
 
-function howTo(told) {
+function howTo(finishing) {
   const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
   return h(
     "details", { open: true }, h("summary", {}, "How to do it"),
-    part("You need", told.needs.length > 0 && list("ul", told.needs)),
-    part("Steps", list("ol", told.steps)),
-    part("How much comes off", told.removal && h("p", {}, told.removal)),
-    part("When to stop", told.when_to_stop && h("p", {}, told.when_to_stop)),
-    part("What not to do", told.donts.length > 0 && list("ul", told.donts)),
-    told.law && h("p", { class: "dim" }, `Where the figures come from: ${told.law}`),
+    part("You need", finishing.needs.length > 0 && list("ul", finishing.needs)),
+    part("Steps", list("ol", finishing.steps)),
+    part("How much comes off", finishing.removal && h("p", {}, finishing.removal)),
+    part("When to stop", finishing.when_to_stop && h("p", {}, finishing.when_to_stop)),
+    part("What not to do", finishing.donts.length > 0 && list("ul", finishing.donts)),
+    finishing.law && h("p", { class: "dim" }, `Where the figures come from: ${finishing.law}`),
   );
 }

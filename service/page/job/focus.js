@@ -52,9 +52,9 @@ export function focusPart() {
     grey.forEach((level, i) => picture.data.fill(level, 4 * i, 4 * i + 3));
     for (let i = 3; i < picture.data.length; i += 4) picture.data[i] = 255;
     canvas.getContext("2d").putImageData(picture, 0, 0);
-    const told = distanceWords(factor, frames.throwMm);
-    write(words, told);
-    range.setAttribute("aria-valuetext", told);
+    const text = distanceWords(factor, frames.throwMm);
+    write(words, text);
+    range.setAttribute("aria-valuetext", text);
     back.disabled = factor === 1;
   }
   function update(artifacts, report) {

@@ -39,7 +39,7 @@ export function headPart(app, changed) {
   }
   async function act(job, what) {
     if (!(await api.need("jobs:write"))) return;
-    await told(async () => changed(await api.post(`/v1/jobs/${job.id}:${what}`)));
+    await runAndReport(async () => changed(await api.post(`/v1/jobs/${job.id}:${what}`)));
   }
   async function remove(job) {
     const sure = await confirm({
@@ -47,7 +47,7 @@ export function headPart(app, changed) {
       yes: "Delete", no: "Keep", danger: true,
     });
     if (!sure || !(await api.need("jobs:write"))) return;
-    await told(async () => {
+    await runAndReport(async () => {
       await api.delete(`/v1/jobs/${job.id}`);
       toast(`${jobName(job)} was deleted.`);
       app.go("#/");
@@ -56,7 +56,7 @@ export function headPart(app, changed) {
   return { node, update };
 }
 
-async function told(work) {
+async function runAndReport(work) {
   try {
     await work();
   } catch (error) {
@@ -96,7 +96,7 @@ function noticeOf(job) {
 
 /** Lets a person choose a finished job to set beside this one. */
 async function chooseOther(job, app) {
-  await told(async () => {
+  await runAndReport(async () => {
     const { openJobs } = await import("./choose_job.js");
     const other = await openJobs(job);
     if (other) app.go(`#/compare/${job.id}/${other}`);

@@ -72,9 +72,9 @@ export function pathPart() {
     if (!file) return;
     const end = file.head.time_s, share = Number(range.value) / STEPS, time = share * end;
     const tool = view.time(share >= 1 ? Infinity : time);
-    const told = share >= 1 ? `whole pass, ${hours(end)}` : `${hours(time)} of ${hours(end)}`;
-    write(clock, told);
-    range.setAttribute("aria-valuetext", told);
+    const text = share >= 1 ? `whole pass, ${hours(end)}` : `${hours(time)} of ${hours(end)}`;
+    write(clock, text);
+    range.setAttribute("aria-valuetext", text);
     const where = tool && `X ${tool.x.toFixed(2)}  Y ${tool.y.toFixed(2)}  Z ${tool.z.toFixed(3)}`;
     write(place, tool ? `${where}  line ${tool.line} of ${file.lines}` : "");
   }

@@ -11,7 +11,7 @@ export function photoPart() {
   let job = null;
   const photo = photograph({
     address: () => `/v1/jobs/${encodeURIComponent(job.id)}/photos`,
-    lines: (told) => told.findings.map((one) => sentence(one.text)),
+    lines: (answer) => answer.findings.map((one) => sentence(one.text)),
     alt: () => `The photograph, set straight, beside what was foretold of ${jobName(job)}, and their difference`,
   });
   const node = h(

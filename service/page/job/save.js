@@ -60,8 +60,8 @@ async function fetchAndSave({ url, name, size, link }) {
     const target = await pickTarget(name);
     const response = await api.request("GET", url, { patience_ms: 0 });
     const total = Number(response.headers.get("content-length")) || size;
-    const told = (done) => (link.textContent = `${name}: ${total ? percent(done / total) : bytes(done)}`);
-    const counted = response.body.pipeThrough(counter(told));
+    const showShare = (done) => (link.textContent = `${name}: ${total ? percent(done / total) : bytes(done)}`);
+    const counted = response.body.pipeThrough(counter(showShare));
     if (target) await counted.pipeTo(target);
     else await saveBlob(await new Response(counted).blob(), name);
   } catch (error) {

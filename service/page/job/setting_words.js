@@ -5,7 +5,7 @@ const ROWS = [...LENS, ...LIGHT, ...MILL, ...PICTURE, ...EXPERT.flatMap(([, rows
 
 /** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
 export function settingWords(key, spec) {
-  const { pass, own } = parted(key), row = rowOf(key), label = row ? row.label.toLowerCase() : own;
+  const { pass, own } = splitKey(key), row = rowOf(key), label = row ? row.label.toLowerCase() : own;
   if (pass === null) return label;
   const name = spec.passes?.[pass]?.name;
   return `${label ? `${label} of ` : ""}pass ${pass + 1}${name ? ` (${name})` : ""}`;
@@ -17,17 +17,17 @@ export function valueWords(key, value) {
   if (value === undefined || value === null) return typeof row?.usual === "string" ? row.usual : "–";
   const choice = row?.choices?.find(([each]) => each === value);
   if (choice) return choice[1];
-  const told = typeof value === "string" ? value : JSON.stringify(value);
-  return row?.unit ? `${told} ${row.unit}` : told;
+  const text = typeof value === "string" ? value : JSON.stringify(value);
+  return row?.unit ? `${text} ${row.unit}` : text;
 }
 
 function rowOf(key) {
-  const { pass, own } = parted(key);
+  const { pass, own } = splitKey(key);
   return (pass === null ? ROWS : PASS).find((row) => row.key === own);
 }
 
 /** The number of the pass that a key belongs to, or null, and the key within. */
-function parted(key) {
+function splitKey(key) {
   const found = /^passes\.(\d+)\.?(.*)$/.exec(key);
   return found ? { pass: Number(found[1]), own: found[2] } : { pass: null, own: key };
 }

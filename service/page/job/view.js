@@ -28,10 +28,10 @@ export default async function view(root, params, app) {
   const address = `/v1/jobs/${encodeURIComponent(params.id)}`;
   const [first] = await Promise.all([api.get(address), sheet("/page/job/job.css")]);
   const watched = { job: first, artifacts: new Map(), live: null, link: "open", left: false };
-  const parts = made(app, (job) => {
+  const parts = makeParts(app, (job) => {
     watched.job = job;
     show();
-    if (going(job)) listen();
+    if (isGoing(job)) listen();
   });
   let stream = null, timer = 0, asking = null;
 
@@ -65,11 +65,11 @@ export default async function view(root, params, app) {
       watched.job = job;
       watched.artifacts = new Map(files.artifacts.map((file) => [file.name, file]));
       show();
-      if (going(job)) listen();
+      if (isGoing(job)) listen();
       clearTimeout(timer);
       if (job.state === "queued") timer = setTimeout(refresh, POSITION_MS);
     } catch (error) {
-      if (error.status === 404) gone(root, parts);
+      if (error.status === 404) showGone(root, parts);
     }
   }
   function listen() {
@@ -99,7 +99,7 @@ export default async function view(root, params, app) {
 
   replace(root, layout(parts, first.spec));
   show();
-  if (going(first)) listen();
+  if (isGoing(first)) listen();
   await load();
   return {
     leave() {
@@ -113,7 +113,7 @@ export default async function view(root, params, app) {
   };
 }
 
-function made(app, changed) {
+function makeParts(app, changed) {
   return {
     head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
     programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
@@ -136,11 +136,11 @@ function layout(parts, spec) {
   );
 }
 
-function going(job) {
+function isGoing(job) {
   return job.state === "queued" || job.state === "running";
 }
 
-function gone(root, parts) {
+function showGone(root, parts) {
   for (const part of Object.values(parts)) part.free?.();
   replace(root, h("h1", {}, "This job is gone"), h("p", {}, "Somebody has deleted it."), h("p", {}, h("a", { class: "button", href: "#/" }, "All jobs")));
 }

@@ -19,15 +19,15 @@ export function jobCard(first) {
     h("span", { class: "facts" }, name, state, bar, note),
   );
   const element = h("li", {}, link);
-  let said = "";
+  let shown = "";
 
   function update(job) {
     link.href = `#/jobs/${job.id}`;
     write(name, jobName(job));
     name.title = job.name;
     const words = stateWords(job);
-    if (words !== said) replace(state, stateMark(job.state, words));
-    said = words;
+    if (words !== shown) replace(state, stateMark(job.state, words));
+    shown = words;
     bar.hidden = job.state !== "running";
     bar.value = job.progress;
     write(note, noteOf(job));

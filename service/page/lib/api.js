@@ -124,7 +124,7 @@ export const api = {
   },
   /** How a person is asked for the key: async (scope) -> boolean. The shell sets it. */
   setKeyDialog(ask) {
-    askForKey = once(ask);
+    askForKey = shareCall(ask);
   },
   /** Exchanges a code that the server printed for a token. */
   async pair(code, name) {
@@ -164,8 +164,8 @@ export const api = {
 
 async function askWho() {
   try {
-    const told = await readJson(await request("GET", "/v1/whoami", { quiet: true }));
-    setWho(told);
+    const who = await readJson(await request("GET", "/v1/whoami", { quiet: true }));
+    setWho(who);
   } catch (error) {
     if (error.status !== 401) throw error;
     setWho(NOBODY);
@@ -235,14 +235,14 @@ function compareClocks(response) {
 }
 
 async function problemOf(response) {
-  let told = {};
+  let body = {};
   try {
-    told = await response.json();
+    body = await response.json();
   } catch {
     // a proxy's page, or nothing: the status must do
   }
-  const detail = told.detail ?? `The server answered ${response.status}; its log says why.`;
-  return new ProblemError(response.status, detail, told);
+  const detail = body.detail ?? `The server answered ${response.status}; its log says why.`;
+  return new ProblemError(response.status, detail, body);
 }
 
 async function readJson(response) {
@@ -281,7 +281,7 @@ async function probe(tries) {
 }
 
 /** While one call is under way, others get its promise. */
-function once(ask) {
+function shareCall(ask) {
   let running = null;
   return (...given) => {
     running ??= ask(...given).finally(() => {

@@ -13,24 +13,24 @@ const LOOK_MS = 60_000;
 /** Watches over the end of the token. enter(): asks a person for a new code. */
 export function watchKeyEnd(enter) {
   let warned = Infinity; // seconds before the end at which it was said last
-  let said = { close() {} };
+  let notice = { close() {} };
 
   async function look() {
     const before = api.who;
-    if (dueWarning(before, warned) === null) return;
+    if (findWarning(before, warned) === null) return;
     await api.hello().catch(() => {});
-    const due = before.name && !api.who.name ? 0 : dueWarning(api.who, warned);
-    if (due === null) return;
-    warned = due;
-    const words = inWords(due && secondsLeft(api.who), await findLiveRun());
-    said.close();
-    said = toast(words, { kind: "bad", stays: true, action: { words: "Enter a new code", run: enter } });
+    const warn_s = before.name && !api.who.name ? 0 : findWarning(api.who, warned);
+    if (warn_s === null) return;
+    warned = warn_s;
+    const words = inWords(warn_s && secondsLeft(api.who), await findLiveRun());
+    notice.close();
+    notice = toast(words, { kind: "bad", stays: true, action: { words: "Enter a new code", run: enter } });
   }
 
   api.onWho((who) => {
     if (!who.name) return; // ended; the token is kept, for the mill is still stopped by it
     if (secondsLeft(who) <= WARN_S[0]) return void setTimeout(look);
-    said.close();
+    notice.close();
     warned = Infinity;
   });
   setInterval(look, LOOK_MS);
@@ -42,9 +42,9 @@ function secondsLeft({ expires_at: end }) {
 }
 
 /** The warning that is due now and was not given yet; null where none is. */
-function dueWarning(who, warned) {
-  const due = WARN_S.findLast((limit) => secondsLeft(who) <= limit);
-  return due !== undefined && due < warned ? due : null;
+function findWarning(who, warned) {
+  const warn_s = WARN_S.findLast((limit) => secondsLeft(who) <= limit);
+  return warn_s !== undefined && warn_s < warned ? warn_s : null;
 }
 
 function inWords(left_s, run) {

@@ -10,14 +10,14 @@ const BUSY = "Looking at the photograph…";
  * list; alt(): of the picture that comes with them.
  */
 export function photograph({ words = "Take or choose a photograph", address, lines, alt }) {
-  const said = h("p", { class: "photo-said", "aria-live": "polite" });
+  const message = h("p", { class: "photo-said", "aria-live": "polite" });
   const found = h("ul", { class: "photo-findings" });
   const picture = h("img", { class: "photo-picture", alt: "", hidden: true });
-  const input = h("input", { type: "file", accept: "image/*", capture: "environment", hidden: true, onchange: chosen });
+  const input = h("input", { type: "file", accept: "image/*", capture: "environment", hidden: true, onchange: lookAtChosen });
   let asked = 0; // what an earlier question brings is not shown any more
   const button = h("button", { type: "button", onclick: () => input.click() }, words);
 
-  function chosen() {
+  function lookAtChosen() {
     const [file] = input.files;
     input.value = ""; // the same file may be chosen again
     if (file) look(file);
@@ -31,8 +31,8 @@ export function photograph({ words = "Take or choose a photograph", address, lin
     show(BUSY);
     try {
       if (!(await api.need("jobs:write"))) return clear();
-      const told = await api.upload(address(), form, { quiet: true });
-      if (mine === asked) show("", lines(told), `data:image/png;base64,${told.picture}`);
+      const answer = await api.upload(address(), form, { quiet: true });
+      if (mine === asked) show("", lines(answer), `data:image/png;base64,${answer.picture}`);
     } catch (error) {
       if (mine === asked) show(sentence(error.detail ?? error.message));
     } finally {
@@ -44,16 +44,16 @@ export function photograph({ words = "Take or choose a photograph", address, lin
     button.disabled = false;
     show("");
   }
-  function show(words, told = [], source = "") {
-    write(said, words);
-    said.hidden = !words;
-    replace(found, told.map((one) => h("li", {}, one)));
-    found.hidden = told.length === 0;
+  function show(words, findings = [], source = "") {
+    write(message, words);
+    message.hidden = !words;
+    replace(found, findings.map((one) => h("li", {}, one)));
+    found.hidden = findings.length === 0;
     picture.hidden = !source;
     picture.alt = source ? alt() : "";
     if (source) picture.src = source;
     else picture.removeAttribute("src");
   }
   clear();
-  return { button: [button, input], node: [said, found, picture], clear };
+  return { button: [button, input], node: [message, found, picture], clear };
 }

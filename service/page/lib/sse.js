@@ -48,11 +48,11 @@ export function follow(path, { onEvent, onState = () => {} }) {
 }
 
 async function takePart(path, tell, { token, place, stop: { signal: stopped } }) {
-  const heard = (message) => stopped.aborted || tell(message);
-  if (!canShare()) return keep(path, place, heard, () => {}, stopped);
+  const pass = (message) => stopped.aborted || tell(message);
+  if (!canShare()) return keep(path, place, pass, () => {}, stopped);
   const name = await nameOf(path, token);
   if (stopped.aborted) return;
-  share(name, { place, stopped, tell: heard, read: (say, alive, signal) => keep(path, place, say, alive, signal) });
+  share(name, { place, stopped, tell: pass, read: (say, alive, signal) => keep(path, place, say, alive, signal) });
 }
 
 /** Keeps the stream open over all its connections, until `stopped` or its end. */
@@ -60,7 +60,7 @@ async function keep(path, place, say, alive, stopped) {
   let fails = 0;
   while (!stopped.aborted) {
     const began = Date.now();
-    const end = await once(path, place, say, alive, stopped);
+    const end = await readOnce(path, place, say, alive, stopped);
     if (stopped.aborted) return;
     if (end.over) return say({ kind: "state", state: "ended", words: end.words });
     fails = Date.now() - began > 5000 ? 0 : fails + 1;
@@ -70,22 +70,22 @@ async function keep(path, place, say, alive, stopped) {
 }
 
 /** One connection, to its end: {over, words}. */
-async function once(path, place, say, alive, stopped) {
+async function readOnce(path, place, say, alive, stopped) {
   const broken = new AbortController();
   let timer = 0;
-  const heard = () => {
+  const markAlive = () => {
     clearTimeout(timer);
     timer = setTimeout(() => broken.abort(), SILENCE_MS);
     alive();
   };
-  heard();
+  markAlive();
   try {
     const headers = { Accept: "text/event-stream", ...(place.lastId && { "Last-Event-ID": place.lastId }) };
     const signal = AbortSignal.any([stopped, broken.signal]);
     const response = await api.request("GET", path, { headers, signal, cache: "no-store", patience_ms: 0 });
     if (response.status === 204) return { over: true, words: "" };
     say({ kind: "state", state: "open", words: "" });
-    await read(response.body, place, say, heard);
+    await read(response.body, place, say, markAlive);
     return { over: false, words: "" };
   } catch (error) {
     if (HOPELESS.has(error.status) || error.status === 401) return { over: true, words: error.detail };
@@ -95,13 +95,13 @@ async function once(path, place, say, alive, stopped) {
   }
 }
 
-async function read(body, place, say, heard) {
+async function read(body, place, say, markAlive) {
   const reader = body.pipeThrough(new TextDecoderStream()).getReader();
   let rest = "";
   for (;;) {
     const { value, done } = await reader.read();
     if (done) return;
-    heard();
+    markAlive();
     const blocks = (rest + value).replaceAll("\r\n", "\n").split("\n\n");
     rest = blocks.pop();
     for (const block of blocks) deliver(block, place, say);
@@ -117,10 +117,10 @@ function deliver(block, place, say) {
     else if (field === "data") found.data.push(text);
   }
   const { event: name, data } = found;
-  if (data.length) say({ kind: "event", name, data: parsed(data.join("\n")), id: place.lastId });
+  if (data.length) say({ kind: "event", name, data: parseData(data.join("\n")), id: place.lastId });
 }
 
-function parsed(text) {
+function parseData(text) {
   try {
     return JSON.parse(text);
   } catch {

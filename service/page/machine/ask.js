@@ -1,12 +1,12 @@
 /**
  * A question in its place on the screen, because a dialog would lie over HOLD and STOP.
  *
- * guarded("Unlock", {words, yes, act}) is a button that becomes the question; the harmless answer has the focus.
+ * guardedButton("Unlock", {words, yes, act}) is a button that becomes the question; the harmless answer has the focus.
  */
 
 import { h, replace } from "../lib/dom.js";
 
-export function guarded(label, { words, yes, act, kind = "" }) {
+export function guardedButton(label, { words, yes, act, kind = "" }) {
   const place = h("div", { class: "ask" });
   const button = h("button", { type: "button", class: kind, onclick: () => ask() }, label);
   const rest = ({ focus }) => {

@@ -2,7 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
-import { enable } from "./said.js";
+import { enable } from "./refusal_line.js";
 import { checkWords } from "./words.js";
 
 /**
@@ -37,11 +37,11 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
     get ticked() {
       return boxes.every(({ box }) => box.checked);
     },
-    /** reason: why the order cannot be given now; "" where it can. due: whether it is the next step. settled: may be ticked. */
-    update(reason, due, settled = true) {
+    /** reason: why the order cannot be given now; "" where it can. isNext: whether it is the next step. settled: may be ticked. */
+    update(reason, isNext, settled = true) {
       why = reason;
       enable(boxes.map(({ box }) => box), settled);
-      go.classList.toggle("primary", due);
+      go.classList.toggle("primary", isNext);
       count();
     },
     /** What was looked at may not be so any more; words say why, where a tick is lost by that. */

@@ -2,13 +2,13 @@
 
 import { h, replace } from "../lib/dom.js";
 import { askIn } from "./ask.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { logWords, refusal, whyNot } from "./words.js";
 
 const SHOWN = 200;
 
 export function terminal(link) {
-  const words = said();
+  const words = refusalLine();
   const lines = h("ol", { class: "log", tabIndex: 0, "aria-label": "What happened at the mill" });
   const empty = h("p", { class: "dim" }, "Nothing yet.");
   const text = h("input", { type: "text", maxLength: 78, autocomplete: "off", autocapitalize: "characters", spellcheck: false, placeholder: "G0 X0 Y0" });
@@ -22,7 +22,7 @@ export function terminal(link) {
 
   async function give(body) {
     replace(question);
-    await words.during(async () => {
+    await words.run(async () => {
       try {
         await link.order("block", body);
         text.value = "";

@@ -3,14 +3,14 @@
 import { toast } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { ago } from "../lib/words.js";
-import { guarded } from "./ask.js";
+import { guardedButton } from "./ask.js";
 import { refusal } from "./words.js";
 
 export function controlBar(link) {
   const take = (takeOver) => link.lease.take({ takeOver }).catch((error) => toast(refusal(error), { kind: "bad" }));
   const free = h("button", { type: "button", onclick: () => take(false) }, "Take control");
   const give = h("button", { type: "button", onclick: () => link.lease.release() }, "Give control back");
-  const over = guarded("Take over", {
+  const over = guardedButton("Take over", {
     words: () => `${link.machine.control?.operator ?? "Nobody"} loses control of this mill at once. Have you spoken?`,
     yes: "Take over",
     act: () => take(true),
@@ -21,8 +21,8 @@ export function controlBar(link) {
   let shown = "";
   return {
     node,
-    update(due) {
-      free.classList.toggle("primary", due.step === "control");
+    update(nextStep) {
+      free.classList.toggle("primary", nextStep.step === "control");
       const control = link.machine?.control;
       const now = link.mine ? "mine" : control ? "other" : "free";
       const words = { mine: "You have control.", other: `${control?.operator} has control (${ago(control?.since)}).`, free: "Nobody has control." }[now];

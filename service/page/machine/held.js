@@ -13,7 +13,7 @@ const TRIES = 6;
 const ENDS = ["pointerup", "pointercancel", "blur", "pagehide"];
 
 /** {begin(direction), end(), close()}. go(by_mm): orders a jog, true where it was taken; feed(): mm/min. */
-export function holding(link, { go, feed }) {
+export function holdToJog(link, { go, feed }) {
   let held = false;
   let asking = false;
   let timer = 0;
@@ -37,23 +37,23 @@ export function holding(link, { go, feed }) {
 
   function stop(tries) {
     clearTimeout(timer);
-    link.urgent("jog-cancel");
+    link.sendUrgent("jog-cancel");
     const again = () => (asking || link.machine?.mill?.state === "jog") && stop(tries - 1);
     if (tries > 1) timer = setTimeout(again, AGAIN_MS);
   }
 
   /** A jog of a whole step ends, too, when nobody can see it any more. */
-  function unseen() {
+  function endWhenHidden() {
     if (!document.hidden) return;
     if (held) end();
     else if (link.mine && link.machine?.mill?.state === "jog") stop(TRIES);
   }
 
   /** The focus goes from one control to another all the time: only that of the whole window counts. */
-  const over = (event) => (event.type !== "blur" || event.target === window) && end();
+  const endOn = (event) => (event.type !== "blur" || event.target === window) && end();
 
-  for (const kind of ENDS) addEventListener(kind, over, { capture: true });
-  document.addEventListener("visibilitychange", unseen);
+  for (const kind of ENDS) addEventListener(kind, endOn, { capture: true });
+  document.addEventListener("visibilitychange", endWhenHidden);
   return {
     begin,
     end,
@@ -62,8 +62,8 @@ export function holding(link, { go, feed }) {
     },
     close() {
       end();
-      for (const kind of ENDS) removeEventListener(kind, over, { capture: true });
-      document.removeEventListener("visibilitychange", unseen);
+      for (const kind of ENDS) removeEventListener(kind, endOn, { capture: true });
+      document.removeEventListener("visibilitychange", endWhenHidden);
     },
   };
 }

@@ -5,9 +5,9 @@
  */
 
 import { h, write } from "../lib/dom.js";
-import { holding } from "./held.js";
+import { holdToJog } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { isConnected, whyNot } from "./words.js";
 
 const STEPS_MM = [0.01, 0.1, 1, 10, 50, 100];
@@ -34,12 +34,12 @@ const PAD = [
 const UP = 4; // place in PAD
 
 export function jog(link) {
-  const words = said();
-  const steps = stepChoice(() => chosen());
+  const words = refusalLine();
+  const steps = stepChoice(() => showStep());
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
-  const inside = allowing(() => link.changed());
-  const go = (by_mm) => words.during(() => link.order("jog", { by_mm: reached(link, inside, by_mm), feed_mm_per_min: feed.valueAsNumber }));
-  const hold = holding(link, { go, feed: () => feed.valueAsNumber });
+  const inside = allowInBlock(() => link.changed());
+  const go = (by_mm) => words.run(() => link.order("jog", { by_mm: limitStep(link, inside, by_mm), feed_mm_per_min: feed.valueAsNumber }));
+  const hold = holdToJog(link, { go, feed: () => feed.valueAsNumber });
   const step = (direction) => !steps.held() && go(direction.map((one, k) => one * Math.min(steps.mm(), k === 2 ? MOST_Z_MM : Infinity)));
   const begin = (direction) => (steps.held() ? hold.begin(direction) : step(direction));
   const press = (event, direction) => event.button === 0 && steps.held() && hold.begin(direction);
@@ -50,10 +50,10 @@ export function jog(link) {
       oncontextmenu: (event) => steps.held() && event.preventDefault(), // that a long touch would open
     }, arrow, direction[2] !== 0 && h("small", {})),
   );
-  const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.urgent("jog-cancel") }, "End jog");
-  const arm = armed({ begin, end: hold.end });
+  const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.sendUrgent("jog-cancel") }, "End jog");
+  const arm = armKeys({ begin, end: hold.end });
   const pad = h("div", { class: "pad", role: "group", "aria-label": "Jog" }, buttons, cancel);
-  const chosen = () => {
+  const showStep = () => {
     pad.style.setProperty("touch-action", steps.held() ? "none" : "manipulation");
     const shorter = !steps.held() && steps.mm() > MOST_Z_MM;
     for (const button of buttons.slice(4)) write(button.lastChild, shorter ? `${MOST_Z_MM} mm` : "");
@@ -63,7 +63,7 @@ export function jog(link) {
     { class: "card jog", "aria-labelledby": "jog-title" },
     h(
       "div",
-      { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) },
+      { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.onFocusOut(event) },
       h("div", { class: "row spread" }, h("h2", { id: "jog-title" }, "Jog"), arm.node),
       pad,
     ),
@@ -98,7 +98,7 @@ export function jog(link) {
 }
 
 /** The step as far as it may go; Error where it may not go at all. */
-function reached({ machine }, inside, by_mm) {
+function limitStep({ machine }, inside, by_mm) {
   if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error("The tool stands in the block: raise Z first.");
   const found = withinTravel(machine, by_mm);
   if (!found.some(Boolean)) throw new Error("The travel ends here: take a step of 10 mm or less.");
@@ -106,7 +106,7 @@ function reached({ machine }, inside, by_mm) {
 }
 
 /** A switch that lets a tool in the block go anywhere all the same, until it is out; its place is always kept. */
-function allowing(changed) {
+function allowInBlock(changed) {
   const button = h("button", { type: "button", class: "inside", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, "Jog in the block");
   const isOn = () => button.getAttribute("aria-pressed") === "true";
   const set = (on) => button.setAttribute("aria-pressed", String(on));
@@ -147,7 +147,7 @@ function stepChoice(changed) {
 }
 
 /** Arrow keys, once a person has armed them. */
-function armed({ begin, end }) {
+function armKeys({ begin, end }) {
   const words = h("span", {});
   const button = h("button", { type: "button", class: "arm", "aria-pressed": "false", onclick: () => set(!isOn()) }, words);
   const isOn = () => button.getAttribute("aria-pressed") === "true";
@@ -160,7 +160,7 @@ function armed({ begin, end }) {
     node: button,
     button,
     off: () => isOn() && set(false),
-    left(event) {
+    onFocusOut(event) {
       if (event.currentTarget.contains(event.relatedTarget)) return;
       set(false);
       end();

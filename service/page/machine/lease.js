@@ -63,17 +63,17 @@ export class Lease {
     try {
       this.keep(await api.post(this.path, { operator: this.operator }, { headers: this.headers() }));
     } catch (error) {
-      if (error.status === 409) this.lost(refusal(error));
+      if (error.status === 409) this.lose(refusal(error));
     }
   }
 
   /** Who has control, as the mill says; a server that has lost the mill does not know, and what it said before is late. */
-  seen({ agent, control }) {
+  check({ agent, control }) {
     if (!this.held || !agent.reachable || Date.now() < this.freshUntil || control?.since === this.since) return;
-    this.lost(control ? `${control.operator} has taken control.` : "Control has ended: this page was not heard of for a minute.");
+    this.lose(control ? `${control.operator} has taken control.` : "Control has ended: this page was not heard of for a minute.");
   }
 
-  lost(words) {
+  lose(words) {
     this.forget();
     toast(words, { kind: "bad" });
     this.link.changed();
@@ -92,7 +92,7 @@ export class Lease {
     this.operator = operator;
     if (this.since !== since) {
       this.freshUntil = Date.now() + STALE_MS;
-      setTimeout(() => this.link.machine && this.seen(this.link.machine), STALE_MS + 50); // what was passed over until then
+      setTimeout(() => this.link.machine && this.check(this.link.machine), STALE_MS + 50); // what was passed over until then
     }
     this.since = since;
   }

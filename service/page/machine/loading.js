@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
 
 const AGAIN_MS = 3000;
@@ -12,12 +12,12 @@ const NONE_MS = 10_000;
 const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "tool"];
 
 /** chosen: {job, program} from the address of the page; a program by its name or number. */
-export function loading(link, chosen) {
-  const words = said();
+export function loadCard(link, chosen) {
+  const words = refusalLine();
   const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
   // An answer that is still on its way must not put another program in the place of the one that was taken.
   const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
-  const load = h("button", { type: "button", onclick: () => words.during(() => link.load(jobs.value, passes.value)) }, "Load onto the mill");
+  const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, "Load onto the mill");
   const reason = h("p", { class: "missing", role: "status" });
   const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load, reason);
   const none = h("p", { class: "dim" }, "No job has programs yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
@@ -28,7 +28,7 @@ export function loading(link, chosen) {
   const facts = { ready: false, jobs: 0, atWork: false };
   let timer = 0;
 
-  const again = () => words.during(list);
+  const again = () => words.run(list);
 
   async function list() {
     const { jobs: all } = await api.get("/v1/jobs?state=running&state=succeeded&limit=50");
@@ -75,10 +75,10 @@ export function loading(link, chosen) {
     close: () => clearTimeout(timer),
     /** What the next step is told by: {ready, jobs, atWork}. */
     facts,
-    update(due) {
+    update(nextStep) {
       const why = whyNot(link, STANDS, { besideRun: true });
       write(reason, link.machine?.mill?.state === "held" ? why : "");
-      load.classList.toggle("primary", due.step === "load");
+      load.classList.toggle("primary", nextStep.step === "load");
       enable([load], why === "" && !link.busy && passes.value !== "");
     },
   };

@@ -41,8 +41,8 @@ export class MillLink {
     this.stops = new StopSocket();
     const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : ""));
     const stream = follow(`${this.path}/events`, {
-      onEvent: (kind, data) => this.heard(kind, data),
-      onState: (state, words) => this.streamed(state, words),
+      onEvent: (kind, data) => this.receive(kind, data),
+      onState: (state, words) => this.setStreamState(state, words),
     });
     this.close = () => {
       stopListening();
@@ -68,13 +68,13 @@ export class MillLink {
 
   // ---------------------------------------------------------------- what comes
 
-  heard(kind, data) {
-    if (kind === "status") this.told(data);
-    else if (kind === "log") this.noted(data);
+  receive(kind, data) {
+    if (kind === "status") this.takeStatus(data);
+    else if (kind === "log") this.takeLogEntry(data);
     this.changed();
   }
 
-  streamed(state, words) {
+  setStreamState(state, words) {
     if (state === "ended") this.gone = words || "This machine is not known here.";
     if (state === "away") this.urgentLost = true;
     this.setAway(state === "away" ? words : "");
@@ -85,11 +85,11 @@ export class MillLink {
     this.changed();
   }
 
-  told(machine) {
+  takeStatus(machine) {
     const open = machine.run;
     this.machine = machine;
     this.away = "";
-    this.lease.seen(machine);
+    this.lease.check(machine);
     this.forgetUrgent(machine);
     if (open && open.id === this.run?.id && open.state === this.run.state) {
       Object.assign(this.run, open, { program: this.run.program });
@@ -108,7 +108,7 @@ export class MillLink {
     else if (this.urgentLost || stands(this.machine) || (run?.id ?? "") !== this.urgentRun) this.urgentWords = "";
   }
 
-  noted(entry) {
+  takeLogEntry(entry) {
     if (entry.code === "settings_read") return; // every look at a plan asks for them
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
     if (entry.code === "order_taken") return; // what came of it is said, too
@@ -138,11 +138,11 @@ export class MillLink {
   /** An order beside a run. Sent once; an Error where it was not taken. Over when the log says what came of it. */
   order(what, body = {}) {
     const before = this.commands;
-    return this.alone(async () => {
-      const told = await this.give(`${this.path}/control/${what}`, body);
+    return this.runExclusively(async () => {
+      const answer = await this.give(`${this.path}/control/${what}`, body);
       this.unanswered = before; // before anything else may be pressed
       setTimeout(() => this.unanswered === before && this.forgetOrder(), ANSWER_MS);
-      return told;
+      return answer;
     });
   }
 
@@ -158,36 +158,36 @@ export class MillLink {
 
   /** start, resume or recover of the run that is shown. */
   async toRun(action, body) {
-    await this.alone(async () => (this.run = await this.give(`/v1/runs/${this.run.id}:${action}`, body)));
+    await this.runExclusively(async () => (this.run = await this.give(`/v1/runs/${this.run.id}:${action}`, body)));
     this.changed();
   }
 
   /** The run that is shown leaves the mill. Nothing moves by that. */
   async abandonRun() {
-    await this.alone(async () => (this.run = await api.post(`/v1/runs/${this.run.id}:abort`)));
+    await this.runExclusively(async () => (this.run = await api.post(`/v1/runs/${this.run.id}:abort`)));
     this.changed();
   }
 
   /** A program of a job onto the mill, where it waits. Nothing moves by that. */
   load(job, program) {
-    return this.alone(() => api.post(`${this.path}/runs`, { job, program }, { headers: this.lease.headers() }));
+    return this.runExclusively(() => api.post(`${this.path}/runs`, { job, program }, { headers: this.lease.headers() }));
   }
 
   /** Whatever can start a motion, or change what one means, goes this way. */
   async give(path, body) {
-    const told = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
+    const answer = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
     this.urgentWords = "";
-    return told;
+    return answer;
   }
 
   /** How often the mill was told to stop, as far as this page knows: an order is refused where it was told so since. */
   get stopCount() {
-    const told = this.machine?.mill?.stops;
-    return Date.now() < this.stopped.until ? Math.max(told ?? 0, this.stopped.count) : told;
+    const stops = this.machine?.mill?.stops;
+    return Date.now() < this.stopped.until ? Math.max(stops ?? 0, this.stopped.count) : stops;
   }
 
   /** One at a time, and not while an order is on its way. */
-  async alone(act) {
+  async runExclusively(act) {
     if (this.busy) throw new Error("The order before this one is still on its way.");
     this.sending = true;
     this.changed();
@@ -200,7 +200,7 @@ export class MillLink {
   }
 
   /** hold, abort or jog-cancel: from everybody, at any time, whatever else is on its way. True where it was taken. */
-  async urgent(what) {
+  async sendUrgent(what) {
     try {
       await this.sendStop(what);
       this.urgentWords = "";
@@ -222,9 +222,9 @@ export class MillLink {
   sendStop(what) {
     if (what === "abort") this.aborts += 1;
     const { aborts } = this;
-    const patience = new Error("No answer in time.");
+    const timeout = new Error("No answer in time.");
     const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
-    const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(patience))]).then(note);
+    const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(timeout))]).then(note);
     const how = { patience_ms: URGENT_MS, quiet: true, keepalive: true };
     const post = () => api.post(`${this.path}/control/${what}`, {}, how).then(note);
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left

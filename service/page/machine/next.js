@@ -5,7 +5,7 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
-import { enable } from "./said.js";
+import { enable } from "./refusal_line.js";
 import { refusalOf } from "./words.js";
 
 const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
@@ -26,8 +26,8 @@ export function next(link, cards) {
   let button = null;
   let now = null;
 
-  function draw(due) {
-    const { act, go } = due;
+  function draw(nextStep) {
+    const { act, go } = nextStep;
     const label = act?.label ?? (go ? "Show" : "");
     if (label !== drawn) {
       button = label ? h("button", { type: "button", class: act ? "primary" : "", onclick: () => press() }, label) : null;
@@ -50,15 +50,15 @@ export function next(link, cards) {
     link.changed();
   }
 
-  function say(due) {
-    const kind = refusal.whole ? "bad" : due.kind;
+  function say(nextStep) {
+    const kind = refusal.whole ? "bad" : nextStep.kind;
     node.className = `next ${kind}`;
     replace(look, shape(kind || "wait"));
     const brief = refusal.whole.length > SHORT ? refusal.brief || "Not carried out." : refusal.whole;
-    write(trouble, brief || due.trouble?.wrong || "");
-    const words = due.whole ? due.words : `Next: ${due.words}`;
+    write(trouble, brief || nextStep.trouble?.wrong || "");
+    const words = nextStep.whole ? nextStep.words : `Next: ${nextStep.words}`;
     write(step, words);
-    const all = brief === refusal.whole ? (due.trouble?.more ?? "") : refusal.whole;
+    const all = brief === refusal.whole ? (nextStep.trouble?.more ?? "") : refusal.whole;
     write(more, all);
     fold.hidden = !all;
     if (fold.hidden) fold.open = false;
@@ -66,15 +66,15 @@ export function next(link, cards) {
 
   return {
     node,
-    update(due) {
-      if (now && due.step !== now.step) refusal = NONE;
-      now = due;
-      const key = [due.kind, due.words, due.trouble?.wrong, due.trouble?.more, refusal.whole].join("|");
-      if (key !== shown) say(due);
+    update(nextStep) {
+      if (now && nextStep.step !== now.step) refusal = NONE;
+      now = nextStep;
+      const key = [nextStep.kind, nextStep.words, nextStep.trouble?.wrong, nextStep.trouble?.more, refusal.whole].join("|");
+      if (key !== shown) say(nextStep);
       shown = key;
-      draw(due);
+      draw(nextStep);
       const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
-      if (button) enable([button], !due.act || free); // what only shows is always free
+      if (button) enable([button], !nextStep.act || free); // what only shows is always free
     },
   };
 }

@@ -2,15 +2,15 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { logWords } from "./words.js";
 
 const PAGE = 25;
 
 export function ordersGiven(link) {
-  const words = said();
+  const words = refusalLine();
   const rows = h("ol", { class: "given", tabIndex: 0, "aria-label": "Orders and stops" });
-  const older = h("button", { type: "button", onclick: () => words.during(() => add(next)) }, "Show older ones");
+  const older = h("button", { type: "button", onclick: () => words.run(() => add(next)) }, "Show older ones");
   const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, "Orders")), rows, older, words.node);
   const node = h("section", { class: "card orders", "aria-labelledby": "given-title" }, fold);
   let next = null;
@@ -21,7 +21,7 @@ export function ordersGiven(link) {
     const now = `${link.commands} ${link.machine?.run?.state} ${link.machine?.mill?.state}`;
     if (!fold.open || now === seen) return;
     seen = now;
-    words.during(() => add(null));
+    words.run(() => add(null));
   }
 
   /** Those before this number; the newest ones in place of all where there is none. */

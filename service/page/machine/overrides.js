@@ -1,7 +1,7 @@
 /** Faster or slower than the program says, while it runs. */
 
 import { h, write } from "../lib/dom.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
 
 const STATES = ["idle", "run", "holding", "held", "jog", "door", "check", "alarm", "tool"];
@@ -12,8 +12,8 @@ const ROWS = [
 ];
 
 export function overrides(link) {
-  const words = said();
-  const set = (what, percent) => words.during(() => link.order("override", { what, percent }));
+  const words = refusalLine();
+  const set = (what, percent) => words.run(() => link.order("override", { what, percent }));
   const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
   const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, "Overrides, %"), rows.map((one) => one.node), words.node);
   return {

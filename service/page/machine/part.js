@@ -38,7 +38,7 @@ export function part(link) {
 
   function draw() {
     if (!scene || node.hidden) return;
-    const scale = fitted(canvas, scene);
+    const scale = fitScale(canvas, scene);
     if (!scale) return;
     const { run, machine } = link;
     sketch.draw(canvas, scale, scene, { line: run?.executed_line ?? 0, whole: run?.state === "finished" });
@@ -82,7 +82,7 @@ function sceneOf({ optics, stock }, run) {
 }
 
 /** Sizes the canvas for the screen; how mm become pixels: {k, x(mm), y(mm)}. null where nothing can be seen. */
-function fitted(canvas, { block }) {
+function fitScale(canvas, { block }) {
   const width = canvas.clientWidth;
   const [w, t] = [block.x1 - block.x0, block.y1 - block.y0];
   const room = Math.max(LEAST_PX, innerHeight - AROUND_PX);

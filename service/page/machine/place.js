@@ -7,21 +7,21 @@ const LONG_MM = 20;
 const AXES = "XYZ";
 
 /** Whether the work zero of these axes was set: by a person here, or before, so that it differs from the machine's own. */
-export function zeroKnown({ mill }, axes) {
-  if (!placed(mill)) return false;
+export function isZeroKnown({ mill }, axes) {
+  if (!isPlaced(mill)) return false;
   const set = (k) => mill.zeroed?.includes(AXES[k]) || Math.abs(mill.machine_mm[k] - mill.work_mm[k]) > SMALL_MM;
   return Boolean(mill.position_trusted) && [...axes].every((axis) => set(AXES.indexOf(axis)));
 }
 
 /** A link that tells no position leaves zero and height to the person. */
-export function placed(mill) {
+export function isPlaced(mill) {
   return [mill?.machine_mm, mill?.work_mm].every((place) => place?.length === 3 && place.every(Number.isFinite));
 }
 
 /** How deep the tip stands under the top of the block, mm; 0 where it does not, or nobody can say. */
 export function depthInBlock(machine) {
   const { mill } = machine ?? {};
-  if (mill?.state !== "idle" || mill.needs?.length || !zeroKnown(machine, "Z")) return 0;
+  if (mill?.state !== "idle" || mill.needs?.length || !isZeroKnown(machine, "Z")) return 0;
   return mill.work_mm[2] < -SMALL_MM ? -mill.work_mm[2] : 0;
 }
 
@@ -33,9 +33,9 @@ export function riseToSafe({ mill, profile }) {
 }
 
 /** Whether an axis stands where homing leaves it: nobody has put the tool anywhere yet. */
-export function atHome({ mill, profile }, axes) {
+export function isAtHome({ mill, profile }, axes) {
   const travel = profile?.travel_mm;
-  if (!profile?.homing || !travel || !placed(mill)) return false;
+  if (!profile?.homing || !travel || !isPlaced(mill)) return false;
   const ends = (k) => Math.min(Math.abs(mill.machine_mm[k]), Math.abs(mill.machine_mm[k] + travel[k]));
   return [...axes].every((axis) => ends(AXES.indexOf(axis)) < CORNER_MM);
 }
@@ -45,7 +45,7 @@ export function atHome({ mill, profile }, axes) {
  * mill was never homed, the controller alone knows. A short step is always as it was asked for.
  */
 export function withinTravel({ mill, profile }, by_mm) {
-  const travel = profile?.homing && mill?.position_trusted && placed(mill) ? profile.travel_mm : null;
+  const travel = profile?.homing && mill?.position_trusted && isPlaced(mill) ? profile.travel_mm : null;
   const inside = (k) => mill.machine_mm[k] <= 0 && mill.machine_mm[k] >= -travel[k];
   return by_mm.map((by, k) => {
     if (!travel || Math.abs(by) <= LONG_MM || !inside(k)) return by;

@@ -7,16 +7,16 @@ import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
 import { count, sentence, thousands } from "../lib/words.js";
-import { guarded } from "./ask.js";
+import { guardedButton } from "./ask.js";
 import { checklist } from "./checklist.js";
-import { enable, said } from "./said.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { tell } from "./sentences.js";
 import { coordinate, whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 
 export function recover(link) {
-  const words = said();
+  const words = refusalLine();
   const steps = h("ol", { class: "wizard" });
   const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, "Go on with this program"), steps, words.node);
   let seen = "";
@@ -27,7 +27,7 @@ export function recover(link) {
 
   async function ask() {
     const number = ++asked;
-    await words.during(async () => {
+    await words.run(async () => {
       const run = link.run;
       const found = await api.get(`/v1/runs/${run.id}/recovery`);
       if (number === asked && link.run?.id === run.id) show(run, found);
@@ -55,7 +55,7 @@ export function recover(link) {
     if (now === shown) return; // the same plan leaves the ticks as they are
     shown = now;
     plan = found;
-    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => goOn(given)) }) : null;
+    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.run(() => goOn(given)) }) : null;
     replace(
       steps,
       step("What happened", true, h("p", {}, tell(run).whole || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
@@ -86,7 +86,7 @@ export function recover(link) {
 
   return {
     node,
-    update(due) {
+    update(nextStep) {
       const { run, machine } = link;
       const wanted = Boolean(run?.required_checks?.includes("position") && machine?.agent.reachable);
       node.hidden = !wanted;
@@ -96,14 +96,14 @@ export function recover(link) {
       const now = [run.id, run.state, state, trusted, connected, state === "idle" && place, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;
-      bars = due.bars;
-      const low = bars && due.words;
+      bars = nextStep.bars;
+      const low = bars && nextStep.words;
       if (low !== raise) {
         raise = low;
         if (plan) showFirst();
       }
       const settled = asked === answered && !link.busy; // or a tick would be gone with the plan it was given for
-      list?.update(whyNot(link) || bars, due.step === "recover", settled);
+      list?.update(whyNot(link) || bars, nextStep.step === "recover", settled);
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
     },
@@ -117,19 +117,19 @@ function step(title, done, ...content) {
 /** What must be done before it can go on, each with the button that does it, where there is one. */
 function needs(link, plan, { raise, words }) {
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words)]);
-  const told = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
-  const rows = [...told, ...own, ...zeroRow(link, plan, words)];
+  const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
+  const rows = [...refusals, ...own, ...zeroRow(link, plan, words)];
   if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is sure, its work zero is the same.");
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }
 
 function remedy(link, code, words) {
-  const order = (what, body) => words.during(() => link.order(what, body));
+  const order = (what, body) => words.run(() => link.order(what, body));
   const home = () => link.machine.profile?.homing !== false && h("button", { type: "button", onclick: () => order("home") }, "Home");
-  if (code === "unlock") return h("div", { class: "row" }, home(), guarded("Unlock", { words: "Is the tool free?", yes: "Unlock it", act: () => order("unlock") }).node);
-  if (code === "stand still") return h("div", { class: "row" }, guarded("Reset", { words: "The controller forgets what it still holds. From standstill it keeps its position.", yes: "Reset it", act: () => order("reset") }).node);
+  if (code === "unlock") return h("div", { class: "row" }, home(), guardedButton("Unlock", { words: "Is the tool free?", yes: "Unlock it", act: () => order("unlock") }).node);
+  if (code === "stand still") return h("div", { class: "row" }, guardedButton("Reset", { words: "The controller forgets what it still holds. From standstill it keeps its position.", yes: "Reset it", act: () => order("reset") }).node);
   if (code !== "position") return null;
-  const trust = guarded("The position is right", {
+  const trust = guardedButton("The position is right", {
     words: () => `The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} mm in work coordinates. Have you measured that it is so?`,
     yes: "Yes, I have measured it",
     act: () => order("trust-position"),
@@ -140,7 +140,7 @@ function remedy(link, code, words) {
 /** The work zero that the program was cut at, where it is another one now. */
 function zeroRow(link, plan, words) {
   const needed = plan.needs.find((need) => need.code === "zero");
-  const back = () => words.during(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
+  const back = () => words.run(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
   if (plan.zero_back) return [["The work zero is not where the program was cut.", h("button", { type: "button", onclick: back }, "Put the zero back")]];
   return needed ? [[tell(needed).whole, null]] : [];
 }
@@ -159,6 +159,6 @@ function whatHappens(plan) {
 
 function giveUp(link, run, words) {
   if (!run.open) return h("p", { class: "dim" }, "Or load another program: this one can still be gone on with later, as long as the block stays clamped.");
-  const act = () => words.during(() => link.abandonRun());
-  return guarded("Give it up", { words: "The mill is free for another program. What was cut stays known.", yes: "Give it up", act }).node;
+  const act = () => words.run(() => link.abandonRun());
+  return guardedButton("Give it up", { words: "The mill is free for another program. What was cut stays known.", yes: "Give it up", act }).node;
 }

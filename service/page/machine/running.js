@@ -4,13 +4,13 @@ import { h, replace, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
 import { ball, count, hours, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
-import { guarded } from "./ask.js";
-import { said } from "./said.js";
+import { guardedButton } from "./ask.js";
+import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES, tell } from "./sentences.js";
 import { runStanding, whyNot } from "./words.js";
 
-export function running(link) {
-  const words = said();
+export function runCard(link) {
+  const words = refusalLine();
   const state = h("div", {});
   const title = h("h2", { id: "run-title" });
   const more = h("div", { class: "stack" });
@@ -32,15 +32,15 @@ export function running(link) {
 
   const fill = (run) => {
     const parked = run.state === "parked";
-    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.during(() => start(given)), changed: () => link.changed() }) : null;
-    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? waiting(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
+    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
+    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
   };
   return {
     node,
     get ticked() {
       return Boolean(list?.ticked);
     },
-    update(due) {
+    update(nextStep) {
       const { run } = link;
       node.hidden = !run;
       if (!run) return;
@@ -56,7 +56,7 @@ export function running(link) {
       if (idle && !stands) list?.clear("The mill has moved since: look again.");
       else if (rests !== setup) list?.clear("Zero or position have changed since: look again.");
       [idle, setup] = [stands, rests];
-      list?.update(whyNot(link) || due.bars, ["tick", "start"].includes(due.step));
+      list?.update(whyNot(link) || nextStep.bars, ["tick", "start"].includes(nextStep.step));
     },
   };
 }
@@ -84,11 +84,11 @@ function notes(run) {
   const own = ["interrupted", "aborted"].includes(run.state) ? "" : tell(run).whole; // said above, with what to do
   const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
   const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
-  return [notice, run.state === "parked" || run.warnings?.length ? warned(run) : null];
+  return [notice, run.state === "parked" || run.warnings?.length ? warningsNode(run) : null];
 }
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
-function warned({ warnings = [], travel_in_doubt: travel }) {
+function warningsNode({ warnings = [], travel_in_doubt: travel }) {
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), "No warnings");
   const words = travel ? "It may not fit the travel" : count(warnings.length, "warning");
   return h("details", { class: "warned warn" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
@@ -101,11 +101,11 @@ function aboutSpindle(run, profile) {
   return h("details", { class: "warned" }, h("summary", {}, "The spindle in a hold, and without the computer"), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
 }
 
-function waiting(link, list, words) {
-  const back = guarded("Take it off the mill", {
+function startControls(link, list, words) {
+  const back = guardedButton("Take it off the mill", {
     words: "The program leaves the mill; nothing has been cut by it.",
     yes: "Take it off",
-    act: () => words.during(() => link.abandonRun()),
+    act: () => words.run(() => link.abandonRun()),
   });
   return [list.node, back.node];
 }

@@ -62,8 +62,8 @@ const ALARMS = {
   17: ["motor fault", "check drives and power"],
 };
 
-const alarmed = (number) => ALARMS[number]?.join(", ") ?? `alarm ${number}, see the manual of its controller`;
-const lockedBy = (number) => (number in ALARMS ? `Locked: ${ALARMS[number][0]}.` : "The mill is locked.");
+const alarmWords = (number) => ALARMS[number]?.join(", ") ?? `alarm ${number}, see the manual of its controller`;
+const lockedWords = (number) => (number in ALARMS ? `Locked: ${ALARMS[number][0]}.` : "The mill is locked.");
 
 const DOUBTS = {
   restarted: "The controller has restarted since the run stopped, its position is lost",
@@ -73,7 +73,7 @@ const DOUBTS = {
 const POSITION = "home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you know that it is right, say so.";
 
 const NO_ANSWER = "The computer beside the mill does not answer.";
-const unanswered = ({ seconds }) => (seconds ? `The computer beside the mill did not answer within ${seconds} s.` : NO_ANSWER);
+const unansweredWords = ({ seconds }) => (seconds ? `The computer beside the mill did not answer within ${seconds} s.` : NO_ANSWER);
 
 const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
 
@@ -102,7 +102,7 @@ const SENTENCES = {
     brief: "Look at the mill: the order may have arrived.",
     whole: `The computer beside the mill does not answer; whether the ${order} arrived is not known: LOOK AT THE MILL, it is not sent again.`,
   }),
-  stop_uncertain: unanswered,
+  stop_uncertain: unansweredWords,
   order_without_effect: ({ order, state }) => ({
     brief: NO_ANSWER,
     whole: `The computer beside the mill does not answer; the ${order} has not taken effect so far. The state of the program: ${program(state)}.`,
@@ -126,7 +126,7 @@ const SENTENCES = {
   run_given_up: "Given up.",
   run_unknown: "No computer beside a mill knows this program.",
   "error reply": fault("Error reply"),
-  alarm: ({ alarm, detail }) => sentence(`Alarm: ${alarm ? alarmed(alarm) : detail}`),
+  alarm: ({ alarm, detail }) => sentence(`Alarm: ${alarm ? alarmWords(alarm) : detail}`),
   "controller restarted": fault("Controller restarted"),
   "port lost": fault("Port lost"),
   "replies do not match lines": fault("Replies do not match lines"),
@@ -138,8 +138,8 @@ const SENTENCES = {
   "device reports a fault": fault("Device reports a fault"),
 
   // why a mill is as it is
-  locked: ({ alarm }) => ({ brief: lockedBy(alarm), whole: `${capital(alarmed(alarm))}.` }),
-  locked_until_reset: ({ alarm }) => ({ brief: lockedBy(alarm), whole: `${capital(alarmed(alarm))}; waits for the controller to take a reset.` }),
+  locked: ({ alarm }) => ({ brief: lockedWords(alarm), whole: `${capital(alarmWords(alarm))}.` }),
+  locked_until_reset: ({ alarm }) => ({ brief: lockedWords(alarm), whole: `${capital(alarmWords(alarm))}; waits for the controller to take a reset.` }),
   silent: {
     brief: "The mill does not answer.",
     whole: "Nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not answer either: look at the mill; where it stands, send a reset.",
@@ -149,7 +149,7 @@ const SENTENCES = {
   connect: ({ state }) => (state === "idle" ? "The mill has not reported its position yet: wait a second." : `The mill is ${mill(state)}: connect it; it does not move by that.`),
   wait: ({ state }) => `The mill is ${mill(state)}: wait until it has carried that out, or hold it.`,
   "stand still": ({ state }) => `The mill is ${mill(state)} and may hold unfinished blocks: reset it, which clears them and, from standstill, keeps the position.`,
-  unlock: ({ alarm }) => `The mill is locked${alarm ? ` (${alarmed(alarm)})` : ""}: home it, which finds its position, or unlock it.`,
+  unlock: ({ alarm }) => `The mill is locked${alarm ? ` (${alarmWords(alarm)})` : ""}: home it, which finds its position, or unlock it.`,
   position: ({ doubt }) => `${DOUBTS[doubt]}: ${POSITION}`,
   zero: "The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again.",
 
@@ -172,6 +172,6 @@ export const CODES = Object.keys(SENTENCES);
 export function tell({ code, values, words }) {
   if (!Object.hasOwn(SENTENCES, code ?? "")) return { brief: "", whole: words ? sentence(words) : "" };
   const made = SENTENCES[code];
-  const told = typeof made === "function" ? made(values ?? {}) : made;
-  return typeof told === "string" ? { brief: told, whole: told } : told;
+  const sentences = typeof made === "function" ? made(values ?? {}) : made;
+  return typeof sentences === "string" ? { brief: sentences, whole: sentences } : sentences;
 }

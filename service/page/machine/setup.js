@@ -1,28 +1,28 @@
 /** Before a program: home, the work zero by hand or by probe, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
-import { guarded } from "./ask.js";
-import { enable, said } from "./said.js";
+import { guardedButton } from "./ask.js";
+import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 
 export function setup(link) {
-  const words = said();
-  const order = (what, body) => words.during(() => link.order(what, body));
+  const words = refusalLine();
+  const order = (what, body) => words.run(() => link.order(what, body));
   const home = h("button", { type: "button", onclick: () => order("home") }, "Home");
-  const unlock = guarded("Unlock", {
+  const unlock = guardedButton("Unlock", {
     words: "Unlocking does not tell the mill where it is. Is the tool free, and is the position shown right? If not, home the mill instead.",
     yes: "Unlock it",
     act: () => order("unlock"),
   });
-  const reset = guarded("Reset", {
+  const reset = guardedButton("Reset", {
     words: "A reset ends whatever the mill still holds. From standstill it keeps its position.",
     yes: "Reset it",
     act: () => order("reset"),
   });
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, `${[...axes].join(" and ")} = 0 here`));
-  const probe = probing(order);
+  const probe = probePart(order);
   const hint = h("p", { class: "dim" });
   const node = h(
     "section",
@@ -53,12 +53,12 @@ export function setup(link) {
 }
 
 /** Touching off Z: down until the plate is felt, which is then as high as it is thick. */
-function probing(order) {
+function probePart(order) {
   const plate = number(0, { min: -100, max: 100, step: "any" });
   const depth = number(10, { min: 0.1, max: 200, step: "any" });
   const feed = number(50, { min: 1, max: 1000, step: 1 });
   const start = () => order("probe", { plate_mm: plate.valueAsNumber, depth_mm: depth.valueAsNumber, feed_mm_per_min: feed.valueAsNumber, retract_mm: 2 });
-  const ask = guarded("Probe Z", {
+  const ask = guardedButton("Probe Z", {
     words: () => `The tool goes down by up to ${depth.value} mm until it touches. Is the plate under it, and the clip on the tool?`,
     yes: "Probe",
     act: start,

@@ -8,18 +8,18 @@
  */
 
 import { h, write } from "../lib/dom.js";
-import { said } from "./said.js";
+import { refusalLine } from "./refusal_line.js";
 import { hasLiveRun, isConnected, mayMove, whyNot } from "./words.js";
 
 const HELD = ["held", "door", "tool"];
 const WRITING = "input:not([type=checkbox], [type=radio], [type=button]), textarea, select";
 
 export function stops(link) {
-  const words = said();
-  const hold = big("hold", "HOLD", "Space", () => link.urgent("hold"));
-  const stop = big("stop", "STOP", "Escape", () => link.urgent("abort"));
-  const goOn = () => words.during(() => resumed(link));
-  const resume = big("primary", "Resume", "Shift+R", goOn);
+  const words = refusalLine();
+  const hold = bigButton("hold", "HOLD", "Space", () => link.sendUrgent("hold"));
+  const stop = bigButton("stop", "STOP", "Escape", () => link.sendUrgent("abort"));
+  const goOn = () => words.run(() => resumeMill(link));
+  const resume = bigButton("primary", "Resume", "Shift+R", goOn);
   const alarm = h("p", { class: "arrived", role: "alert" });
   const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
   const keys = (event) => onKey(event, link, { resume, goOn });
@@ -31,23 +31,23 @@ export function stops(link) {
       const why = whyNot(link, HELD, { besideRun: true });
       resume.hidden = !HELD.includes(state);
       resume.disabled = link.busy || why !== "";
-      write(alarm, link.urgentWords || unheard(link));
+      write(alarm, link.urgentWords || outageWords(link));
     },
     close: () => removeEventListener("keydown", keys, { capture: true }),
   };
 }
 
 /** Why HOLD and STOP may not reach the mill; "" where they do. */
-function unheard({ away, machine }) {
+function outageWords({ away, machine }) {
   if (away) return "The server does not answer. To stop, use the button on the mill itself.";
   return machine && !isConnected(machine) ? "The mill does not hear this page. To stop, use the button on the mill itself." : "";
 }
 
-function big(kind, label, key, act) {
+function bigButton(kind, label, key, act) {
   return h("button", { type: "button", class: `big ${kind}`, "aria-keyshortcuts": key, onclick: act }, h("span", {}, label), h("kbd", {}, key));
 }
 
-function resumed(link) {
+function resumeMill(link) {
   return hasLiveRun(link.machine) ? link.toRun("resume") : link.order("resume");
 }
 
@@ -55,11 +55,11 @@ function onKey(event, link, { resume, goOn }) {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || !mayMove(link.machine)) return;
   const writing = event.target.closest?.(WRITING);
   if (event.key === "Escape") {
-    link.urgent("abort");
+    link.sendUrgent("abort");
   } else if (event.key === "R" && event.shiftKey && !writing) {
     if (!resume.hidden && !resume.disabled) goOn();
   } else if (event.key === " " && !writing && event.target !== resume) {
-    link.urgent("hold");
+    link.sendUrgent("hold");
     event.preventDefault();
   }
 }

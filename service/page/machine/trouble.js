@@ -7,46 +7,46 @@ import { millWords, outOfReach } from "./words.js";
 /** {kind, wrong, next, more, step} or null where nothing is; more: for who asks. step: what is due, where a button does it. */
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
-  if (gone) return told("bad", sentence(gone), "go back to the list of machines.");
-  if (away) return told("bad", "The server does not answer.", "to stop, use the button on the mill.", "The mill goes on with what it has; what is shown is what was said last. This page goes on by itself when the server is back.");
+  if (gone) return makeTrouble("bad", sentence(gone), "go back to the list of machines.");
+  if (away) return makeTrouble("bad", "The server does not answer.", "to stop, use the button on the mill.", "The mill goes on with what it has; what is shown is what was said last. This page goes on by itself when the server is back.");
   if (!machine) return null;
-  if (machine.problem) return told("bad", "The file of this machine is not right.", "correct it; this page sees it at once.", machine.problem);
-  if (!machine.agent.reachable) return told("bad", "The server has lost this mill.", machine.remote ? "look at the mill, then at the computer beside it." : "look at the mill, then start the server again.", `${outOfReach(machine)} The mill may still be moving: stop it with its own button.`);
+  if (machine.problem) return makeTrouble("bad", "The file of this machine is not right.", "correct it; this page sees it at once.", machine.problem);
+  if (!machine.agent.reachable) return makeTrouble("bad", "The server has lost this mill.", machine.remote ? "look at the mill, then at the computer beside it." : "look at the mill, then start the server again.", `${outOfReach(machine)} The mill may still be moving: stop it with its own button.`);
   return troubleOfMill(machine) ?? troubleOfRun(machine, run);
 }
 
-function told(kind, wrong, next, more = "", step = "") {
+function makeTrouble(kind, wrong, next, more = "", step = "") {
   return { kind, wrong, next, more, step };
 }
 
 function troubleOfMill({ mill, run, profile }) {
-  if (mill.state === "connecting") return told("busy", "Connecting to the mill.", "wait a few seconds.");
-  if (!mill.connected) return unplugged(mill, run);
+  if (mill.state === "connecting") return makeTrouble("busy", "Connecting to the mill.", "wait a few seconds.");
+  if (!mill.connected) return makeUnpluggedTrouble(mill, run);
   switch (mill.state) {
     case "alarm":
-      return locked(mill, profile);
+      return makeLockedTrouble(mill, profile);
     case "door":
-      return told("warn", "The safety door is open.", "close it, then Resume; or STOP.");
+      return makeTrouble("warn", "The safety door is open.", "close it, then Resume; or STOP.");
     case "tool":
-      return told("warn", "A tool change is due.", "change it, then Resume; or STOP.");
+      return makeTrouble("warn", "A tool change is due.", "change it, then Resume; or STOP.");
     case "sleep":
-      return told("warn", "The mill is asleep, its motors are off.", "reset it, then home it.", "It may have been moved by hand: without homing, set the work zero anew.");
+      return makeTrouble("warn", "The mill is asleep, its motors are off.", "reset it, then home it.", "It may have been moved by hand: without homing, set the work zero anew.");
     default:
       return null;
   }
 }
 
-function locked(mill, profile) {
+function makeLockedTrouble(mill, profile) {
   const { brief, whole } = millWords(mill);
   const homes = profile?.homing !== false;
   const next = homes ? "see that the tool is free to rise, then home the mill." : "see that the tool is free, unlock, set the zero anew.";
-  return told("bad", brief || "The mill is locked.", next, `${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
+  return makeTrouble("bad", brief || "The mill is locked.", next, `${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 
-function unplugged(mill, run) {
+function makeUnpluggedTrouble(mill, run) {
   const latched = mill.latched ? ` Your ${mill.latched} is carried out first when it is back.` : "";
   const cut = run?.state === "interrupted" ? " Its program is interrupted; what was cut is known." : "";
-  return told(
+  return makeTrouble(
     "bad",
     "The mill is not connected.",
     "look at the mill, then at cable and power.",
@@ -59,5 +59,5 @@ function troubleOfRun(machine, run) {
   const [, word] = RUN_STATES[run.state] ?? ["", run.state];
   const line = run.executed_line ? ` at line ${thousands(run.executed_line)}` : "";
   const more = `${tell(run).whole} The part is not lost, and nothing moves before you say so.`;
-  return told(run.state === "aborted" ? "warn" : "bad", `The program was ${word}${line}.`, "go on with it, step by step.", more, "recover");
+  return makeTrouble(run.state === "aborted" ? "warn" : "bad", `The program was ${word}${line}.`, "go on with it, step by step.", more, "recover");
 }

@@ -5,8 +5,8 @@ import { mark } from "../lib/state.js";
 import { terminal } from "./console.js";
 import { controlBar } from "./control_bar.js";
 import { jog } from "./jog.js";
-import { dueOf } from "./due.js";
-import { loading } from "./loading.js";
+import { findNextStep } from "./next_step.js";
+import { loadCard } from "./loading.js";
 import { MillLink } from "./mill_link.js";
 import { next } from "./next.js";
 import { ordersGiven } from "./orders_given.js";
@@ -14,7 +14,7 @@ import { overrides } from "./overrides.js";
 import { part } from "./part.js";
 import { readout } from "./readout.js";
 import { recover } from "./recover.js";
-import { running } from "./running.js";
+import { runCard } from "./running.js";
 import { setup } from "./setup.js";
 import { stops } from "./stops.js";
 import { hasLiveRun, standing } from "./words.js";
@@ -26,7 +26,7 @@ export default async function view(root, params, app) {
   await sheet("/page/machine/machine.css");
   app.title(params.name);
   const link = new MillLink(params.name);
-  const parts = made(link, { job: params.job, program: params.program });
+  const parts = makeParts(link, { job: params.job, program: params.program });
   const screen = layout(parts);
   replace(root, screen);
   const turned = turning(screen);
@@ -35,8 +35,8 @@ export default async function view(root, params, app) {
     const open = Boolean(link.machine?.run);
     if (wasOpen && !open) parts.load.again();
     wasOpen = open;
-    const due = dueOf(link, { load: parts.load.facts, ticked: parts.program.ticked });
-    for (const one of Object.values(parts)) one.update(due);
+    const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked });
+    for (const one of Object.values(parts)) one.update(nextStep);
     arrange(link, parts);
     turned(link);
   });
@@ -49,10 +49,10 @@ export default async function view(root, params, app) {
   };
 }
 
-function made(link, chosen) {
+function makeParts(link, chosen) {
   const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link), zero: zeroDrawing(link) };
-  const load = loading(link, chosen);
-  const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), stops: stops(link) };
+  const load = loadCard(link, chosen);
+  const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
   return { ...own, ...others, next: next(link, cards) };
 }

@@ -25,7 +25,7 @@ export function zeroDrawing(link) {
       shown = key;
       const known = stock && `${mm(stock.margin_mm)} inside the block's left and front edges.`;
       write(inside, `${known ?? "How far inside the block is known once a program is loaded."} Z0 is the block's top.`);
-      replace(drawing, stock ? drawn(stock, sizes(stock)) : drawn(ANY, ["block, not to scale", "inside the block, not to scale"], "guess"));
+      replace(drawing, stock ? drawStock(stock, sizes(stock)) : drawStock(ANY, ["block, not to scale", "inside the block, not to scale"], "guess"));
     },
   };
 }
@@ -36,7 +36,7 @@ function sizes({ width_mm, height_mm, margin_mm }) {
   return [block, `${mm(margin_mm)} inside the ${block}`];
 }
 
-function drawn(stock, [block, where], kind = "") {
+function drawStock(stock, [block, where], kind = "") {
   const k = Math.min((WIDE - 2 * SIDE) / stock.width_mm, (HIGH - TOP - FOOT) / stock.height_mm);
   const [width, height, margin] = [stock.width_mm, stock.height_mm, stock.margin_mm].map((side) => k * side);
   const [left, low] = [(WIDE - width) / 2, HIGH - FOOT];

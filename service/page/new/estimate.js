@@ -58,7 +58,7 @@ export function estimator({ make, tell }) {
       if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
-      tell(told(error));
+      tell(describeError(error));
       if (error.status === 503 && tries > 1) timer = setTimeout(() => run(signal, tries - 1), AGAIN_MS);
     } finally {
       clearTimeout(slow);
@@ -75,7 +75,7 @@ export function estimator({ make, tell }) {
     if (!signal.aborted) tell({ kind: "known", estimate, after: coarse });
   }
 
-  function told(error) {
+  function describeError(error) {
     if (error.status === 422 || error.field === "image") return { kind: "problems", problems: error.problems, words: error.detail };
     absent = error.status === 404 || error.status === 405;
     return absent ? { kind: "absent" } : { kind: "fault", words: error.detail ?? error.message };
@@ -154,18 +154,18 @@ export function estimateCard() {
     known: "",
     problems: "A value cannot be used; it is marked.",
   };
-  function stateWords(told) {
-    if (told.slow) return `${BUSY} ${FIRST}`;
-    if (told.kind === "known" && !told.estimate.exact) return told.after ? ONLY_COARSE : COARSE;
-    return words[told.kind] ?? `No estimate now. ${told.words ?? ""}`;
+  function stateWords(result) {
+    if (result.slow) return `${BUSY} ${FIRST}`;
+    if (result.kind === "known" && !result.estimate.exact) return result.after ? ONLY_COARSE : COARSE;
+    return words[result.kind] ?? `No estimate now. ${result.words ?? ""}`;
   }
-  function show(told) {
-    element.hidden = told.kind === "absent";
-    element.setAttribute("aria-busy", String(told.kind === "busy"));
-    state.textContent = stateWords(told);
+  function show(result) {
+    element.hidden = result.kind === "absent";
+    element.setAttribute("aria-busy", String(result.kind === "busy"));
+    state.textContent = stateWords(result);
     state.hidden = !state.textContent;
-    if (told.kind === "known") replace(body, estimateWords(told.estimate));
-    else if (told.kind !== "busy") replace(body);
+    if (result.kind === "known") replace(body, estimateWords(result.estimate));
+    else if (result.kind !== "busy") replace(body);
   }
   return { element, show };
 }

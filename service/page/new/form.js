@@ -70,15 +70,15 @@ export function specForm({ profiles, onChange, planned }) {
   /** Puts each problem {field: "spec.KEY", detail} beside its row; gives back {unplaced, focus()}. */
   function blame(problems) {
     const all = [...rows, ...milling.rows(), rest];
-    const told = new Map();
+    const faults = new Map();
     const unplaced = [];
     for (const { field, detail } of problems) {
       const found = field.startsWith("spec.") && rowFor(all, field.slice("spec.".length));
-      if (found) told.set(found, [...(told.get(found) ?? []), detail].join(" "));
+      if (found) faults.set(found, [...(faults.get(found) ?? []), detail].join(" "));
       else unplaced.push({ field, detail });
     }
-    for (const one of all) one.blame(told.get(one));
-    return { unplaced, focus: () => focusFirst([...told.keys()]) };
+    for (const one of all) one.blame(faults.get(one));
+    return { unplaced, focus: () => focusFirst([...faults.keys()]) };
   }
 
   const fields = (made) =>

@@ -64,7 +64,7 @@ export function improvements({ make, take }) {
     const found = [];
     for (const [number, change] of estimate.changes.entries()) {
       state.textContent = `Working it out: ${number + 1} of ${estimate.changes.length}…`;
-      const seen = await foretold(change, signal);
+      const seen = await estimateChange(change, signal);
       if (signal.aborted) return;
       if (!seen || seen.refusals?.length || !(seen.psnr_db >= estimate.psnr_db + WORTH_DB)) continue;
       found.push([change, seen]);
@@ -74,7 +74,7 @@ export function improvements({ make, take }) {
     state.textContent = found.length ? "" : NONE;
   }
 
-  async function foretold(change, signal) {
+  async function estimateChange(change, signal) {
     try {
       return await api.upload("/v1/estimates", await make(change.values), { headers: HEADERS, signal, quiet: true });
     } catch {

@@ -64,7 +64,7 @@ export function partOf(picture, edits, { aspect, fit }) {
 }
 
 /** The edits with their centre where the part really lies, so that no drag has to be undone before one shows. */
-export function settled(picture, edits, screen) {
+export function clampEdits(picture, edits, screen) {
   const [width, height] = sizeOf(picture, edits);
   const part = partOf(picture, edits, { ...screen, fit: "crop" });
   return { ...edits, x: (part.x + part.width / 2) / width, y: (part.y + part.height / 2) / height };

@@ -16,8 +16,8 @@ const HOW = "What the wall will show. Drag to choose the part, pinch or use the 
  */
 export function pictureSide({ spec, values, onChange }) {
   const now = { picture: null, edits: { ...UNTOUCHED }, blur_mm: 0 };
-  const seen = wall({ state: drawn, onEdit: edit });
-  const tools = pictureTools({ state: drawn, onEdit: edit });
+  const seen = wall({ state: readDrawing, onEdit: edit });
+  const tools = pictureTools({ state: readDrawing, onEdit: edit });
   const name = h("input", { type: "text", maxLength: 80, autocomplete: "off", oninput: onChange });
   const marks = h("input", { type: "checkbox", checked: true, onchange: () => seen.draw() });
   const blur = h("label", { class: "tick", hidden: true }, marks, "With the blur that the tool's marks will leave");
@@ -26,7 +26,7 @@ export function pictureSide({ spec, values, onChange }) {
   const fault = h("p", { class: "fault", role: "alert" });
 
   /** All that the wall shows. */
-  function drawn() {
+  function readDrawing() {
     const screen = screenOf(spec());
     const share = now.blur_mm / SPREAD / screen.width_mm;
     return { ...now, screen, blurShare: marks.checked && share > 0 && share < 1 ? share : 0 };
@@ -82,7 +82,7 @@ export function pictureSide({ spec, values, onChange }) {
 
   /** {blob, name} of what is to be sent; mostSide: a smaller copy will do. */
   async function sent(options) {
-    const { blob, name: fileName } = await sentPicture(now.picture, now.edits, drawn().screen, options);
+    const { blob, name: fileName } = await sentPicture(now.picture, now.edits, readDrawing().screen, options);
     const ending = /\.[^.]+$/.exec(fileName)?.[0] ?? "";
     return { blob, name: `${name.value.trim() || stem(fileName)}${ending}` };
   }

@@ -71,7 +71,7 @@ function newJob(profiles, app) {
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => ((now.refused = []), asks.ask(), ready()) });
   const priority = priorityRow();
   const card = estimateCard();
-  const asks = estimator({ make: estimateForm, tell: told });
+  const asks = estimator({ make: estimateForm, tell: showEstimate });
   const coupon = couponPart({ take: takeChange });
   const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar();
@@ -129,7 +129,7 @@ function newJob(profiles, app) {
     toast(`Taken: ${what}.`, { action: { words: "Undo", run: () => become(before) } });
   }
 
-  function told(asked) {
+  function showEstimate(asked) {
     const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
     card.show(state);
     if (state.kind === "known") now.estimate = state.estimate;
@@ -190,9 +190,9 @@ function newJob(profiles, app) {
 }
 
 /** What the estimate and the refusal of a job say, each sentence once. */
-function bothOf(told, refused) {
-  const said = new Set(told.map(({ detail }) => detail));
-  return [...told, ...refused.filter(({ detail }) => !said.has(detail))];
+function bothOf(estimated, refused) {
+  const known = new Set(estimated.map(({ detail }) => detail));
+  return [...estimated, ...refused.filter(({ detail }) => !known.has(detail))];
 }
 
 /** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */

@@ -4,7 +4,7 @@
  */
 
 import { h } from "../lib/dom.js";
-import { MOST_ZOOM, paint, partOf, settled, sizeOf } from "./picture.js";
+import { MOST_ZOOM, paint, partOf, clampEdits, sizeOf } from "./picture.js";
 import { bend, blurred, curve, greyOf, lightOf } from "./tones.js";
 
 const SIDE = 448; // pixels of the longer side
@@ -62,7 +62,7 @@ export function wall({ state, onEdit }) {
     const { picture, edits, screen } = state();
     if (!picture?.shown || screen.fit !== "crop") return;
     const wanted = { ...edits, ...change };
-    onEdit(settled(picture, { ...wanted, zoom: Math.min(MOST_ZOOM, Math.max(1, wanted.zoom)) }, screen));
+    onEdit(clampEdits(picture, { ...wanted, zoom: Math.min(MOST_ZOOM, Math.max(1, wanted.zoom)) }, screen));
   }
 
   /** Moves the part by shares of itself, seen from the part: the picture moves the other way. */

@@ -3,12 +3,12 @@
 import { h, write } from "../lib/dom.js";
 import { refusal } from "./words.js";
 
-export function said() {
+export function refusalLine() {
   const node = h("p", { class: "said", role: "status" });
   return {
     node,
     /** Runs an order and shows what it was refused for, in sight, until the next one. True where it was taken. */
-    async during(order) {
+    async run(order) {
       write(node, "");
       node.classList.remove("bad");
       try {
