@@ -7,9 +7,9 @@ the driver's clock in seconds (injected), so that a simulated mill can run in si
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 Triple = tuple[float, float, float]
 
@@ -179,6 +179,33 @@ class Notice:
 
 
 Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | CommandDone | Notice
+
+
+@dataclass(slots=True)
+class StatusChannel:
+    """What a driver tells: the latest status and progress, and the events since they were taken last."""
+
+    status: MillStatus = field(default_factory=MillStatus)
+    progress: StreamProgress = field(default_factory=StreamProgress)
+    events: list[Event] = field(default_factory=list)
+
+    def update(self, **fields: Any) -> None:
+        """Change fields of the status."""
+        self.status = replace(self.status, **fields)
+
+    def enter(self, state: MillState, detail: str) -> None:
+        """Change the state; an event tells of it where it is another."""
+        if state is not self.status.state:
+            self.events.append(StateChanged(self.status.state, state))
+        self.update(state=state, detail=detail)
+
+    def end_stream(self) -> None:
+        """Note that no program is streamed any more."""
+        self.progress = replace(self.progress, streaming=False)
+
+    def take_events(self) -> tuple[Event, ...]:
+        events, self.events = tuple(self.events), []
+        return events
 
 
 # Commands: what an operator can ask for beside the stream.

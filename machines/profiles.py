@@ -15,36 +15,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from machines.driver import Triple
 from machines.errors import MachineError
-from machines.profile_values import (
-    DIALECTS,
-    DRIVERS,
-    FLOWS,
-    LINK_VALUES,
-    PROFILE_VALUES,
-    SPINDLE,
-    SPINDLE_VALUES,
-    BadValueError,
-    Rules,
-)
+from machines.profile_values import LINK_VALUES, PROFILE_VALUES, SPINDLE_VALUES, BadValueError, Rules
 
-__all__ = [
-    "DIALECTS",
-    "DRIVERS",
-    "FLOWS",
-    "SPINDLE",
-    "LinkSettings",
-    "MachineProfile",
-    "ProfileError",
-    "SpindleSettings",
-    "UnknownProfileError",
-    "load_profile",
-    "profile_names",
-    "profile_sources",
-    "user_folders",
-]
-
-Triple = tuple[float, float, float]
 _MOST_EXTENDS = 8
 
 
@@ -213,7 +187,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     if name not in sources:
         raise UnknownProfileError(name, tuple(sources))
     file = sources[name]
-    values = _values(name, sources, ())
+    values = _read_values(name, sources, ())
     link, spindle = LinkSettings(**values.pop("link")), SpindleSettings(**values.pop("spindle"))
     required = {field.name for field in dataclass_fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
@@ -226,7 +200,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     return profile
 
 
-def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> dict[str, Any]:
+def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> dict[str, Any]:
     """Checked values of a profile, those of the profile it extends filled in."""
     file = sources[name]
     raw = _read(file)
@@ -242,7 +216,7 @@ def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> di
     except BadValueError as error:
         raise ProfileError(file, str(error)) from None
     try:
-        base = _values(extends, sources, (*trail, name))
+        base = _read_values(extends, sources, (*trail, name))
     except ProfileError as error:
         raise ProfileError(file, f"extends '{extends}', which cannot be used: {error}") from None
     return base | own | {name: base[name] | table for name, table in tables.items()}

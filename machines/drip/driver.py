@@ -10,7 +10,7 @@ little under way that whatever it does, at most 16 bytes arrive after DC3:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from machines.drip.feed import Pace
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from machines.port import Port
     from machines.profiles import LinkSettings
 
-DC1, DC2, DC3, DC4 = 0x11, 0x12, 0x13, 0x14
+DC1, DC3 = 0x11, 0x13
 BYTES_AFTER_STOP = 16
 _QUEUED = 8
 _BEFORE_SEEN = 6
@@ -37,10 +37,6 @@ FACTS = DriverFacts(
     stop="sending stops; the control executes what its buffer holds: the operator presses feed hold",
     position="none",
     tried_on="only a simulated control (in memory and on a pty); never a real Okuma or other DNC control",
-)
-RECOVERY = (
-    "This link does not tell where the control stopped. Read the sequence number (N word) on the control's screen, "
-    "return the tool to safe Z, check the zero, then restart from the last tool entry at or before that number."
 )
 
 
@@ -89,8 +85,8 @@ class DripDriver(OneWayDriver):
 
     def connect(self) -> None:
         self._open = False
-        self._status = replace(self._status, controller=FACTS.kind)
-        self._set(MillState.IDLE, "line open; the control has not asked for anything yet")
+        self._channel.update(controller=FACTS.kind)
+        self._channel.enter(MillState.IDLE, "line open; the control has not asked for anything yet")
 
     def command(self, command: Command) -> None:
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
@@ -98,7 +94,7 @@ class DripDriver(OneWayDriver):
             if self._feed is None:
                 raise NotAllowedError("there is no program under way that could wait for DC1")
             self._go_on(self._port.clock())
-            self._events.append(CommandDone(command))
+            self._channel.events.append(CommandDone(command))
             return
         super().command(command)
 
@@ -133,23 +129,20 @@ class DripDriver(OneWayDriver):
         for byte in data:
             if byte & 0x80 and not self._said_parity:
                 self._said_parity = True
-                self._events.append(
+                self._channel.events.append(
                     Notice("the control sends with parity, the port reads 8 bits: check bytesize, parity")
                 )
-            match byte & 0x7F:
-                case 0x11:
-                    self._go_on(now_s)
-                case 0x13:
-                    self._stop(now_s)
-                case _:  # DC2, DC4, NAK ...: words of a tape punch that ask nothing of a sender
-                    pass
+            if byte & 0x7F == DC1:
+                self._go_on(now_s)
+            elif byte & 0x7F == DC3:  # DC2, DC4, NAK ... are words of a tape punch, that ask nothing of a sender
+                self._stop(now_s)
 
     def _go_on(self, now_s: float) -> None:
         first = not self._ever_open
         self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
         if first and self._feed is not None and not self._held:
-            self._set(MillState.RUN, self._word_running())
-            self._events.append(Notice("the control has asked for the program (DC1)"))
+            self._channel.enter(MillState.RUN, self._word_running())
+            self._channel.events.append(Notice("the control has asked for the program (DC1)"))
 
     def _stop(self, now_s: float) -> None:
         self._open, self._since_s = False, now_s
@@ -161,7 +154,7 @@ class DripDriver(OneWayDriver):
         if waiting and not self._said_quiet and now_s - self._since_s > _QUIET_AFTER_S:
             self._said_quiet = True
             words = "has held the line (DC3)" if self._ever_open else "has not asked for the program (DC1)"
-            self._events.append(Notice(f"the control {words} for {_QUIET_AFTER_S:g} s: look at its screen"))
+            self._channel.events.append(Notice(f"the control {words} for {_QUIET_AFTER_S:g} s: look at its screen"))
 
     def abort(self) -> None:
         self._open = False  # a DC1 of the aborted reading must not start the next program

@@ -7,7 +7,6 @@ says keeps to that. A line counts as executed only when the far end's buffers ca
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from machines.drip.feed import ByteFeed, Pace
@@ -23,7 +22,7 @@ from machines.driver import (
     Notice,
     ProgramDone,
     ProgramLine,
-    StateChanged,
+    StatusChannel,
     Stopped,
     StreamProgress,
     TrustPosition,
@@ -39,18 +38,18 @@ _END_GRACE_S = 0.5  # after the last byte, for what the far end has to say about
 class OneWayDriver:
     """Base of the drip feed and of the serial Roland; they say what a block looks like and when bytes may go."""
 
+    protections: tuple[str, ...] = ()
+
     def __init__(self, port: Port, *, facts: DriverFacts, pace: Pace, buffer_bytes: int | None, planner_blocks: int):
         self._port = port
-        self._facts = facts
+        self.facts = facts
         self._pace = pace
         self._buffer_bytes = buffer_bytes
         self._planner_blocks = planner_blocks
-        self._status = MillStatus(buffer_bytes=buffer_bytes, controller=facts.kind)
+        self._channel = StatusChannel(MillStatus(buffer_bytes=buffer_bytes, controller=facts.kind))
         self._feed: ByteFeed | None = None
-        self._progress = StreamProgress()
         self._held = False
         self._last_byte_s = 0.0
-        self._events: list[Event] = []
 
     # What the two links differ in.
 
@@ -85,30 +84,22 @@ class OneWayDriver:
     # The interface.
 
     @property
-    def facts(self) -> DriverFacts:
-        return self._facts
-
-    @property
     def status(self) -> MillStatus:
-        return self._status
+        return self._channel.status
 
     @property
     def progress(self) -> StreamProgress:
-        return self._progress
-
-    @property
-    def protections(self) -> tuple[str, ...]:
-        return ()
+        return self._channel.progress
 
     def connect(self) -> None:
-        self._set(MillState.IDLE, "line open; nothing answers on this link until a program is read")
+        self._channel.enter(MillState.IDLE, "line open; nothing answers on this link until a program is read")
 
     def poll(self, timeout_s: float) -> tuple[Event, ...]:
         deadline_s = self._port.clock() + timeout_s
-        while self._status.state is not MillState.DISCONNECTED:
+        while self.status.state is not MillState.DISCONNECTED:
             try:
                 wait_s = self._turn()
-                if self._events:
+                if self._channel.events:
                     break
                 before_s = self._port.clock()
                 wait_s = min(wait_s, deadline_s - before_s)
@@ -119,11 +110,10 @@ class OneWayDriver:
             except PortError as error:
                 self._lost(str(error))
                 break
-            if self._events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
+            if self._channel.events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
                 break  # the last case: somebody called wake()
         self._book()
-        events, self._events = tuple(self._events), []
-        return events
+        return self._channel.take_events()
 
     def wake(self) -> None:
         self._port.wake()
@@ -132,12 +122,12 @@ class OneWayDriver:
         return False  # a one-way link has no byte that stops: the owner stops feeding
 
     def start(self, lines: Iterator[ProgramLine]) -> None:
-        if self._status.state is not MillState.IDLE:
-            raise NotAllowedError(f"a program can start only when the link is idle, it is {self._status.state.value}")
+        if self.status.state is not MillState.IDLE:
+            raise NotAllowedError(f"a program can start only when the link is idle, it is {self.status.state.value}")
         head, tail = self._envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
-        self._set(MillState.RUN, self._word_running())
+        self._channel.enter(MillState.RUN, self._word_running())
         self._book()
 
     def hold(self) -> None:
@@ -146,17 +136,17 @@ class OneWayDriver:
             return
         self._held = True
         words = f"sending has stopped; the machine still executes {self._still_held()}: press feed hold at the machine"
-        self._set(MillState.HOLDING, words)
-        self._events.append(Notice(words))
+        self._channel.enter(MillState.HOLDING, words)
+        self._channel.events.append(Notice(words))
 
     def resume(self) -> None:
         if self._feed is None or not self._held:
-            raise NotAllowedError(f"there is nothing to resume: the link is {self._status.state.value}")
+            raise NotAllowedError(f"there is nothing to resume: the link is {self.status.state.value}")
         self._held = False
-        self._set(MillState.RUN, self._word_running())
+        self._channel.enter(MillState.RUN, self._word_running())
 
     def abort(self) -> None:
-        if self._status.state is MillState.DISCONNECTED:
+        if self.status.state is MillState.DISCONNECTED:
             raise NotAllowedError("the link is lost: stop the machine at its own panel")
         try:
             if data := self._abort_bytes():
@@ -166,17 +156,17 @@ class OneWayDriver:
             return
         self._end_stream()
         words = f"sending has ended; the machine may still execute {self._still_held()}: reset it at its own panel"
-        self._events += [Notice(words), Stopped(position_kept=False)]
-        self._status = replace(self._status, position_trusted=False)
-        self._set(MillState.IDLE, words)
+        self._channel.events += [Notice(words), Stopped(position_kept=False)]
+        self._channel.update(position_trusted=False)
+        self._channel.enter(MillState.IDLE, words)
 
     def command(self, command: Command) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
                 f"{type(command).__name__} is not possible on this link: do it at the machine's panel"
             )
-        self._status = replace(self._status, position_trusted=True)
-        self._events.append(CommandDone(command))
+        self._channel.update(position_trusted=True)
+        self._channel.events.append(CommandDone(command))
 
     def close(self) -> None:
         self._port.close()
@@ -206,8 +196,8 @@ class OneWayDriver:
             piece = feed.take(room)
         except (MachineError, OSError) as error:
             self._end_stream()
-            self._set(MillState.IDLE, "sending has stopped")
-            self._events.append(Faulted(FaultCause.PROGRAM_CHANGED, str(error), feed.sent_line, now_s))
+            self._channel.enter(MillState.IDLE, "sending has stopped")
+            self._channel.events.append(Faulted(FaultCause.PROGRAM_CHANGED, str(error), feed.sent_line, now_s))
             return
         if piece:
             self._port.write(piece)
@@ -224,8 +214,8 @@ class OneWayDriver:
         words = (
             f"every byte has left; the machine may still be cutting {self._still_held()}: wait for its own end signal"
         )
-        self._events += [Notice(words), ProgramDone()]
-        self._set(MillState.IDLE, words)
+        self._channel.events += [Notice(words), ProgramDone()]
+        self._channel.enter(MillState.IDLE, words)
         return 1e9
 
     def _unsent(self, now_s: float) -> int:
@@ -238,7 +228,7 @@ class OneWayDriver:
             return
         taken = max(0, feed.handed_bytes - self._unsent(self._port.clock()))
         feed.taken(taken)
-        self._progress = StreamProgress(
+        self._channel.progress = StreamProgress(
             sent_line=feed.sent_line,
             sent_offset=feed.sent_offset,
             answered_line=feed.answered_line,
@@ -252,19 +242,14 @@ class OneWayDriver:
         if self._feed is not None:
             self._book()
         self._feed, self._held = None, False
-        self._progress = replace(self._progress, streaming=False)
+        self._channel.end_stream()
 
     def _lost(self, words: str) -> None:
         now_s = self._port.clock()
-        streaming, line = self._feed is not None, self._progress.sent_line
+        streaming, line = self._feed is not None, self.progress.sent_line
         self._feed = None
-        self._progress = replace(self._progress, streaming=False)
-        self._status = replace(self._status, position_trusted=False, epoch=self._status.epoch + 1)
-        self._set(MillState.DISCONNECTED, words)
+        self._channel.end_stream()
+        self._channel.update(position_trusted=False, epoch=self.status.epoch + 1)
+        self._channel.enter(MillState.DISCONNECTED, words)
         more = f"; the machine still executes {self._still_held()}" if streaming else ""
-        self._events.append(Faulted(FaultCause.PORT_LOST, words + more, line, now_s))
-
-    def _set(self, state: MillState, detail: str) -> None:
-        if state is not self._status.state:
-            self._events.append(StateChanged(self._status.state, state))
-        self._status = replace(self._status, state=state, detail=detail)
+        self._channel.events.append(Faulted(FaultCause.PORT_LOST, words + more, line, now_s))

@@ -9,34 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from machines.gcode.refusals import (
-    AFTER_END,
-    ARC_BLIND,
-    ARC_NO_CENTRE,
-    ARC_NO_PLANE_AXIS,
-    ARC_R_WITH_CENTRE,
-    ARC_RADII_DIFFER,
-    ARC_SAME_POINT,
-    ARC_TOO_FAR,
-    BAD_DWELL,
-    BAD_FEED,
-    BAD_N,
-    BAD_SPEED,
-    BAD_TOOL,
-    DWELL_MOVES,
-    G10_WORDS,
-    G43_AXES,
-    G53_MOTION,
-    GROUP_TWICE,
-    NO_AXES,
-    NO_FEED,
-    NO_MOTION,
-    OUT_OF_RANGE,
-    TWO_AXIS_COMMANDS,
-    UNUSED_WORD,
-    WRONG_G,
-    WRONG_M,
-)
+from machines.gcode import refusals
 
 # Slots of the modal state. Positions in mm, nan where unknown; motion as 10 x G number; coolant: 1 mist + 2 flood.
 (
@@ -52,7 +25,7 @@ STATE_SIZE = 18
 ) = (0, 1, 2, 3, 6, 7, 8, 9, 10, 11, 12, 13)  # fmt: skip
 OUT_SIZE = 16
 NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30. MACHINE: G53
-WAITS, WITHHOLDS, ENDS, WRITES, STOPS_SPINDLE = 1, 2, 4, 8, 16
+WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # What a dialect's own word may do.
 ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F = 1, 2, 3, 4
@@ -82,10 +55,10 @@ def block(
         out[END + d] = state[d]
     if seen & ~_N == 0 and n_g == 0 and n_m == 0:
         if seen & _N and not (0.0 <= values[13] <= n_limit and values[13] == math.floor(values[13])):
-            return BAD_N
+            return refusals.BAD_N
         return 0
     if state[ENDED] > 0.0:
-        return AFTER_END
+        return refusals.AFTER_END
 
     # Words to groups.
     groups = 0
@@ -147,9 +120,9 @@ def block(
         elif code == 610:
             bit = 1024
         elif action == 0:
-            return WRONG_G
+            return refusals.WRONG_G
         if groups & bit:
-            return GROUP_TWICE
+            return refusals.GROUP_TWICE
         groups |= bit
     flags = 0
     spindle = state[SPINDLE]
@@ -180,9 +153,9 @@ def block(
             flags |= WAITS
             state[COOLANT] = 0.0 if code == 90 else float(int(state[COOLANT]) | (1 if code == 70 else 2))
         elif action == 0:
-            return WRONG_M
+            return refusals.WRONG_M
         if groups & bit:
-            return GROUP_TWICE
+            return refusals.GROUP_TWICE
         groups |= bit
 
     # A dwell by another letter than P: X in seconds or P in milliseconds, or F in seconds.
@@ -199,37 +172,37 @@ def block(
     claimed = single == 100 or single == 280 or single == 300 or single == 920
     if length_word >= 0:
         if claimed:
-            return TWO_AXIS_COMMANDS
+            return refusals.TWO_AXIS_COMMANDS
         claimed = True
     if motion >= 0 and motion != 800:
         if claimed:
-            return TWO_AXIS_COMMANDS
+            return refusals.TWO_AXIS_COMMANDS
         if single == 40:
-            return DWELL_MOVES
+            return refusals.DWELL_MOVES
     if motion >= 0:
         state[MOTION] = motion
     if single == 40 and axes:
-        return DWELL_MOVES
+        return refusals.DWELL_MOVES
 
     # Numbers that stand for themselves.
     mm = state[MM]
     if seen & _N and not (0.0 <= values[13] <= n_limit and values[13] == math.floor(values[13])):
-        return BAD_N
+        return refusals.BAD_N
     if seen & _F:
         if not values[5] > 0.0:
-            return BAD_FEED
+            return refusals.BAD_FEED
         if state[FEED_MODE] == 94.0:
             state[FEED] = values[5] * mm
     if seen & _S:
         if values[18] < 0.0:
-            return BAD_SPEED
+            return refusals.BAD_SPEED
         if values[18] != state[SPEED]:
             if state[SPINDLE] != 5.0 or spindle != 5.0:
                 flags |= WAITS
             state[SPEED] = values[18]
     if seen & _T:
         if not (0.0 <= values[19] <= 255.0 and values[19] == math.floor(values[19])):
-            return BAD_TOOL
+            return refusals.BAD_TOOL
         state[TOOL] = values[19]
     state[SPINDLE] = spindle
     if wcs != state[WCS]:
@@ -243,7 +216,7 @@ def block(
 
     if single == 40:
         if pause < 0.0:
-            return BAD_DWELL
+            return refusals.BAD_DWELL
         used |= _P
         flags |= WAITS
         out[KIND] = float(DWELL)
@@ -252,9 +225,9 @@ def block(
     # Length offset and the frame.
     if length_word == 431:
         if not axes:
-            return NO_AXES
+            return refusals.NO_AXES
         if axes != 4:
-            return G43_AXES
+            return refusals.G43_AXES
         state[Z] += state[TLO] - values[25] * mm
         state[TLO] = values[25] * mm
         state[SHIFTED] = 1.0
@@ -267,11 +240,11 @@ def block(
     if single == 100:
         used |= _L | _P | _AXES
         if not axes:
-            return NO_AXES
+            return refusals.NO_AXES
         if not seen & _L or not seen & _P or seen & _R or not 0.0 <= values[15] <= 6.0:
-            return G10_WORDS
+            return refusals.G10_WORDS
         if (values[11] != 2.0 and values[11] != 20.0) or values[15] != math.floor(values[15]):
-            return G10_WORDS
+            return refusals.G10_WORDS
         if values[15] == 0.0 or values[15] + 53.0 == state[WCS]:
             for d in range(3):
                 if (axes >> d) & 1:
@@ -281,7 +254,7 @@ def block(
     elif single == 920:
         used |= _AXES
         if not axes:
-            return NO_AXES
+            return refusals.NO_AXES
         for d in range(3):
             if (axes >> d) & 1:
                 state[d] = values[23 + d] * mm
@@ -306,11 +279,11 @@ def block(
             if axes == 0 or (axes >> d) & 1:
                 state[d] = nan
     elif single == 530 and state[MOTION] != 0.0 and state[MOTION] != 10.0:
-        return G53_MOTION
+        return refusals.G53_MOTION
     if (axes and not used & _AXES) or (motion > 0 and motion != 800 and not claimed):
         mode = int(state[MOTION])
         if mode == 800:
-            return NO_MOTION
+            return refusals.NO_MOTION
         used |= _AXES
         feed = nan
         if mode != 0:
@@ -319,9 +292,9 @@ def block(
             elif seen & _F:
                 feed = values[5]  # 1/min; becomes mm/min when the length is known
             if not feed > 0.0:
-                return NO_FEED
+                return refusals.NO_FEED
         if mode >= 20 and not axes:
-            return NO_AXES
+            return refusals.NO_AXES
         length2 = 0.0
         for d in range(3):
             target = state[d]
@@ -330,7 +303,7 @@ def block(
                 if state[ABSOLUTE] == 0.0 and single != 530:
                     target += state[d]
                 if abs(target) > _FAR_MM:
-                    return OUT_OF_RANGE
+                    return refusals.OUT_OF_RANGE
             out[END + d] = target
             if target == target and state[d] == state[d]:
                 length2 += (target - state[d]) ** 2
@@ -347,26 +320,26 @@ def block(
                 v = 2
             w = 3 - u - v
             if not (axes >> u) & 1 and not (axes >> v) & 1:
-                return ARC_NO_PLANE_AXIS
+                return refusals.ARC_NO_PLANE_AXIS
             du = out[END + u] - state[u]
             dv = out[END + v] - state[v]
             if not (du == du and dv == dv):
-                return ARC_BLIND
+                return refusals.ARC_BLIND
             if (axes >> w) & 1 and state[w] != state[w]:
-                return ARC_BLIND
+                return refusals.ARC_BLIND
             offsets = seen & (_I | _J | _K)
             cu = 0.0
             cv = 0.0
             if seen & _R:
                 if offsets:
-                    return ARC_R_WITH_CENTRE
+                    return refusals.ARC_R_WITH_CENTRE
                 used |= _R
                 if du == 0.0 and dv == 0.0:
-                    return ARC_SAME_POINT
+                    return refusals.ARC_SAME_POINT
                 radius = values[17] * mm
                 rest = 4.0 * radius * radius - du * du - dv * dv
                 if rest < 0.0:
-                    return ARC_TOO_FAR
+                    return refusals.ARC_TOO_FAR
                 h = -math.sqrt(rest) / math.hypot(du, dv)
                 if mode == 30:
                     h = -h
@@ -377,7 +350,7 @@ def block(
                 cv = 0.5 * (dv + du * h)
             else:
                 if not offsets & ((_I << u) | (_I << v)):
-                    return ARC_NO_CENTRE
+                    return refusals.ARC_NO_CENTRE
                 used |= _I | _J | _K
                 if seen & (_I << u):
                     cu = values[8 + u] * mm
@@ -386,7 +359,7 @@ def block(
                 radius = math.hypot(cu, cv)
                 differ = abs(math.hypot(du - cu, dv - cv) - radius)
                 if differ > 0.005 and (differ > 0.5 or differ > 0.001 * radius):
-                    return ARC_RADII_DIFFER
+                    return refusals.ARC_RADII_DIFFER
             angle = math.atan2(-cv, -cu)
             sweep = math.atan2(-cu * (dv - cv) + cv * (du - cu), -cu * (du - cu) - cv * (dv - cv))
             if mode == 20:
@@ -425,7 +398,7 @@ def block(
             for d in range(3):
                 state[d] = out[END + d]
     if seen & ~used:
-        return UNUSED_WORD
+        return refusals.UNUSED_WORD
     if flags & ENDS:
         state[MOTION], state[PLANE], state[ABSOLUTE], state[FEED_MODE] = 10.0, 17.0, 1.0, 94.0
         state[SPINDLE], state[COOLANT], state[ENDED] = 5.0, 0.0, float(M2_READ)

@@ -17,7 +17,7 @@ class ModalState:
     """Defaults are those of a program that has said nothing yet on a freshly started GRBL, but without a motion.
 
     motion            : "G0" "G1" "G2" "G3" "G38.2".."G38.5" "G80" (none: coordinates alone are refused)
-    plane, units, distance, arc_distance, feed_mode, wcs : "G17" "G21" "G90" "G91.1" "G94" "G54" and their siblings
+    plane, units, distance, feed_mode, wcs : "G17" "G21" "G90" "G94" "G54" and their siblings
     feed_mm_per_min   : None until one is given, and always None in G93
     spindle           : "M3" clockwise, "M4" the other way, "M5" off
     coolant           : "M9" off, "M7" mist, "M8" flood, "M7 M8" both
@@ -34,7 +34,6 @@ class ModalState:
     plane: str = "G17"
     units: str = "G21"
     distance: str = "G90"
-    arc_distance: str = "G91.1"
     feed_mode: str = "G94"
     wcs: str = "G54"
     feed_mm_per_min: float | None = None

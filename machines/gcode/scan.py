@@ -18,12 +18,13 @@ from machines.gcode import refusals, scan_kernel, tally
 from machines.gcode.dialects import DIALECTS, Dialect
 from machines.gcode.modal import ModalState
 from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
+from machines.gcode.scan_moves import MOST_CHORDS
 from machines.gcode.vectors import state_of, vector_of
 from machines.gcode.words import shown
 
 EVERY_LINES = 20_000
 PIECE_BYTES = 1 << 19  # a piece ends here even if it has fewer lines, so that a reader's memory stays small
-_ROOM = scan_kernel.MOST_CHORDS + 2 * EVERY_LINES + 64
+_ROOM = MOST_CHORDS + 2 * EVERY_LINES + 64
 _LONGEST_LINE = 1 << 16  # comments included
 
 

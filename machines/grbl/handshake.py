@@ -65,7 +65,7 @@ class Handshake:
         link.hold_wanted = link.paused = self.stops.abort_wanted = False
         streamer.echoes = streamer.late_answers = False
         commands.banner_due_s, commands.held_line = 0.0, ""
-        commands.override.drop()
+        commands.override.end("the controller restarted")
         link.view.new_epoch(position_kept=kept)
         commands.end("" if checked_off else "the controller restarted")
         streamer.end()

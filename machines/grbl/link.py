@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from machines.driver import Event, FaultCause, Faulted, Restarted, Stopped
-from machines.grbl.replies import Empty, Garbled, Reply
+from machines.grbl.replies import Empty, Reply
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
 from machines.grbl.view import MachineView
@@ -43,13 +43,11 @@ class Greeting:
         self.banner = False
         self._text = b""  # first bytes heard, for the message
         self._rest = b""
-        self._bytes = self._noise = self._garbled = 0
+        self._bytes = self._noise = 0
 
     def take(self, reply: Reply, line: bytes) -> None:
         self._bytes += len(line)
         self._noise += len(line.translate(None, PLAIN))
-        if isinstance(reply, Garbled):
-            self._garbled += 1
         if not isinstance(reply, Empty) and not self._text:
             self._text = line[:60]
 

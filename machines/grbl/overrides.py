@@ -76,10 +76,6 @@ class OverrideControl:
         if command is not None:
             self.link.events.append(CommandDone(command, failure))
 
-    def drop(self) -> None:
-        """Forget the override under way without a word: the program or the epoch it belonged to is over."""
-        self._command = None
-
     def take_report(self, report: Status, now_s: float) -> None:
         """Compare a report with what is wanted; put the next step on its way."""
         command, view = self._command, self.link.view

@@ -7,11 +7,11 @@ written the controller hears nothing, so such lines must never be part of a coun
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Unlock
+from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Triple, Unlock
 from machines.grbl import replies
-from machines.grbl.settings import ControllerSettings, Triple, read_settings
+from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import longest_homing_s
 
 REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
@@ -157,13 +157,8 @@ def probe(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
     _require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
     _require_ok((yield WaitStill()))
     _require_ok((yield Ask(restore)))
-    offsets = yield from _ask_twice(b"$#", OFFSET_TAG)
-    again = read_settings((*_as_heard(settings), *offsets))
-    return Outcome(
-        answer={"contact_machine_mm": list(contact), "offsets": {k: list(v) for k, v in again.offsets.items()}},
-        settings=_with_offsets(settings, again),
-        vouched="Z",
-    )
+    fresh, told = yield from _ask_offsets(settings)
+    return Outcome({"contact_machine_mm": list(contact), "offsets": told}, fresh, vouched="Z")
 
 
 def _words_to_restore(modal: Answer) -> bytes:
@@ -188,19 +183,19 @@ def _contact(answer: Answer, unit_mm: float) -> Triple:
 def set_zero(command: SetZero, settings: ControllerSettings) -> CommandSequence:
     words = "".join(f"{axis}0" for axis in command.axes)
     _require_ok((yield Ask(f"G10L20P0{words}".encode())))
-    offsets = yield from _ask_twice(b"$#", OFFSET_TAG)
-    again = read_settings((*_as_heard(settings), *offsets))
-    answer: dict[str, object] = {"offsets": {name: list(value) for name, value in again.offsets.items()}}
-    return Outcome(answer=answer, settings=_with_offsets(settings, again), vouched=command.axes)
+    fresh, told = yield from _ask_offsets(settings)
+    return Outcome({"offsets": told}, fresh, vouched=command.axes)
 
 
-def _as_heard(settings: ControllerSettings) -> tuple[replies.Reply, ...]:
-    """$13, so that offsets are read in the right unit."""
-    return (replies.Setting(13, settings.values.get(13, "0")),)
-
-
-def _with_offsets(settings: ControllerSettings, again: ControllerSettings) -> ControllerSettings:
-    return ControllerSettings.from_dict({**settings.to_dict(), "offsets": {**settings.offsets, **again.offsets}})
+def _ask_offsets(
+    settings: ControllerSettings,
+) -> Generator[Ask | WaitStill, Answer, tuple[ControllerSettings, dict[str, list[float]]]]:
+    """Ask $#: the settings with the offsets told now, and these alone as plain data."""
+    unit = replies.Setting(13, settings.values.get(13, "0"))
+    heard = yield from _ask_twice(b"$#", OFFSET_TAG)
+    offsets = read_settings((unit, *heard)).offsets
+    fresh = replace(settings, offsets={**settings.offsets, **offsets})
+    return fresh, {name: list(value) for name, value in offsets.items()}
 
 
 def check_mode() -> CommandSequence:
@@ -220,14 +215,9 @@ def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSeque
 
 
 def _modal_again(settings: ControllerSettings) -> CommandSequence:
-    heard: list[replies.Reply] = [*_as_heard(settings)]
-    heard += yield from _ask_twice(b"$#", OFFSET_TAG)
-    heard += yield from _ask_twice(b"$G", PARSER_TAG)
-    again = read_settings(heard)
-    fresh = _with_offsets(settings, again).to_dict()
-    if again.parser_state:
-        fresh["parser_state"] = again.parser_state
-    return Outcome(settings=ControllerSettings.from_dict(fresh))
+    fresh, _ = yield from _ask_offsets(settings)
+    told = read_settings((yield from _ask_twice(b"$G", PARSER_TAG))).parser_state
+    return Outcome(settings=replace(fresh, parser_state=told or fresh.parser_state))
 
 
 def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequence:

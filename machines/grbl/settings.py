@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from machines.driver import Triple
 from machines.grbl.replies import Push, Reply, Setting
 
-Triple = tuple[float, float, float]
 MM_PER_INCH = 25.4
 # Both tell in the letters of [OPT:] where M7 is built in; of FluidNC that is not known.
 MIST, _TELL_MIST = "M", frozenset({"grbl", "grblhal"})
@@ -73,11 +73,6 @@ class ControllerSettings:
         return self._triple(130)
 
     @property
-    def junction_deviation_mm(self) -> float | None:
-        """$11."""
-        return self.number(11)
-
-    @property
     def arc_tolerance_mm(self) -> float | None:
         """$12."""
         return self.number(12)
@@ -128,19 +123,6 @@ class ControllerSettings:
             "offsets": {name: list(value) for name, value in sorted(self.offsets.items())},
             "parser_state": self.parser_state,
         }
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> ControllerSettings:
-        return ControllerSettings(
-            values={int(number): str(value) for number, value in data["values"].items()},
-            version=data["version"],
-            options=data["options"],
-            firmware=data["firmware"],
-            planner_blocks=data["planner_blocks"],
-            rx_bytes=data["rx_bytes"],
-            offsets={name: (x, y, z) for name, (x, y, z) in data["offsets"].items()},
-            parser_state=data["parser_state"],
-        )
 
 
 def read_settings(replies: Iterable[Reply], banner: str = "") -> ControllerSettings:

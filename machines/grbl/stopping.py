@@ -157,7 +157,9 @@ class StopControl:
         """End what an alarm ends; after a critical one begin the reset that alone is heard then."""
         link, words = self.link, alarm_words(number)
         link.view.alarmed(number)
-        if self.commands.busy:
+        if link.phase is Phase.IDENTIFYING:
+            self._greet_again(now_s)  # a banner follows most alarms, not all
+        elif self.commands.busy:
             self.commands.give_up(words, now_s)
         if link.phase is Phase.STREAMING:
             self.fault(FaultCause.ALARM, words, self.streamer.first_line, now_s, alarm=number)
@@ -194,7 +196,7 @@ class StopControl:
 
     def _begin_stop(self, now_s: float) -> None:
         self.link.text.clear()
-        self.commands.override.drop()
+        self.commands.override.end("the program was stopped")
         self._await_standstill(now_s)
 
     def _await_standstill(self, now_s: float) -> None:

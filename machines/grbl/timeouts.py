@@ -16,10 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import sqrt
-from typing import Protocol
 
+from machines.gcode.step import Step
 from machines.grbl.settings import ControllerSettings
-from machines.grbl.tracking import QueuedMove
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks
 SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
@@ -86,13 +85,7 @@ class SilenceClock:
         return self.spent_s - self._reported_s
 
 
-class Waiting(QueuedMove, Protocol):
-    """What is used of the step whose answer is awaited."""
-
-    withholds_ok: bool
-
-
-def motion_time_s(step: QueuedMove, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
+def motion_time_s(step: Step, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
     """Longest time for one move: every block of it from rest to rest, at the rate and acceleration of the weakest axis.
 
     L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
@@ -116,14 +109,14 @@ def motion_time_s(step: QueuedMove, settings: ControllerSettings, overrides: tup
     return blocks * 2.0 * sqrt(each_mm / acceleration)
 
 
-def _length_mm(step: QueuedMove, settings: ControllerSettings) -> float:
+def _length_mm(step: Step, settings: ControllerSettings) -> float:
     if None not in step.start_mm and None not in step.end_mm:
         return step.length_mm
     travel = settings.travel_mm
     return step.length_mm + (sum(travel) if travel else UNKNOWN_MM)
 
 
-def _chords(step: QueuedMove, length_mm: float, tolerance_mm: float | None) -> int:
+def _chords(step: Step, length_mm: float, tolerance_mm: float | None) -> int:
     """How many blocks the firmware makes of a move ($12): one, or the chords of an arc.
 
     A chord with the sagitta e on the radius r is 2 sqrt(e (2 r - e)) long, at least 2 e: with r unknown, the shortest.
@@ -137,8 +130,8 @@ def _chords(step: QueuedMove, length_mm: float, tolerance_mm: float | None) -> i
 
 
 def longest_wait_s(
-    first: Waiting | None,
-    queued: Iterable[QueuedMove],
+    first: Step | None,
+    queued: Iterable[Step],
     settings: ControllerSettings,
     overrides: tuple[int, int, int],
     *,
@@ -159,7 +152,7 @@ def longest_wait_s(
     return MARGIN_S + SLACK * motion_s + (_pause_s(first, settings) if first is not None else 0.0)
 
 
-def _pause_s(step: Waiting, settings: ControllerSettings) -> float:
+def _pause_s(step: Step, settings: ControllerSettings) -> float:
     """Standing still on purpose: a dwell, or a spindle that speeds up or runs down."""
     if step.pause_s:
         return DWELL_SLACK * step.pause_s

@@ -15,12 +15,10 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from itertools import islice
-from typing import Protocol
 
+from machines.driver import Triple
 from machines.gcode.modal import Position
-from machines.gcode.step import Arc
-
-Triple = tuple[float, float, float]
+from machines.gcode.step import Step
 
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
 # (reference/machines.md, 1).
@@ -28,32 +26,12 @@ LONG_BLOCKS_BEYOND_PLANNER = 2
 # Every segment belongs to one block and lasts at most 10 ms: of short blocks each segment, and one to spare, may hold a
 # block of its own. Segments by source: 1.1 has 6, grblHAL 10, FluidNC 6 to 20 by its configuration.
 SEGMENTS = {"grbl": 6, "grblhal": 10, "fluidnc": 20}
-SHORT_S_PER_SEGMENT = (
-    0.02  # a block is short if it lasts less than this times the segments; twice 10 ms: override 200 %
-)
+# A block is short if it lasts less than this times the segments; twice 10 ms: override 200 %.
+SHORT_S_PER_SEGMENT = 0.02
 SHORT_RAPID_MM_PER_S = 500.0  # 30 m/min
 REMEMBERED = 64  # executed steps, for naming the nearest line and the last move
 # The mill never goes back: a position may lie at the end of what is executed, a few tiny steps back, not further.
 BEHIND = 4
-
-
-class QueuedMove(Protocol):
-    """What is used of machines.gcode.step.Step."""
-
-    kind: str
-    feed_mm_per_min: float | None
-    length_mm: float
-    waits_for_empty_buffer: bool
-    pause_s: float
-    ends_program: bool
-    probes: bool
-    start_mm: Position
-    end_mm: Position
-    arc: Arc | None
-
-    @property
-    def moves(self) -> bool: ...
-    def distance_mm(self, point_mm: Triple) -> float: ...
 
 
 class Place(Enum):
@@ -83,25 +61,10 @@ class Tracker:
     """A window of the steps sent. Lines with number 0 (re-entry) are tracked like others but never become progress."""
 
     __slots__ = (
-        "_answered",
-        "_answered_line",
-        "_beyond",
-        "_by_count",
-        "_counted_line",
-        "_crept_from_mm",
-        "_distrusted",
-        "_dropped",
-        "_least_block_mm",
-        "_recent",
-        "_short_beyond",
-        "_short_left",
-        "_short_rapid_mm",
-        "_short_s",
-        "_steps",
-        "_usual_beyond",
-        "executed_line",
-        "tolerance_mm",
-    )
+        "_answered", "_answered_line", "_beyond", "_by_count", "_counted_line", "_crept_from_mm", "_distrusted",
+        "_dropped", "_least_block_mm", "_recent", "_short_beyond", "_short_left", "_short_rapid_mm", "_short_s",
+        "_steps", "_usual_beyond", "executed_line", "tolerance_mm",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -113,8 +76,8 @@ class Tracker:
     ) -> None:
         """least_block_mm: a shorter move may be no step of any axis, and then no block."""
         self.executed_line = 0
-        self._steps: deque[tuple[int, QueuedMove]] = deque()  # from the first not proven executed to the last sent
-        self._recent: deque[tuple[int, QueuedMove]] = deque(maxlen=REMEMBERED)
+        self._steps: deque[tuple[int, Step]] = deque()  # from the first not proven executed to the last sent
+        self._recent: deque[tuple[int, Step]] = deque(maxlen=REMEMBERED)
         self._answered = 0  # how many of _steps, from the left, are answered
         self._by_count: deque[tuple[int, int]] = deque()  # answered blocks the buffers may hold: count of steps, line
         self._dropped = 0  # steps that are no longer in _steps
@@ -130,7 +93,7 @@ class Tracker:
         self._distrusted = False
         self.tolerance_mm = tolerance_mm
 
-    def sent(self, number: int, step: QueuedMove) -> None:
+    def sent(self, number: int, step: Step) -> None:
         self._steps.append((number, step))
 
     def take_answer(self) -> None:
@@ -160,7 +123,7 @@ class Tracker:
             if place > self._dropped:
                 self._drop(place - self._dropped)
 
-    def _makes_block(self, step: QueuedMove) -> bool:
+    def _makes_block(self, step: Step) -> bool:
         """Whether this move, with the too short ones before it, has brought the axes a step further for certain."""
         if step.length_mm < self._least_block_mm:
             begin = self._crept_from_mm or step.start_mm
@@ -217,7 +180,7 @@ class Tracker:
             return Sight(Place.OFF_PATH, before.line, before.distance_mm)
         return Sight(Place.OFF_PATH, nearest, nearest_mm)
 
-    def _found(self, index: int, number: int, step: QueuedMove, away_mm: float, position_mm: Triple) -> Sight:
+    def _found(self, index: int, number: int, step: Step, away_mm: float, position_mm: Triple) -> Sight:
         if index < self._answered:
             self._drop(index)
             return Sight(Place.ON_PATH, number, away_mm)
@@ -275,12 +238,7 @@ class Tracker:
         return found
 
     @property
-    def unproven(self) -> tuple[tuple[int, QueuedMove], ...]:
-        """Steps that may still have to be executed, oldest first."""
-        return tuple(self._steps)
-
-    @property
-    def unproven_answered(self) -> tuple[QueuedMove, ...]:
+    def unproven_answered(self) -> tuple[Step, ...]:
         return tuple(step for _, step in islice(self._steps, self._answered))
 
     def last_sent_s(self, blocks: int, feed_percent: int) -> float:
@@ -293,7 +251,7 @@ class Tracker:
         return total_s
 
     @property
-    def last_move(self) -> QueuedMove | None:
+    def last_move(self) -> Step | None:
         """The last answered step that moves, as far back as is remembered."""
         for _, step in reversed(list(islice(self._steps, self._answered))):
             if step.moves:

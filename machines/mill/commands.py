@@ -9,6 +9,7 @@ Commands, v1.1 Configuration), LinuxCNC's G-code reference.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 from machines.codes import MillCode
 from machines.driver import (
@@ -81,26 +82,24 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _WORD, _SETTING = re.compile(f"([A-Z])({_NUMBER})"), re.compile(rf"\$({_NUMBER})=(.*)")
 
 
+@dataclass(eq=False)
 class Commands:
     """Sends what a person asks for beside a run, and takes over what it has changed."""
 
-    def __init__(self, context: MillContext, unattended: UnattendedRuns) -> None:
-        self._link = context.link
-        self._runs = context.runs
-        self._log = context.log
-        self._unattended = unattended
-        self._last: tuple[Command, Caller] | None = None  # whose the last command is
-        self._jog_from_mm: Triple | None = None  # machine coordinates
+    context: MillContext
+    unattended: UnattendedRuns
+    _last: tuple[Command, Caller] | None = None  # whose the last command is
+    _jog_from_mm: Triple | None = None  # machine coordinates
 
     def send(self, command: Command, order: Order) -> None:
-        driver = self._link.driver
+        driver = self.context.link.driver
         if driver is None:
-            words = f"{type(command).__name__}: the mill is disconnected ({self._link.problem})"
-            raise WrongStateError(words, MillCode.MILL_STATE, self._link.status.state)
-        if not isinstance(command, _MOVES_NOTHING) and self._runs.live is None:
-            self._unattended.watch()
+            words = f"{type(command).__name__}: the mill is disconnected ({self.context.link.problem})"
+            raise WrongStateError(words, MillCode.MILL_STATE, self.context.link.status.state)
+        if not isinstance(command, _MOVES_NOTHING) and self.context.runs.live is None:
+            self.unattended.watch()
             try:
-                self._unattended.note_touch()
+                self.unattended.note_touch()
             except JournalError as error:
                 raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
         stood_mm = driver.status.machine_mm
@@ -111,11 +110,11 @@ class Commands:
             self._jog_from_mm = stood_mm
 
     def note_end(self, event: CommandDone) -> None:
-        command, setup = event.command, self._link.setup
-        words = command_words(event, from_mm=self._jog_from_mm, at_mm=self._link.status.machine_mm)
+        command, setup = event.command, self.context.link.setup
+        words = command_words(event, from_mm=self._jog_from_mm, at_mm=self.context.link.status.machine_mm)
         caller = self._last[1] if self._last is not None and self._last[0] is command else NOBODY
         read = isinstance(command, ReadSettings) and not event.failure
-        self._log.say("command", words, event.answer, caller, code=MillCode.SETTINGS_READ if read else "")
+        self.context.log.say("command", words, event.answer, caller, code=MillCode.SETTINGS_READ if read else "")
         if event.failure:
             return
         if isinstance(command, ReadSettings):
@@ -124,10 +123,10 @@ class Commands:
         if isinstance(command, Home):
             setup.homed = True
         if "Z" in axes:
-            self._runs.note_touch_off()
+            self.context.runs.note_touch_off()
         if axes:
             setup.zeroed = "".join(sorted({*setup.zeroed, *axes}))
-            self._runs.note_zero(axes)
+            self.context.runs.note_zero(axes)
 
 
 def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from machines.driver import (
@@ -28,58 +29,47 @@ LOOK_S = 0.05
 ASK_S = 5.0
 
 
+@dataclass(eq=False)
 class MillCycle:
     """Reads the driver and hands on what it reports. Sends nothing but questions."""
 
-    def __init__(
-        self,
-        context: MillContext,
-        control: RunControl,
-        commands: Commands,
-        unattended: UnattendedRuns,
-        publish: Callable[[], None],
-    ) -> None:
-        self._link = context.link
-        self._runs = context.runs
-        self._say = context.log.say
-        self._orders = context.orders
-        self._clock = context.clock
-        self._control = control
-        self._commands = commands
-        self._unattended = unattended
-        self._publish = publish
-        self._look_at_s = float("-inf")
+    context: MillContext
+    control: RunControl
+    commands: Commands
+    unattended: UnattendedRuns
+    publish: Callable[[], None]
+    _look_at_s: float = float("-inf")
 
     def step(self, timeout_s: float) -> None:
         """Read, decide, write; wait at most `timeout_s`."""
-        driver = self._link.driver
+        driver = self.context.link.driver
         if driver is None:
-            if self._link.open(timeout_s):
+            if self.context.link.open(timeout_s):
                 self.look()
             else:
-                self._publish()
+                self.publish()
             return
         events = driver.poll(timeout_s)
         for event in events:
             self._handle(event)
-        if events or self._clock() >= self._look_at_s:
+        if events or self.context.clock() >= self._look_at_s:
             self.look()
 
     def look(self) -> None:
         """Compare run and mill, mark the journal, renew the snapshot."""
-        self._look_at_s = self._clock() + LOOK_S
-        status = self._link.status
+        self._look_at_s = self.context.clock() + LOOK_S
+        status = self.context.link.status
         if status.state not in AWAY:
-            self._link.seen()
+            self.context.link.seen()
         if not status.position_trusted:
-            self._link.setup.homed = False
-        self._control.follow()
-        self._unattended.watch()
-        self._publish()
+            self.context.link.setup.homed = False
+        self.control.follow()
+        self.unattended.watch()
+        self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
         """Settings, offsets and parser state, read now; None where the link does not tell or the mill is not idle."""
-        driver = self._link.driver
+        driver = self.context.link.driver
         if driver is None or driver.status.state not in (MillState.IDLE, MillState.ALARM):
             return None
         wanted = ReadSettings()
@@ -87,15 +77,15 @@ class MillCycle:
             driver.command(wanted)
         except NotAllowedError:
             return None
-        until_s = self._clock() + ASK_S
+        until_s = self.context.clock() + ASK_S
         answer: dict[str, Any] | None = None
         ended = False
         # The work position comes with the offset, and that only with every tenth report or so.
-        stops = self._orders.stops
+        stops = self.context.orders.stops
         while (
-            self._clock() < until_s
-            and self._link.driver is driver
-            and self._orders.stops == stops
+            self.context.clock() < until_s
+            and self.context.link.driver is driver
+            and self.context.orders.stops == stops
             and not (ended and driver.status.work_mm is not None)
         ):
             for event in driver.poll(0.05):
@@ -108,34 +98,34 @@ class MillCycle:
         return answer
 
     def _handle(self, event: Event) -> None:
-        run = self._control.streamed
+        run = self.control.streamed
         try:
             match event:
                 case Faulted():
-                    self._control.note_fault(event)
+                    self.control.note_fault(event)
                 case ProgramDone():
-                    self._control.note_end()
+                    self.control.note_end()
                 case Stopped():
-                    self._control.note_stop(event)
+                    self.control.note_stop(event)
                 case Restarted():
                     self._note_restart(event)
                 case CommandDone():
-                    self._commands.note_end(event)
+                    self.commands.note_end(event)
                 case Notice():
-                    self._say("notice", event.words)
+                    self.context.log.say("notice", event.words)
                 case StateChanged():
-                    self._say("state", event.after.value)
+                    self.context.log.say("state", event.after.value)
         except JournalError as error:
             if run is None:
-                self._say("journal", str(error))
+                self.context.log.say("journal", str(error))
             else:
-                self._control.hold_without_journal(run, error)
-        self._publish()
+                self.control.hold_without_journal(run, error)
+        self.publish()
 
     def _note_restart(self, event: Restarted) -> None:
-        self._link.setup.parser_state = None
-        self._say("link", f"controller restarted: {event.banner}")
-        self._unattended.note_touch()
-        if not self._link.status.position_trusted:
-            self._link.setup.forget_place()
-            self._runs.note_restart()
+        self.context.link.setup.parser_state = None
+        self.context.log.say("link", f"controller restarted: {event.banner}")
+        self.unattended.note_touch()
+        if not self.context.link.status.position_trusted:
+            self.context.link.setup.forget_place()
+            self.context.runs.note_restart()

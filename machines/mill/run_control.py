@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from machines.codes import MillCode
@@ -18,61 +19,56 @@ _MOVING = frozenset({RunState.RUNNING, RunState.RECOVERING})
 _TOUCH_OFF = "a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"
 
 
+@dataclass(eq=False)
 class RunControl:
     """Owns what was asked of the live run, and its state.
 
     streamed : the run that the present driver has streamed, while its tail is still reported
     """
 
-    def __init__(self, context: MillContext) -> None:
-        self._link = context.link
-        self._runs = context.runs
-        self._say = context.log.say
-        self._clock = context.clock
-        self._wall = context.wall_clock
-        self.streamed: Run | None = None
-        self._hold_asked = False
-        self._abort_asked = False
-        self._recovering = False
-        self._journal_words = ""
+    context: MillContext
+    streamed: Run | None = None
+    _hold_asked: bool = False
+    _abort_asked: bool = False
+    _recovering: bool = False
+    _journal_words: str = ""
 
     def note_start(self, run: Run) -> None:
         """The driver streams this run from now on."""
-        self._runs.active = self.streamed = run
+        self.context.runs.active = self.streamed = run
         self._hold_asked = self._abort_asked = False
         self._recovering = run.state is RunState.RECOVERING
         self._journal_words = ""
-        self._say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
+        self.context.log.say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
 
     # ------------------------------------------------------------------ what a person asks for
 
     def hold(self) -> None:
         """Stop motion, keeping the position; without a link as soon as it is back."""
         try:
-            self._link.order("hold")
+            self.context.link.order("hold")
         finally:
-            run = self._runs.live
+            run = self.context.runs.live
             if run is not None and run.state in _MOVING:
                 self._hold_asked = True
                 self._note_asked(run, RunState.HOLDING)
 
     def resume(self, order: Order) -> None:
         """Go on after a hold."""
-        driver = self._link.driver
-        if self._link.latched and self._link.away:
-            raise NotAllowedError(
-                f"resume: the mill is not connected; the {self._link.latched} is carried out first when it is back"
-            )
+        link, driver = self.context.link, self.context.link.driver
+        if link.latched and link.away:
+            words = f"resume: the mill is not connected; the {link.latched} is carried out first when it is back"
+            raise NotAllowedError(words)
         if driver is None:
-            words = f"resume: the mill is disconnected ({self._link.problem}); allowed when it is held"
-            raise WrongStateError(words, MillCode.MILL_STATE, self._link.status.state)
-        run = self._runs.live
+            words = f"resume: the mill is disconnected ({link.problem}); allowed when it is held"
+            raise WrongStateError(words, MillCode.MILL_STATE, link.status.state)
+        run = self.context.runs.live
         if run is not None:
             if run.state not in (RunState.HELD, RunState.HOLDING):
                 words = f"resume: run {run.id} is {run.state.value}; allowed when it is held"
                 raise WrongStateError(words, MillCode.RUN_STATE, run.state)
             run.journal.repair()
-            run.journal.append("resume", wall_s=round(self._wall(), 3))
+            run.journal.append("resume", wall_s=round(self.context.wall_clock(), 3))
             self._journal_words = ""
         order.require()
         driver.resume()
@@ -80,14 +76,14 @@ class RunControl:
 
     def abort(self) -> None:
         """End the run: hold, and from standstill clear what the controller holds."""
-        run = self._runs.active
+        run = self.context.runs.active
         if run is not None and run.state is RunState.PARKED:
             self._take_back(run)
-            if self._link.status.state in _QUIET:
+            if self.context.link.status.state in _QUIET:
                 return
         self._abort_asked = True
         try:
-            self._link.order("abort")  # before anything that waits for a disk
+            self.context.link.order("abort")  # before anything that waits for a disk
         finally:
             if run is not None and run.live and run.state is not RunState.STOPPING:
                 self._note_asked(run, RunState.STOPPING)
@@ -95,10 +91,10 @@ class RunControl:
     def _take_back(self, run: Run) -> None:
         """A run that has not begun."""
         try:
-            ended_s = round(self._wall(), 3)
+            ended_s = round(self.context.wall_clock(), 3)
             run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
         except JournalError as error:
-            self._say("journal", str(error))
+            self.context.log.say("journal", str(error))
         run.let_go()
 
     def _note_asked(self, run: Run, state: RunState) -> None:
@@ -106,13 +102,13 @@ class RunControl:
         try:
             self._change(run, state)
         except JournalError as error:
-            self._say("journal", str(error))
+            self.context.log.say("journal", str(error))
 
     # ------------------------------------------------------------------ what the mill does
 
     def follow(self) -> None:
         """Compare the run with the mill, and mark its journal."""
-        run, driver = self.streamed, self._link.driver
+        run, driver = self.streamed, self.context.link.driver
         if run is None or driver is None:
             return
         try:
@@ -125,7 +121,8 @@ class RunControl:
         if run.live and state is not RunState.STOPPING:
             self._mirror(run, state, status, progress)
         if run.live or run.state in RECOVERABLE:
-            run.follow(progress, status, self._clock(), self._wall(), moving=status.state is MillState.RUN)
+            clocks = self.context.clock(), self.context.wall_clock()
+            run.follow(progress, status, *clocks, moving=status.state is MillState.RUN)
             if run.journal.failure:
                 raise JournalError(run.journal.failure)
 
@@ -148,16 +145,16 @@ class RunControl:
 
     def _change(self, run: Run, state: RunState, words: str = "", **more: Any) -> None:
         """A state change goes to the journal together with how far the run has come."""
-        status = self._link.status
+        status = self.context.link.status
         where: dict[str, Any] = {
             "machine_mm": status.machine_mm,
             "work_mm": status.work_mm,
-            "wall_s": round(self._wall(), 3),
+            "wall_s": round(self.context.wall_clock(), 3),
         }
         words = words or (self._journal_words if state in (RunState.HOLDING, RunState.HELD) else "")
-        self._say("run", f"{run.view.name}: {state.value}{f' ({words})' if words else ''}")
+        self.context.log.say("run", f"{run.view.name}: {state.value}{f' ({words})' if words else ''}")
         # Of any other run than the streamed one the driver knows nothing.
-        mark = run.last_mark(self._link.progress) if run is self.streamed else {}
+        mark = run.last_mark(self.context.link.progress) if run is self.streamed else {}
         run.move(state, words, **mark, **where, **more)
 
     def hold_without_journal(self, run: Run, error: JournalError) -> None:
@@ -168,12 +165,12 @@ class RunControl:
         words = f"held because {error}; make room, then resume"
         if not self._journal_words:
             self._journal_words = words
-            self._say("journal", words)
+            self.context.log.say("journal", words)
         if not run.live or run.state is RunState.STOPPING:
             return
-        if self._link.status.state not in _STANDS and not self._hold_asked:
+        if self.context.link.status.state not in _STANDS and not self._hold_asked:
             self._hold_asked = True
-            self._link.hold_unasked()
+            self.context.link.hold_unasked()
         if run.state in _MOVING:
             run.record.update(state=RunState.HOLDING.value, words=words)
 
@@ -182,10 +179,10 @@ class RunControl:
     def note_fault(self, event: Faulted) -> None:
         """The live run is interrupted; a link that is lost is dropped."""
         run, words = self.streamed, f"{event.cause.value}: {event.words}"
-        self._say("fault", words)
+        self.context.log.say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
         try:
-            if run is not None and run.live and self._link.driver is not None:
+            if run is not None and run.live and self.context.link.driver is not None:
                 going_on = lost and run.state is not RunState.STOPPING
                 self._hold_asked = self._recovering = False
                 self._change(run, RunState.INTERRUPTED, words, code=event.cause.value,
@@ -194,11 +191,11 @@ class RunControl:
                              adrift=LINK_LOST if going_on else "")  # fmt: skip
                 run.journal.hasten()
         finally:
-            if lost or self._link.status.state is MillState.DISCONNECTED:
+            if lost or self.context.link.status.state is MillState.DISCONNECTED:
                 if self._abort_asked:
-                    self._link.latched = "abort"
+                    self.context.link.latched = "abort"
                 self.streamed = None
-                self._link.drop(event.words)
+                self.context.link.drop(event.words)
 
     def note_end(self) -> None:
         """The streamed program has been executed to its end."""
@@ -208,15 +205,15 @@ class RunControl:
 
     def note_stop(self, event: Stopped) -> None:
         """The mill stands with empty buffers: a run that was to be aborted is."""
-        run = self._runs.active
+        run = self.context.runs.active
         kept = "" if event.position_kept else "position lost or never confirmed"
-        self._say("state", f"stopped{f': {kept}' if kept else ''}")
+        self.context.log.say("state", f"stopped{f': {kept}' if kept else ''}")
         asked, self._abort_asked = self._abort_asked, False
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
             self._end(run, RunState.ABORTED, "aborted by the operator", code=MillCode.ABORTED)
 
     def _end(self, run: Run, state: RunState, words: str, **more: object) -> None:
-        self._change(run, state, words, ended_s=round(self._wall(), 3), **more)
+        self._change(run, state, words, ended_s=round(self.context.wall_clock(), 3), **more)
         self._hold_asked = self._recovering = False
         if state is RunState.FINISHED:
             self.streamed = None

@@ -7,6 +7,7 @@ as the program needs it (asked anew), the journal safe on disk, and only then th
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from machines.codes import MillCode
@@ -22,18 +23,18 @@ from machines.mill.start_checks import Placement, check_file, check_modes, progr
 from machines.mill.unattended import STILL_S, UnattendedRuns
 from machines.mill.view import MillContext
 from machines.preflight.limits import top_of_travel_mm
-from machines.recovery.planning import Present, RecoveryPlan, Reentry, plan_recovery
+from machines.recovery.plan import Present, RecoveryPlan, Reentry
+from machines.recovery.planning import plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 
 
+@dataclass(eq=False)
 class RecoveryPlanner:
     """Plans from a run's journal and the mill as it is now. Sends only questions."""
 
-    def __init__(self, context: MillContext, cycle: MillCycle, reentry: Reentry) -> None:
-        self._link = context.link
-        self._clock = context.clock
-        self._cycle = cycle
-        self._reentry = reentry
+    context: MillContext
+    cycle: MillCycle
+    reentry: Reentry
 
     def plan(self, run: Run) -> tuple[RecoveryPlan, dict[str, Any] | None, Placement]:
         """Return the plan, with the answer and the check of place it rests on."""
@@ -45,11 +46,11 @@ class RecoveryPlanner:
             raise NotAllowedError(words, code=MillCode.RUN_UNSTARTED)
         facts, reader = run.load()
         self._await_place(run)
-        answer = self._cycle.read_settings()
-        settings, setup = get_settings(self._link.driver) if answer else None, self._link.setup
+        answer = self.cycle.read_settings()
+        settings, setup = get_settings(self.context.link.driver) if answer else None, self.context.link.setup
         by_its_count = setup.homed or (settings is not None and bool(settings.soft_limits))
         present = Present(
-            status=self._link.status,
+            status=self.context.link.status,
             offsets=answer.get("offsets") if answer else None,
             parser_state=setup.parser_state,
             restarted=bool(run.record.get("restarted")),
@@ -57,7 +58,7 @@ class RecoveryPlanner:
             homed=setup.homed,
             top_mm=top_of_travel_mm(settings) if by_its_count else None,
         )
-        plan, placement = plan_recovery(run.record, facts, reader, present, self._reentry), Placement()
+        plan, placement = plan_recovery(run.record, facts, reader, present, self.reentry), Placement()
         if plan.blocks:
             placement = recovery_placement(plan.blocks, facts, reader, settings, present.status)
             plan = plan.with_place(placement.problems, refused=placement.certain and by_its_count)
@@ -65,35 +66,25 @@ class RecoveryPlanner:
 
     def _await_place(self, run: Run) -> None:
         """A mill that went on alone and stands by now: where, is known after two reports."""
-        until_s = self._clock() + 4 * STILL_S
-        while run.unattended and self._link.status.state is MillState.IDLE and self._clock() < until_s:
-            self._cycle.step(0.05)
-            self._cycle.look()
+        until_s = self.context.clock() + 4 * STILL_S
+        while run.unattended and self.context.link.status.state is MillState.IDLE and self.context.clock() < until_s:
+            self.cycle.step(0.05)
+            self.cycle.look()
 
 
+@dataclass(eq=False)
 class RunStarter:
     """Sends the first byte of a program, once everything that it rests on was looked at."""
 
-    def __init__(
-        self,
-        context: MillContext,
-        cycle: MillCycle,
-        control: RunControl,
-        unattended: UnattendedRuns,
-        planner: RecoveryPlanner,
-    ) -> None:
-        self._link = context.link
-        self._runs = context.runs
-        self._say = context.log.say
-        self._wall = context.wall_clock
-        self._cycle = cycle
-        self._control = control
-        self._unattended = unattended
-        self._planner = planner
+    context: MillContext
+    cycle: MillCycle
+    control: RunControl
+    unattended: UnattendedRuns
+    planner: RecoveryPlanner
 
     def start(self, run_id: str, confirmation: Confirmation, order: Order, *, setup: str | None) -> None:
         """Stream a parked run from its first line. setup : as `Mill.start`"""
-        run = self._runs.get(run_id)
+        run = self.context.runs.get(run_id)
         if run.state is not RunState.PARKED:
             way = "recover it" if run.state in RECOVERABLE else "load the program again"
             words = f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}"
@@ -103,8 +94,9 @@ class RunStarter:
         driver = self._ready_driver("start")
         facts, reader = run.load()
         check_file(run, facts)
-        answer = self._cycle.read_settings()
-        if setup is not None and setup != self._link.setup.digest(self._link.status, self._runs.needs()):
+        answer = self.cycle.read_settings()
+        link = self.context.link
+        if setup is not None and setup != link.setup.digest(link.status, self.context.runs.needs()):
             raise OrderRefusedError(Refusal.SETUP, "start: the zero or the position has changed since it was looked at")
         check_modes(facts, answer)
         settings = get_settings(driver)
@@ -116,15 +108,15 @@ class RunStarter:
             raise NotAllowedError(f"start: {words}: home the mill if it counts wrongly, or set the work zero elsewhere")
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
-        baseline |= {"started_s": round(self._wall(), 3), "executed_line": 0}
+        baseline |= {"started_s": round(self.context.wall_clock(), 3), "executed_line": 0}
         baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
         self._stream(run, RunState.RUNNING, baseline, order, lambda: driver.start(reader.lines(1)))
 
     def recover(self, run_id: str, confirmation: Confirmation, order: Order, *, plan_seen: str | None) -> None:
         """Go on with an interrupted run, as the plan of this moment says. plan_seen : as `Mill.recover`"""
-        run = self._runs.get(run_id)
+        run = self.context.runs.get(run_id)
         order.extend()
-        plan, answer, placement = self._planner.plan(run)
+        plan, answer, placement = self.planner.plan(run)
         if plan_seen is not None and plan_seen != plan.digest:
             raise OrderRefusedError(Refusal.PLAN, "recover: the plan is another by now; read it again")
         confirmation.demand(RECOVER_CHECKS, "recover")
@@ -142,14 +134,14 @@ class RunStarter:
         self._stream(run, RunState.RECOVERING, baseline, order, lambda: driver.start(plan.lines(reader)))
 
     def _ready_driver(self, doing: str) -> Driver:
-        if (live := self._runs.live) is not None:
+        if (live := self.context.runs.live) is not None:
             words = f"{doing}: run {live.id} is {live.state.value}; one run at a time"
             raise NotAllowedError(words, code=MillCode.RUN_LIVE)
-        if self._link.latched:
-            raise NotAllowedError(f"{doing}: {self._link.latched} waits for the link to come back")
-        driver, state = self._link.driver, self._link.status.state
+        if self.context.link.latched:
+            raise NotAllowedError(f"{doing}: {self.context.link.latched} waits for the link to come back")
+        driver, state = self.context.link.driver, self.context.link.status.state
         if driver is None or state is not MillState.IDLE:
-            why = self._link.problem or self._link.status.detail
+            why = self.context.link.problem or self.context.link.status.detail
             words = f"{doing}: the mill is {state.value}{f' ({why})' if why else ''}; allowed when it is idle"
             raise WrongStateError(words, MillCode.MILL_STATE, state)
         return driver
@@ -160,25 +152,25 @@ class RunStarter:
             try:
                 driver.command(TrustPosition())
             except NotAllowedError as error:
-                self._say("notice", f"the position could not be confirmed: {error}")
+                self.context.log.say("notice", f"the position could not be confirmed: {error}")
 
     def _baseline(
         self, run: Run, confirmation: Confirmation, answer: dict[str, Any] | None, placement: Placement
     ) -> dict[str, Any]:
         """What held at the start, for the day it has to be compared."""
-        status = self._link.status
+        status = self.context.link.status
         known = answer or {}
         if placement.problems:
-            self._say("notice", f"not certain that the program fits: {'; '.join(placement.problems)}")
+            self.context.log.say("notice", f"not certain that the program fits: {'; '.join(placement.problems)}")
         warnings = [*run.lasting_warnings, *placement.problems]
         return {
             "operator": confirmation.operator, "checks": sorted(confirmation.checks), "offsets": known.get("offsets"),
             "settings": known.get("settings"), "parser_state": known.get("parser_state"), "restarted": False,
             "zeroed": "", "adrift": "", "touch_off": "", "sent_line": 0, "answered_line": 0,
             "controller": status.controller, "epoch": status.epoch, "position_trusted": status.position_trusted,
-            "homed": self._link.setup.homed,
+            "homed": self.context.link.setup.homed,
             "machine_mm": status.machine_mm, "work_mm": status.work_mm, "work_offset_mm": status.work_offset_mm,
-            "wall_s": round(self._wall(), 3), "warnings": list(dict.fromkeys(warnings)),
+            "wall_s": round(self.context.wall_clock(), 3), "warnings": list(dict.fromkeys(warnings)),
             "travel_in_doubt": bool(placement.problems),
         }  # fmt: skip
 
@@ -186,11 +178,11 @@ class RunStarter:
         self, run: Run, state: RunState, baseline: dict[str, Any], order: Order, start: Callable[[], None]
     ) -> None:
         """The last step of start and recover: only when the journal is safe on disk does the first byte leave."""
-        if self._runs.active is not None and self._runs.active is not run:
-            self._runs.active.let_go()
+        if self.context.runs.active is not None and self.context.runs.active is not run:
+            self.context.runs.active.let_go()
         before = {name: run.record.get(name) for name in ("state", "words", "code", "values", *baseline)}
         try:
-            self._unattended.note_touch(but=run)
+            self.unattended.note_touch(but=run)
             run.journal.repair()
             run.move(state, "", **baseline)
             run.journal.sync()
@@ -200,8 +192,8 @@ class RunStarter:
         except MachineError:
             run.take_back(before)
             raise
-        self._control.note_start(run)
+        self.control.note_start(run)
         try:
-            self._runs.note_touch_off()
+            self.context.runs.note_touch_off()
         except JournalError as error:
-            self._say("journal", str(error))
+            self.context.log.say("journal", str(error))

@@ -6,6 +6,7 @@ move it or its zero: any command, a restart, another run. Only in between does t
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 from machines.driver import Driver, MillState, MillStatus, Triple
@@ -22,12 +23,12 @@ from machines.recovery.standing import LINES_AFTER_LAST_MARK, count_executed_at_
 STILL_S = 0.5  # two status reports at the same place
 
 
+@dataclass(eq=False)
 class Standstill:
     """Since when the mill has stood idle at one place."""
 
-    def __init__(self) -> None:
-        self._place: Triple | None = None
-        self._since_s = 0.0
+    _place: Triple | None = None
+    _since_s: float = 0.0
 
     def reached(self, status: MillStatus, now_s: float) -> Triple | None:
         """The place in machine coordinates once it is certain that the mill stands there."""
@@ -37,29 +38,26 @@ class Standstill:
         return place if now_s >= self._since_s + STILL_S else None
 
 
+@dataclass(eq=False)
 class UnattendedRuns:
     """Finds out how far the mill has come without us."""
 
-    def __init__(self, context: MillContext) -> None:
-        self._link = context.link
-        self._runs = context.runs
-        self._say = context.log.say
-        self._clock = context.clock
-        self._standstill = Standstill()
+    context: MillContext
+    _standstill: Standstill = field(default_factory=Standstill)
 
     def watch(self) -> None:
         """Book what the mill has done alone, once it stands; the first standstill after the link is back counts."""
-        driver = self._link.driver
-        if driver is None or self._runs.live is not None:
+        driver = self.context.link.driver
+        if driver is None or self.context.runs.live is not None:
             return
-        place_mm = self._standstill.reached(driver.status, self._clock())
+        place_mm = self._standstill.reached(driver.status, self.context.clock())
         if place_mm is None:
             return
         for run in self._list_unattended():
             try:
                 self._book_place(run, driver, place_mm)
             except MachineError as error:  # the program is gone, or the disk refuses: what was known stays
-                self._say("journal", f"{run.view.name}: {error}")
+                self.context.log.say("journal", f"{run.view.name}: {error}")
                 run.record["adrift"] = ""
 
     def note_touch(self, but: Run | None = None) -> None:
@@ -67,22 +65,23 @@ class UnattendedRuns:
         for run in self._list_unattended():
             if run is not but:
                 run.write("ashore", adrift="")
-                self._runs.rest(run)
+                self.context.runs.rest(run)
 
     def _list_unattended(self) -> list[Run]:
-        return [run for run in self._runs.recoverable() if run.unattended]
+        return [run for run in self.context.runs.recoverable() if run.unattended]
 
     def _book_place(self, run: Run, driver: Driver, place_mm: Triple) -> None:
         _, reader = run.load()
         line = _proven_line(run, reader, driver, place_mm)
         booked: dict[str, Any] = {}
         if line is not None and line > run.executed_line:
-            self._say("run", f"{run.view.name}: the mill went on to the end of line {line} before it stood still")
+            words = f"{run.view.name}: the mill went on to the end of line {line} before it stood still"
+            self.context.log.say("run", words)
             booked = {"executed_line": line, "stood_mm": place_mm}
         run.write("ashore", adrift="", **booked)
         if booked:
             run.journal.hasten()
-        self._runs.rest(run)
+        self.context.runs.rest(run)
 
 
 def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Triple) -> int | None:

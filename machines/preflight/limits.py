@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from machines.driver import Triple
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.preflight import Preflight, Triple
+from machines.preflight.preflight import Preflight
 from machines.profiles import MachineProfile
 
 AT_PRESENT_ZERO = "at the present work zero"
@@ -20,7 +21,6 @@ class MillLimits:
     """Travel, speeds and link of one mill; part of the cache key of a pre-flight.
 
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
-    own_figures : the controller's $ settings gave rates and accelerations
     """
 
     profile: str
@@ -33,7 +33,6 @@ class MillLimits:
     lines_per_s: float
     bytes_per_s: float | None
     spindle_rpm: tuple[float, float]
-    own_figures: bool
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -56,12 +55,11 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         travel_mm=_usable(told.travel_mm) or profile.travel_mm,
         max_rate_mm_per_min=_usable(told.max_rate_mm_per_min) or profile.max_rate_mm_per_min,
         acceleration_mm_per_s2=_usable(told.acceleration_mm_per_s2) or profile.acceleration_mm_per_s2,
-        junction_deviation_mm=told.junction_deviation_mm or profile.junction_deviation_mm,
+        junction_deviation_mm=told.number(11) or profile.junction_deviation_mm,
         planner_blocks=max(2, told.planner_blocks or profile.planner_blocks),
         lines_per_s=profile.lines_per_s,
         bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
         spindle_rpm=spindle,
-        own_figures=_usable(told.acceleration_mm_per_s2) is not None,
     )
 
 

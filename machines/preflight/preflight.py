@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from machines.gcode.program import ProgramIndex
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,51 +54,29 @@ class Preflight:
     warnings: tuple[str, ...] = ()
     index: ProgramIndex
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "sha256": self.sha256,
-            "bytes": self.bytes,
-            "lines": self.lines,
-            "blocks": self.blocks,
-            "dialect": self.dialect,
-            "profile": self.profile,
+    def to_json(self) -> str:
+        plain = {name: getattr(self, name) for name in self.__slots__} | {
             "bounds_mm": _bounds_to_plain(self.bounds_mm),
             "bounds_by_frame": {name: _bounds_to_plain(box) for name, box in self.bounds_by_frame.items()},
-            "feeds_mm_per_min": self.feeds_mm_per_min and list(self.feeds_mm_per_min),
-            "spindle_rpm": self.spindle_rpm and list(self.spindle_rpm),
-            "path_length_mm": self.path_length_mm,
-            "time_s": self.time_s,
-            "ends": self.ends,
-            "mist_line": self.mist_line,
-            "assumed": list(self.assumed),
-            "warnings": list(self.warnings),
             "index": self.index.to_dict(),
         }
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Preflight:
-        values = dict(data)
-        feeds, spindle = values["feeds_mm_per_min"], values["spindle_rpm"]
-        frames = values["bounds_by_frame"].items()
-        return Preflight(
-            **values
-            | {
-                "bounds_mm": _bounds_from_plain(values["bounds_mm"]),
-                "bounds_by_frame": {name: box for name, plain in frames if (box := _bounds_from_plain(plain))},
-                "feeds_mm_per_min": (feeds[0], feeds[1]) if feeds else None,
-                "spindle_rpm": (spindle[0], spindle[1]) if spindle else None,
-                "assumed": tuple(values["assumed"]),
-                "warnings": tuple(values["warnings"]),
-                "index": ProgramIndex.from_dict(values["index"]),
-            }
-        )
-
-    def to_json(self) -> str:
-        return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False)
+        return json.dumps(plain, separators=(",", ":"), allow_nan=False)
 
     @staticmethod
     def from_json(text: str) -> Preflight:
-        return Preflight.from_dict(json.loads(text))
+        values = json.loads(text)
+        feeds, spindle = values["feeds_mm_per_min"], values["spindle_rpm"]
+        frames = values["bounds_by_frame"].items()
+        values |= {
+            "bounds_mm": _bounds_from_plain(values["bounds_mm"]),
+            "bounds_by_frame": {name: box for name, plain in frames if (box := _bounds_from_plain(plain))},
+            "feeds_mm_per_min": (feeds[0], feeds[1]) if feeds else None,
+            "spindle_rpm": (spindle[0], spindle[1]) if spindle else None,
+            "assumed": tuple(values["assumed"]),
+            "warnings": tuple(values["warnings"]),
+            "index": ProgramIndex.from_dict(values["index"]),
+        }
+        return Preflight(**values)
 
 
 def _bounds_to_plain(bounds: Bounds | None) -> list[list[float | None]] | None:

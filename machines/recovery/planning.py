@@ -18,9 +18,7 @@ from machines.recovery.approach import height_mm, travel_height_mm, unreadable, 
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
-from machines.recovery.plan import Need, Present, RecoveryPlan, Reentry
-
-__all__ = ["Need", "Present", "RecoveryPlan", "Reentry", "plan_recovery"]
+from machines.recovery.plan import Present, RecoveryPlan, Reentry
 
 GRBL_DIALECTS = ("grbl", "grblhal", "fluidnc")
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from machines.driver import Triple
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
+from machines.gcode.step import Step
 from machines.roland.rml import RmlInterpreter
 from machines.roland.rml_commands import parse
 
@@ -22,17 +22,11 @@ NEAR_MM = 0.01  # reports are in 0.001 mm, a step is 0.002 mm; closer than the f
 _MOST_PENDING = 5000  # the mill holds a few blocks; more than this is not a buffer
 
 
-class Way(Protocol):
-    """A move of either language."""
-
-    def distance_mm(self, point_mm: Triple, /) -> float: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Travel:
     """What one line does: its moves, and the highest Z they reach [mm, work frame], None if that is not known."""
 
-    ways: tuple[Way, ...]
+    ways: tuple[Step, ...]
     highest_z_mm: float | None
 
 
@@ -66,10 +60,10 @@ class Follower:
 
     executed_line: int = 0
     lost: bool = False  # too many lines without a match: nothing more can be said until the mill stands still
-    _pending: deque[tuple[int, tuple[Way, ...]]] = field(default_factory=deque)
+    _pending: deque[tuple[int, tuple[Step, ...]]] = field(default_factory=deque)
     _last_line: int = 0
 
-    def take(self, line: int, ways: Iterable[Way]) -> None:
+    def take(self, line: int, ways: Iterable[Step]) -> None:
         self._last_line = line or self._last_line
         if self.lost:
             return

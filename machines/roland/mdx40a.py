@@ -11,14 +11,16 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from machines.driver import Triple
+from machines.errors import NotAllowedError
 
 STATE_BYTES = 32
 DOOR, SPINDLE, COMMANDED, VIEW_LAMP = 0x1000_0000, 0x0800_0000, 0x0400_0000, 0x4000_0000
 MOVING, ERROR, STATE_MASK, STATE_SHIFT = 0x0040_0000, 0x0000_1000, 0x0007_0000, 16
 STATES = {0: "starting", 1: "homing", 2: "idle", 3: "moving", 4: "error"}
-PING_BUSY, PING_ERROR = 0x0020_0004, 0x0010_0000
+PING_ERROR = 0x0010_0000
 COUNTER_MODULUS = 1 << 32
 COMMAND_SETS = {0: "RML-1", 1: "NC code", 2: "selected automatically"}
+_USER_SLOT, _EXOFS_SLOT, _G54_SLOT = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +98,31 @@ class Mdx40aDevice(Protocol):
     def set_feed_override(self, percent: int) -> None: ...
     def set_spindle_override(self, percent: int) -> None: ...
     def close(self) -> None: ...
+
+
+def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
+    """Raise NotAllowedError where the mill reads the other language: that hangs it until it is switched off."""
+    is_rml, found = dialect == "rml-1", device.command_set()
+    if found is not None and found == (1 if is_rml else 0):
+        wanted = "RML-1" if is_rml else "NC code"
+        raise NotAllowedError(
+            f"the mill's command set is {COMMAND_SETS[found]}, the program is {wanted}: "
+            "set it to 'selected automatically' in the mill's setup"
+        )
+
+
+def read_work_origin_mm(device: Mdx40aDevice, dialect: str) -> Triple | None:
+    """Return the machine position of a program's zero; None where the mill does not say."""
+    if dialect == "rml-1":
+        return device.origin_mm(_USER_SLOT)
+    origin, extra = device.origin_mm(_G54_SLOT), device.origin_mm(_EXOFS_SLOT)
+    if origin is None or extra is None:
+        return None
+    return (origin[0] + extra[0], origin[1] + extra[1], origin[2] + extra[2])
+
+
+def to_work_mm(machine_mm: Triple, origin_mm: Triple | None) -> Triple | None:
+    """Return a machine position in the work frame; None where its origin is not known."""
+    if origin_mm is None:
+        return None
+    return (machine_mm[0] - origin_mm[0], machine_mm[1] - origin_mm[1], machine_mm[2] - origin_mm[2])

@@ -10,59 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from math import dist, hypot, inf
+from math import dist, inf
 
+from machines.driver import Triple
 from machines.errors import ProgramRefusedError
+from machines.gcode.modal import UNKNOWN, Position
+from machines.gcode.step import Step
 from machines.gcode.words import shown, strip_ends
 from machines.profiles import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, UNIT_MM, Command, RmlFault, parse, spindle_rpm
 
-Triple = tuple[float, float, float]
-Place = tuple[float | None, float | None, float | None]
-
 _ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)
 _RELATIVE_XY = {"I": True, "R": False}
-
-
-@dataclass(frozen=True, slots=True)
-class RmlMove:
-    """A straight move in the user frame [mm]; None where the coordinate is not known yet."""
-
-    start_mm: Place
-    end_mm: Place
-    feed_mm_per_min: float
-
-    @property
-    def length_mm(self) -> float:
-        """Way over the axes that are known at both ends."""
-        known = [(a, b) for a, b in zip(self.start_mm, self.end_mm, strict=True) if a is not None and b is not None]
-        return dist([a for a, _ in known], [b for _, b in known])
-
-    def distance_mm(self, point_mm: Triple) -> float:
-        """Of a point from this move; axes that are not known at both ends do not count."""
-        known = [
-            (a, b - a, p)
-            for a, b, p in zip(self.start_mm, self.end_mm, point_mm, strict=True)
-            if a is not None and b is not None
-        ]
-        squared = sum(v * v for _, v, _ in known)
-        share = sum((p - a) * v for a, v, p in known) / squared if squared else 0.0
-        share = min(1.0, max(0.0, share))
-        return hypot(*(p - a - share * v for a, v, p in known))
 
 
 @dataclass(slots=True)
 class RmlInterpreter:
     """Modal state of RML-1; `take` carries out one command."""
 
-    position_mm: Place = (None, None, None)
+    position_mm: Position = UNKNOWN
     relative: bool = False
     feed_mm_per_s: float | None = None
     spindle_on: bool = False
-    spindle_code: float | None = None
     heights_mm: tuple[float, float] = (0.0, 0.0)  # Z1 (down), Z2 (up) of the two-height commands
 
-    def take(self, command: Command) -> tuple[RmlMove, ...]:
+    def take(self, command: Command) -> tuple[Step, ...]:
         """The moves that `command` makes. RmlFault where they cannot be known to be safe."""
         name, numbers = command.name, command.numbers
         match name:
@@ -72,8 +44,6 @@ class RmlInterpreter:
                 self.feed_mm_per_s = numbers[0]
             case "!MC":
                 self.spindle_on = not numbers or numbers[0] == 1
-            case "!RC":
-                self.spindle_code = numbers[0]
             case "!PZ" | "@":
                 self.heights_mm = (numbers[0] * UNIT_MM, numbers[-1] * UNIT_MM) if numbers else self.heights_mm
             case "PA" | "PR":
@@ -90,19 +60,19 @@ class RmlInterpreter:
                 x, y, _ = self.position_mm
                 return (self._move((x, y, numbers[0] * UNIT_MM)),)
             case "H" | "!ZE":
-                self.position_mm = (None, None, None)
+                self.position_mm = UNKNOWN
             case _:
                 pass
         return ()
 
-    def _travel(self, numbers: tuple[float, ...], z_mm: float | None, relative: bool) -> tuple[RmlMove, ...]:
+    def _travel(self, numbers: tuple[float, ...], z_mm: float | None, relative: bool) -> tuple[Step, ...]:
         moves = [self._move((*self.position_mm[:2], z_mm))] if z_mm != self.position_mm[2] else []
         for i in range(0, len(numbers), 2):
             x, y = (n * UNIT_MM for n in numbers[i : i + 2])
             moves.append(self._move((self._along(0, x, relative), self._along(1, y, relative), z_mm)))
         return tuple(moves)
 
-    def _to(self, numbers: tuple[float, ...]) -> RmlMove:
+    def _to(self, numbers: tuple[float, ...]) -> Step:
         x, y, z = (n * UNIT_MM for n in numbers)
         if self.relative and x == y == 0 and z > 0:  # the usual lift off the part: the mill stops it at its top
             return self._move((*self.position_mm[:2], None))
@@ -118,16 +88,17 @@ class RmlInterpreter:
             raise RmlFault("moves relative to a position that no command before it has given")
         return before + value_mm
 
-    def _move(self, end_mm: Place) -> RmlMove:
+    def _move(self, end_mm: Position) -> Step:
         if self.feed_mm_per_s is None:
             raise RmlFault("moves before any speed was set (V)")
-        move = RmlMove(self.position_mm, end_mm, self.feed_mm_per_s * 60)
-        self.position_mm = end_mm
-        z, before = end_mm[2], move.start_mm[2]
-        lifts = before is not None and z is not None and z > before and end_mm[:2] == move.start_mm[:2]
+        start_mm, self.position_mm = self.position_mm, end_mm
+        z, before = end_mm[2], start_mm[2]
+        lifts = before is not None and z is not None and z > before and end_mm[:2] == start_mm[:2]
         if z is not None and z < 0 and not lifts and not self.spindle_on:
             raise RmlFault(f"goes to Z {z:g} mm, below the user origin, with the spindle off (!MC1 first)")
-        return move
+        known = [(a, b) for a, b in zip(start_mm, end_mm, strict=True) if a is not None and b is not None]
+        length_mm = dist([a for a, _ in known], [b for _, b in known])
+        return Step("feed", start_mm, end_mm, self.feed_mm_per_s * 60, length_mm)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,9 +171,11 @@ def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profil
             raise RmlFault(f"{speed:g} rpm is outside the spindle's {slowest:g}..{fastest:g} (or a code 0..15)")
         tally.speeds = _widen(tally.speeds, speed)
     for move in mill.take(command):
+        feed = move.feed_mm_per_min
+        assert feed is not None  # or the move would have been refused
         tally.path_length_mm += move.length_mm
-        tally.time_s += _move_time_s(move, profile)
-        tally.feeds = _widen(tally.feeds, move.feed_mm_per_min)
+        tally.time_s += _move_time_s(move, feed, profile)
+        tally.feeds = _widen(tally.feeds, feed)
         for axis, value in enumerate(move.end_mm):
             if value is None:
                 continue
@@ -218,8 +191,8 @@ def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profil
         tally.time_s += command.numbers[0] / 1000
 
 
-def _move_time_s(move: RmlMove, profile: MachineProfile) -> float:
-    times = [move.length_mm / move.feed_mm_per_min]
+def _move_time_s(move: Step, feed_mm_per_min: float, profile: MachineProfile) -> float:
+    times = [move.length_mm / feed_mm_per_min]
     for a, b, rate in zip(move.start_mm, move.end_mm, profile.max_rate_mm_per_min, strict=True):
         times.append(abs(b - a) / rate if a is not None and b is not None else 0.0)
     return 60 * max(times)

@@ -8,7 +8,7 @@ manuals). RML-1 has no line numbers and no position query: what is executed is o
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from machines.drip.feed import Pace
@@ -118,12 +118,12 @@ class RolandSerialDriver(OneWayDriver):
                 continue
             value = int(reply)
             if self._asked.popleft() == ESC_FREE:
-                self._status = replace(self._status, detail=f"the mill says {value} bytes of its buffer are free")
+                self._channel.update(detail=f"the mill says {value} bytes of its buffer are free")
             elif value:
                 self._fault(f"the mill reports error {value}: {ERRORS.get(value, 'see its manual')}", now_s)
 
     def _fault(self, words: str, now_s: float) -> None:
-        line = self._progress.sent_line if self._feed is not None else 0
+        line = self.progress.sent_line if self._feed is not None else 0
         self._end_stream()
-        self._set(MillState.ALARM, f"{words}; the mill still executes {self._still_held()}")
-        self._events.append(Faulted(FaultCause.DEVICE, words, line, now_s))
+        self._channel.enter(MillState.ALARM, f"{words}; the mill still executes {self._still_held()}")
+        self._channel.events.append(Faulted(FaultCause.DEVICE, words, line, now_s))

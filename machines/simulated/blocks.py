@@ -5,10 +5,9 @@ from __future__ import annotations
 from machines.simulated import reports
 from machines.simulated.alarms import raise_alarm
 from machines.simulated.arcs import chords
-from machines.simulated.controller import Controller
+from machines.simulated.controller import EMPTY, NEVER, ROOM, Controller, Task
 from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple
 from machines.simulated.suspending import apply_overrides
-from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
 
 
 def carry_out_gcode(fw: Controller, code: bytes) -> Task:
@@ -139,7 +138,7 @@ def plan(fw: Controller, point: Triple, speed: float, *, rapid: bool, feed: floa
     yield ROOM
     fw.stepper.planner.add(*point, speed, rapid, feed=feed, line=fw.line, kind=kind)
     if fw.stepper.moving:
-        fw.stepper.prepare()
+        fw.stepper.segments.fill()
 
 
 def is_out_of_travel(fw: Controller, point: Triple) -> bool:

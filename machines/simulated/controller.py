@@ -6,7 +6,7 @@ for; everything that happens lets it go on through `go_on`. Only then is its `ok
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from math import inf
 
 from machines.simulated.interpreter import ZERO, SimulatedInterpreter, Triple
@@ -14,7 +14,10 @@ from machines.simulated.motion import Stepper
 from machines.simulated.planner import PlannedBlock
 from machines.simulated.recording import CutSegment, Recording
 from machines.simulated.traits import Traits
-from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
+
+# What the task of a line can wait for; a number is a time to wait until.
+ROOM, EMPTY, NEVER = "room in the planner", "an empty buffer", "a reset"
+Task = Generator[str | float, None, None]
 
 _SUSPENDED = ("Hold", "Door", "Sleep")
 

@@ -6,11 +6,10 @@ import re
 
 from machines.simulated import alarms, resets, suspending
 from machines.simulated.blocks import carry_out_gcode, is_out_of_travel
-from machines.simulated.controller import Controller
+from machines.simulated.controller import ROOM, Controller, Task
 from machines.simulated.interpreter import Triple
 from machines.simulated.realtime import obey_realtime
 from machines.simulated.system_commands import system_command
-from machines.simulated.waiting import ROOM, Task
 from machines.simulated.words import GcodeError
 
 _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+))"
@@ -79,7 +78,7 @@ class Firmware(Controller):
         state.position = target
         planner.add(px, py, pz, feed / 60.0, rapid, feed=feed, line=self.line)
         if self.state == "Run":
-            self.stepper.prepare()
+            self.stepper.segments.fill()
         self.say("ok")
         return True
 
@@ -88,7 +87,7 @@ class Firmware(Controller):
         self.interpreter.position = target
         self.stepper.planner.add(*target, feed / 60.0, rapid, feed=feed, line=self.line)
         if self.state == "Run":
-            self.stepper.prepare()
+            self.stepper.segments.fill()
         self.say("ok")
 
     def _line_task(self, code: bytes) -> Task:

@@ -14,6 +14,7 @@ from math import inf
 from machines.simulated.fault_wire import FaultWire
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.firmware import Firmware
+from machines.simulated.main_loop import MainLoop
 from machines.simulated.recording import Recording
 from machines.simulated.serial_side import SerialSide
 from machines.simulated.traits import GRBL_11, Traits
@@ -51,15 +52,13 @@ class SimulatedMill:
         self.connected = True
         self.cable = 0  # counts unplugs: a port opened before one is dead after it
         self.serial = SerialSide(traits.rx_bytes, traits.tx_bytes, crlf_answered_twice=traits.crlf_answered_twice)
-        self._parse_s = 1.0 / traits.lines_per_s if traits.lines_per_s else 0.0
-        self._main_s = inf  # when the line now being parsed is carried out
-        self._free_s = 0.0  # when the main loop is free for the next line
         self._off = True
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
         self.firmware = Firmware(
             traits, self.recording, self._say, self._write_eeprom, self._rx_free, self._forget_received
         )
+        self._main_loop = MainLoop(self.firmware, self.serial, traits.lines_per_s)
         self._wire = FaultWire(self.faults, self)
         self._boot(first=True)
 
@@ -77,8 +76,7 @@ class SimulatedMill:
             self._wire.sent(data, at_s)
         else:
             self.serial.receive(data, at_s)
-        if self._main_s == inf:
-            self._look_for_line()
+        self._look_for_line()
 
     def output(self) -> bytes:
         """Bytes that have reached the host by now."""
@@ -94,27 +92,22 @@ class SimulatedMill:
 
     # -- time ------------------------------------------------------------------------------------------------------
     def next_event_s(self) -> float:
-        t = self._main_s
-        stepper_s = self.firmware.stepper.next_s
-        if stepper_s < t:
-            t = stepper_s
-        if self.serial.realtime and self.serial.realtime[0][0] < t:
-            t = self.serial.realtime[0][0]
-        if self._events and self._events[0][0] < t:
-            t = self._events[0][0]
-        return min(t, self.firmware.wake_s())
+        """When something happens next."""
+        queues = (self.serial.realtime, self._events)
+        waiting = (queue[0][0] for queue in queues if queue)
+        return min(self._main_loop.due_s, self.firmware.stepper.next_s, self.firmware.wake_s(), *waiting)
 
     def advance(self, to_s: float, *, until_output: bool = False) -> None:
         """Let everything happen up to `to_s`, or up to the moment the next output reaches the host."""
-        fw, serial = self.firmware, self.serial
+        fw, serial, main_loop = self.firmware, self.serial, self._main_loop
         out, events = serial.out, self._events
         at_once = 0
         while True:
             stepper = fw.stepper
             t = stepper.next_s
             kind = 0
-            if self._main_s < t:
-                t, kind = self._main_s, 1
+            if main_loop.due_s < t:
+                t, kind = main_loop.due_s, 1
             if (fw.task is not None or fw.alarm) and (wake := fw.wake_s()) < t:
                 t, kind = wake, 2
             if serial.realtime and serial.realtime[0][0] < t:
@@ -136,8 +129,8 @@ class SimulatedMill:
                     raise AssertionError(f"simulated time stands still at {self.now_s:.6f} s ({_CAUSES[kind]})")
             if kind == 0:
                 stepper.step()
-                if stepper.freed:
-                    stepper.freed = False
+                if stepper.segments.freed:
+                    stepper.segments.freed = False
                     if fw.task is not None:
                         fw.go_on()
                         self._look_for_line()
@@ -145,9 +138,7 @@ class SimulatedMill:
                     fw.go_on()
                     self._look_for_line()
             elif kind == 1:
-                self._main_s = inf
-                fw.line_received(serial.take_line())
-                self._free_s = self.now_s
+                main_loop.carry_out_line()
                 if fw.task is None:
                     self._look_for_line()
             else:
@@ -167,22 +158,8 @@ class SimulatedMill:
         heappush(self._events, (when_s, self._order, what))
 
     def _look_for_line(self) -> None:
-        """The main loop: the next line, or with nothing to read, cycle start."""
-        fw, serial = self.firmware, self.serial
-        if self._main_s != inf or self._off or fw.task is not None or fw.busy():
-            return
-        now = self.now_s
-        serial.admit_while_busy(self._free_s, now)
-        free_s = serial.may_go_on_s()
-        if free_s < now:
-            free_s = now
-        line_s = serial.next_line_s()
-        if line_s > now:
-            fw.auto_start()
-            if line_s == inf:
-                self._free_s = now
-                return
-        self._main_s = (line_s if line_s > free_s else free_s) + self._parse_s
+        if not self._off:
+            self._main_loop.look_for_line(self.now_s)
 
     # -- what the firmware asks of the hardware ---------------------------------------------------------------------
     def _say(self, text: str) -> None:
@@ -201,32 +178,25 @@ class SimulatedMill:
         return self.traits.rx_bytes - self.serial.used(self.now_s)
 
     def _forget_received(self) -> None:
-        self.serial.clear_received(self.now_s)
-        self._main_s = inf
+        self._main_loop.forget_received(self.now_s)
 
     # -- power, cable, buttons -------------------------------------------------------------------------------------
     def power_cycle(self, off_s: float = 1.0) -> None:
         """Supply off and on: counters start at 0, the tool stays where it is (and loses steps if it moved)."""
         fw = self.firmware
+        self._off = True  # says nothing any more
         if fw.stepper.moving:
-            self._stop_without_power()
+            fw.cut_off(3)
         fw.shift = fw.physical()  # from here on the counters say 0
         fw.position_lost = True
         fw.power_on_state()
-        self._off = True
-        self._main_s = inf
-        self.serial.clear_received(self.now_s)
+        self._forget_received()
         self._boot(first=False, off_s=off_s)
 
     def dtr_pulse(self) -> None:
         """What opening the port does to a board that resets on it."""
         if self.traits.resets_on_open and not self._off:
             self.power_cycle(off_s=0.0)
-
-    def _stop_without_power(self) -> None:
-        was, self._off = self._off, True  # says nothing of it
-        self.firmware.cut_off(3)
-        self._off = was
 
     def _boot(self, *, first: bool, off_s: float = 0.0) -> None:
         self.at(self.now_s + off_s + self.traits.boot_s, lambda: self._finish_boot(first=first))
@@ -268,8 +238,8 @@ class SimulatedMill:
             self.connected = False
             self.cable += 1
             self.serial.cut_wire(self.now_s)
-            if self._main_s != inf and self.serial.next_line_s() == inf:
-                self._main_s = inf
+            if self.serial.next_line_s() == inf:
+                self._main_loop.due_s = inf
             self._look_for_line()
 
     def replug(self) -> None:

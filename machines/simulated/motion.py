@@ -1,18 +1,12 @@
-"""From planned blocks to motion: a short buffer of segments (at most 10 ms each) ahead of the axes, as a stepper has.
-
-A block is freed in the planner when its last piece goes into the segment buffer, not when it is cut: with short
-blocks, `segments` of them are still to come. A hold brakes behind what the segment buffer already holds.
-"""
+"""From planned blocks to motion: the axes execute what the segment buffer holds, one segment after the other."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
-from math import inf, sqrt
+from math import inf
 
 from machines.simulated.planner import PlannedBlock, Planner
-
-_Phase = tuple[float, float, float]  # acceleration, remaining mm at its end, speed at its end
+from machines.simulated.segments import SegmentBuffer
 
 
 class Stepper:
@@ -31,73 +25,57 @@ class Stepper:
         on_piece: Callable[[PlannedBlock, float, float, float, float, bool], None],
         on_stop: Callable[[float], None],
     ) -> None:
-        self.planner = Planner(capacity, settings, self.reload)
+        self.planner = Planner(capacity, settings, lambda: self.segments.reload())
+        self.segments = SegmentBuffer(self.planner, segments, segment_s)
         self.x = self.y = self.z = 0.0  # machine mm, at the end of the last executed segment
         self.next_s = inf  # when the segment under way ends
-        self.freed = False  # a planner slot came free since somebody looked
-        self._segments = segments
-        self._segment_s = segment_s
         self._on_piece = on_piece
         self._on_stop = on_stop
-        self._queue: deque[tuple[PlannedBlock, float, float, float, float]] = (
-            deque()
-        )  # block, from, to (mm left), time, speed
-        self._block: PlannedBlock | None = None  # being cut into segments
-        self._partial = False  # the oldest block is partly in the segment buffer
-        self._phases: list[_Phase] = []
-        self._exit = 0.0
-        self._speed = 0.0
-        self._braking_into_next = False
-        self.holding = False
-        self._halted = False  # a hold has put its last segment into the buffer
 
-    # -- state ---------------------------------------------------------------------------------------------------
     @property
     def moving(self) -> bool:
         return self.next_s != inf
 
+    @property
     def speed(self) -> float:
         """mm/s, as reported: that of the segment last prepared."""
-        return self._speed if self.moving else 0.0
+        return self.segments.speed if self.moving else 0.0
 
     def where(self, at_s: float) -> tuple[float, float, float]:
-        """Machine position now."""
+        """Return the machine position."""
         if not self.moving:
             return (self.x, self.y, self.z)
-        b, start, end, took, _ = self._queue[0]
+        b, start, end, took, _ = self.segments.queue[0]
         share = (self.next_s - at_s) / took if took > 0.0 else 0.0
         left = end + (start - end) * min(1.0, max(0.0, share))
         return (b.tx - b.ux * left, b.ty - b.uy * left, b.tz - b.uz * left)
 
+    @property
     def executing_block(self) -> PlannedBlock | None:
-        return self._queue[0][0] if self._queue else None
+        return self.segments.queue[0][0] if self.segments.queue else None
 
     def place(self, x: float, y: float, z: float) -> None:
-        """Position known from elsewhere (homing, start), with nothing under way."""
+        """Take over a position known from elsewhere (homing, start), with nothing under way."""
         self.x, self.y, self.z = x, y, z
         self.planner.x, self.planner.y, self.planner.z = x, y, z
 
-    # -- control -------------------------------------------------------------------------------------------------
     def start(self, at_s: float) -> None:
         """Cycle start: execute what the planner holds. Does nothing while moving or without blocks."""
         if self.moving:
             return
-        self.holding = self._halted = False
-        self.prepare()
-        if self._queue:
-            self.next_s = at_s + self._queue[0][3]
+        self.segments.begin()
+        if self.segments.queue:
+            self.next_s = at_s + self.segments.queue[0][3]
 
     def hold(self) -> None:
         """Brake along the path as soon as the segment buffer lets us."""
-        if self.moving and not self.holding:
-            self.reload()
-            self.holding = True
-            self.prepare()
+        if self.moving and not self.segments.holding:
+            self.segments.hold()
 
     def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
         """Steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
         x, y, z = self.where(at_s)
-        b = self.executing_block()
+        b = self.executing_block
         if b is not None:
             self._on_piece(b, x, y, z, at_s, False)
         self.x, self.y, self.z = x, y, z
@@ -106,179 +84,20 @@ class Stepper:
 
     def clear(self) -> None:
         """Forget all blocks and stand where we are."""
-        self._queue.clear()
+        self.segments.clear()
         self.planner.clear()
         self.next_s = inf
-        self._block = None
-        self._partial = self._halted = self.holding = self._braking_into_next = False
-        self._speed = 0.0
         self.planner.x, self.planner.y, self.planner.z = self.x, self.y, self.z
 
     def starve(self) -> None:
-        """The axes stop at the end of this piece although blocks wait (a stepper that ran dry)."""
-        for b, start, _, _, _ in reversed(self._queue):
-            if b in self.planner.blocks:
-                b.remaining = start
-            else:
-                b.remaining = start
-                self.planner.blocks.insert(0, b)
-        for b in self.planner.blocks:
-            b.gain = 2.0 * b.accel * b.remaining
-            b.entry2 = 0.0 if b is self.planner.blocks[0] else b.entry2
-        self._queue.clear()
-        self._block = None
-        self._partial = True
-        self._speed = 0.0
+        """Stop the axes at the end of this piece although blocks wait (a stepper that ran dry)."""
+        self.segments.give_back()
         self.next_s = inf
-        self.planner.replan()
 
-    def reload(self) -> None:
-        """The block being cut up gets a new speed profile from here, as the plan beyond it has changed."""
-        b = self._block
-        if b is not None:
-            b.entry2 = self._speed * self._speed
-            self._block = None
-            self._partial = True
-
-    # -- the segment buffer --------------------------------------------------------------------------------------
-    def prepare(self) -> None:
-        """Fill the segment buffer from the planner."""
-        queue, blocks = self._queue, self.planner.blocks
-        while len(queue) < self._segments and not self._halted:
-            b = self._block
-            if b is None:
-                if not blocks:
-                    return
-                b = blocks[0]
-                if self._partial:
-                    self._partial = False
-                elif self.holding or self._braking_into_next:
-                    b.entry2 = self._exit * self._exit
-                    self._braking_into_next = False
-                start = b.remaining
-                if not self.holding and (took := self._whole(b, blocks)) >= 0.0:
-                    b.remaining = 0.0
-                    b.gain = 0.0
-                    queue.append((b, start, 0.0, took, self._exit))
-                    self._speed = self._exit
-                    self.planner.discard()
-                    self.freed = True
-                    continue
-                self._speed = sqrt(b.entry2)
-                if self.holding:
-                    self._brake(b)
-                else:
-                    self._profile(b, blocks[1].entry2 if len(blocks) > 1 else 0.0)
-                self._block = b
-            self._cut(b)
-
-    def _whole(self, b: PlannedBlock, blocks: list[PlannedBlock]) -> float:
-        """Time of the whole block if it goes into one segment, else -1; sets the exit speed."""
-        exit2 = blocks[1].entry2 if len(blocks) > 1 else 0.0
-        entry2, accel, nominal = b.entry2, b.accel, b.nominal
-        nominal2 = nominal * nominal
-        if entry2 > nominal2 or exit2 > nominal2:
-            return -1.0
-        length = b.remaining
-        if entry2 == nominal2 and exit2 == nominal2:
-            took = length / nominal
-            if took > self._segment_s:
-                return -1.0
-            self._exit = nominal
-            return took
-        if exit2 > entry2 + b.gain:
-            exit2 = entry2 + b.gain
-        peak2 = 0.5 * (entry2 + exit2) + accel * length
-        v0, v1 = sqrt(entry2), sqrt(exit2)
-        if peak2 <= nominal2:
-            took = (2.0 * sqrt(peak2) - v0 - v1) / accel
-        else:
-            took = (2.0 * nominal - v0 - v1) / accel
-            took += (length - (2.0 * nominal2 - entry2 - exit2) / (2.0 * accel)) / nominal
-        if took > self._segment_s or peak2 < entry2:
-            return -1.0
-        self._exit = v1
-        return took
-
-    def _profile(self, b: PlannedBlock, exit2: float) -> None:
-        """Phases of a block longer than a segment: down to or up to its speed, along, and to its exit speed."""
-        accel, length, entry2, nominal = b.accel, b.remaining, b.entry2, b.nominal
-        nominal2, half = nominal * nominal, 0.5 / b.accel
-        phases: list[_Phase] = []
-        if entry2 > nominal2:  # an override was lowered
-            until = length - half * (entry2 - nominal2)
-            if until <= 0.0:
-                self._exit = sqrt(max(0.0, entry2 - 2.0 * accel * length))
-                self._braking_into_next = True
-                self._phases = [(-accel, 0.0, self._exit)]
-                return
-            phases.append((-accel, until, nominal))
-            peak, brake_at = nominal, half * (nominal2 - exit2)
-        else:
-            exit2 = min(exit2, entry2 + 2.0 * accel * length)
-            peak2 = 0.5 * (entry2 + exit2) + accel * length
-            peak2 = max(min(peak2, nominal2), entry2, exit2)
-            peak, brake_at = sqrt(peak2), half * (peak2 - exit2)
-            if peak2 > entry2:
-                phases.append((accel, max(brake_at, length - half * (peak2 - entry2)), peak))
-        self._exit = sqrt(exit2)
-        at = phases[-1][1] if phases else length
-        if at > brake_at:
-            phases.append((0.0, min(brake_at, at), peak))
-        if brake_at > 0.0:
-            phases.append((-accel, 0.0, self._exit))
-        self._phases = phases
-
-    def _brake(self, b: PlannedBlock) -> None:
-        """Full braking; the stop lies in this block if its length allows."""
-        left = b.remaining - b.entry2 * 0.5 / b.accel
-        if left >= 0.0:
-            self._exit = 0.0
-            self._phases = [(-b.accel, left, 0.0)]
-        else:
-            self._exit = sqrt(b.entry2 - b.gain)
-            self._phases = [(-b.accel, 0.0, self._exit)]
-
-    def _cut(self, b: PlannedBlock) -> None:
-        """Put the next segment of the loaded block into the buffer."""
-        start = left = b.remaining
-        v = speed = self._speed
-        time_left, phases = self._segment_s, self._phases
-        while phases:
-            accel, until, v_end = phases[0]
-            total = v + v_end
-            took = 2.0 * (left - until) / total if total > 0.0 else 0.0
-            if took > time_left:
-                left -= time_left * (v + 0.5 * accel * time_left)
-                v += accel * time_left
-                time_left = 0.0
-                break
-            time_left -= took
-            left, v = until, v_end
-            del phases[0]
-        if phases and left <= 0.0:  # rounding
-            phases.clear()
-        done = not phases and (left <= 0.0 or not self.holding)
-        left = 0.0 if done else left
-        b.remaining = left
-        b.gain = 2.0 * b.accel * left
-        self._speed = v
-        if start > left or done:
-            self._queue.append((b, start, left, self._segment_s - time_left, v))
-        if done:
-            self._block = None
-            self.planner.discard()
-            self.freed = True
-        elif not phases:
-            self._halted = True  # stopped within the block
-        elif left == start and v == speed:
-            raise AssertionError(f"the axes make no way: block of line {b.line}, {left} mm left at {v} mm/s")
-
-    # -- execution -----------------------------------------------------------------------------------------------
     def step(self) -> None:
         """The segment under way has ended (at `next_s`)."""
         at_s = self.next_s
-        queue = self._queue
+        queue = self.segments.queue
         b, _, left, _, _ = queue.popleft()
         if left == 0.0:
             self.x, self.y, self.z = b.tx, b.ty, b.tz
@@ -287,12 +106,12 @@ class Stepper:
             self.x, self.y, self.z = b.tx - b.ux * left, b.ty - b.uy * left, b.tz - b.uz * left
         if self.next_s == inf:  # the callback has stopped everything
             return
-        self.prepare()
+        self.segments.fill()
         if queue:
             self.next_s = at_s + queue[0][3]
             return
         self.next_s = inf
         if left != 0.0:
             self._on_piece(b, self.x, self.y, self.z, at_s, False)
-        self._speed = 0.0
+        self.segments.speed = 0.0
         self._on_stop(at_s)

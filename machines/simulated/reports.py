@@ -37,9 +37,9 @@ def status_report(fw: Controller) -> str:
     if settings & 2:
         free = max(0, fw.traits.planner_blocks - len(fw.stepper.planner.blocks))
         fields.append(f"Bf:{free},{fw.rx_free()}")
-    if fw.traits.line_numbers and (block := fw.stepper.executing_block()) is not None:
+    if fw.traits.line_numbers and (block := fw.stepper.executing_block) is not None:
         fields.append(f"Ln:{block.line}")
-    fields.append(f"FS:{rate(fw, fw.stepper.speed() * 60):.0f},{fw.spindle_now():.0f}")
+    fields.append(f"FS:{rate(fw, fw.stepper.speed * 60):.0f},{fw.spindle_now():.0f}")
     if pins := fw.pins():
         fields.append(f"Pn:{pins}")
     fields += _rare_fields(fw, offset)

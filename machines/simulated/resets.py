@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from math import inf
 
 from machines.simulated.alarms import PROBING, cut_off, stop_spindle
 from machines.simulated.blocks import carry_out_gcode
-from machines.simulated.controller import Controller
-from machines.simulated.homing import plan_homing
+from machines.simulated.controller import NEVER, Controller, Task
+from machines.simulated.interpreter import Triple
 from machines.simulated.recording import CutSegment
 from machines.simulated.reports import status_report
 from machines.simulated.suspending import open_door
-from machines.simulated.waiting import NEVER, Task
 from machines.simulated.words import GcodeError
 
 CRITICAL = (1, 2)  # wait for a reset
@@ -85,7 +85,7 @@ def home(fw: Controller) -> Task:
     fw.state = "Home"
     machine = tuple(p + o for p, o in zip(fw.physical(), fw.traits.power_up_machine_mm, strict=True))
     at = fw.physical()
-    for point, seconds in plan_homing((machine[0], machine[1], machine[2]), fw.settings):
+    for point, seconds in _plan_homing((machine[0], machine[1], machine[2]), fw.settings):
         yield fw.now_s + seconds
         end = tuple(p - o for p, o in zip(point, fw.traits.power_up_machine_mm, strict=True))
         there = (end[0], end[1], end[2])
@@ -104,3 +104,22 @@ def home(fw: Controller) -> Task:
         fw.status_pending = False
         fw.say(status_report(fw))
     fw.state = "Idle"
+
+
+def _plan_homing(machine_mm: Triple, settings: Mapping[int, float]) -> Iterator[tuple[Triple, float]]:
+    """Points of the cycle in true machine coordinates with the seconds to get there: Z first, then X and Y together.
+
+    $23: a bit for each axis that homes to its negative end; $24 locate feed, $25 seek feed, $26 debounce,
+    $27 pull-off.
+    """
+    mask, locate, seek, pull = int(settings[23]), settings[24] / 60, settings[25] / 60, settings[27]
+    debounce_s = settings[26] / 1000
+    at = list(machine_mm)
+    for axes in ((2,), (0, 1)):
+        switch = {i: -settings[130 + i] if mask >> i & 1 else 0.0 for i in axes}
+        rest = {i: s + pull if mask >> i & 1 else s - pull for i, s in switch.items()}
+        for goal, speed in ((switch, seek), (rest, seek), (switch, locate), (rest, seek)):
+            way = max(abs(goal[i] - at[i]) for i in axes)
+            for i in axes:
+                at[i] = goal[i]
+            yield (at[0], at[1], at[2]), way / speed + debounce_s

@@ -11,7 +11,6 @@ from math import inf
 
 NEWLINE = b"\n"
 REALTIME = bytes([0x18, *b"!?~", *range(0x80, 0x100)])
-_NOT_REALTIME = bytes(set(range(256)) - set(REALTIME))
 
 
 class SerialSide:
@@ -142,12 +141,6 @@ class SerialSide:
             ring += data
         if len(ring) > self.most_used:
             self.most_used = len(ring)
-
-    def admit_while_busy(self, free_s: float, at_s: float) -> None:
-        """The main loop was busy until `at_s`: what came meanwhile goes into the ring."""
-        incoming = self.incoming
-        if incoming and incoming[0][0] <= at_s:
-            self.admit(at_s)
 
     def used(self, at_s: float) -> int:
         """Bytes in the ring now, as Bf: reports."""

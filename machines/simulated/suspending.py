@@ -41,7 +41,7 @@ def resume(fw: Controller) -> None:
 def _leave_hold(fw: Controller) -> None:
     fw.door_restoring = False
     fw.state = "Idle"
-    fw.stepper.holding = False
+    fw.stepper.segments.holding = False
     fw.auto_start()
     fw.go_on()
 
@@ -82,7 +82,7 @@ def apply_overrides(fw: Controller) -> None:
         planner.feed_override, planner.rapid_override = feed, rapid
         planner.overrides_changed()
         if fw.stepper.moving:
-            fw.stepper.prepare()
+            fw.stepper.segments.fill()
 
 
 def overrides_changed(fw: Controller) -> None:

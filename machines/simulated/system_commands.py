@@ -7,11 +7,10 @@ from functools import partial
 
 from machines.simulated import reports
 from machines.simulated.blocks import carry_out_gcode, eeprom, is_out_of_travel, plan
-from machines.simulated.controller import Controller
+from machines.simulated.controller import Controller, Task
 from machines.simulated.interpreter import ZERO
 from machines.simulated.resets import home, reset
 from machines.simulated.suspending import sleep
-from machines.simulated.waiting import Task
 from machines.simulated.words import GcodeError
 
 _HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from machines.profile_values import DIALECTS, DRIVERS
 from machines.profiles import (
-    DIALECTS,
-    DRIVERS,
     LinkSettings,
     ProfileError,
     UnknownProfileError,

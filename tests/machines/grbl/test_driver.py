@@ -48,6 +48,16 @@ def test_the_path_cut_is_the_path_programmed(traits: Traits) -> None:
     assert "corridor" in "".join(bench.driver.protections)
 
 
+def test_modes_that_a_program_leaves_hold_for_the_next_one() -> None:
+    """The controller keeps G91; held against a path in G90 the mill would be off it."""
+    bench = Bench().connected()
+    for number, blocks in enumerate(([b"G21G91G94G17", b"G1X1F600"], [b"G1X1F600"]), 1):
+        bench.driver.start(iter(numbered(blocks)))
+        assert bench.until(lambda count=number: len(bench.of(ProgramDone)) == count or bench.of(Faulted))
+    assert not bench.of(Faulted), bench.of(Faulted)
+    assert bench.driver.status.work_mm == pytest.approx((2.0, 0.0, 0.0), abs=0.006)
+
+
 def test_protections_say_what_will_be_before_and_what_is_while_a_program_runs() -> None:
     bench = Bench(GRBL_11_ECHO.with_settings({20: 1, 22: 1})).connected()
     bench.driver.command(Unlock())

@@ -9,13 +9,23 @@ from grbl_bench import Bench, Tap, numbered, spiral
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.driver import FaultCause, Faulted, Home, MillState, ProgramDone, ProgramLine, Stopped
+from machines.driver import (
+    CommandDone,
+    FaultCause,
+    Faulted,
+    Home,
+    MillState,
+    Override,
+    ProgramDone,
+    ProgramLine,
+    Stopped,
+)
 from machines.errors import ProgramChangedError
 from machines.grbl.driver import GrblDriver
 from machines.grbl.link import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
-from machines.grbl.timeouts import REPORT_SILENCE_S
+from machines.grbl.timeouts import BANNER_S, REPORT_SILENCE_S
 from machines.simulated.faults import Fault
 from machines.simulated.traits import GRBL_11, GRBL_11_ECHO, Traits
 
@@ -423,3 +433,57 @@ def test_a_hold_asked_for_while_the_link_was_away_is_carried_out_on_return() -> 
     session.connect(0.1)
     session.receive(b"<Run|MPos:0.000,0.000,0.000|FS:600,0>\r\n", 0.2)
     assert session.output(0.2).startswith(b"!")
+
+
+@pytest.mark.parametrize("asked_at_s", [0.0, 0.15])
+def test_an_abort_asked_for_while_the_link_was_away_is_carried_out_on_return(asked_at_s: float) -> None:
+    """Before the link is opened, and before anybody has answered on it."""
+    session = GrblSession()
+    if asked_at_s < 0.1:
+        session.abort(asked_at_s)
+    session.connect(0.1)
+    if asked_at_s > 0.1:
+        session.abort(asked_at_s)
+        session.output(asked_at_s)
+    session.receive(RUN, 0.2)
+    assert session.output(0.2).startswith(b"!") and session.link.phase is Phase.STOPPING
+
+
+def test_without_a_banner_after_a_reset_the_mill_is_asked_again_whether_it_stands() -> None:
+    """The byte was lost, or the banner: the mill may run, so '!' goes first, and a reset only from standstill."""
+    held = b"<Hold:0|MPos:0.000,0.000,0.000|FS:0,0>\r\n"
+    session = streaming_session()
+    session.receive(b"error:2\r\n" + 2 * held, 1.0)
+    assert b"\x18" in session.output(1.0)
+    now_s, written = 1.0, b""
+    while now_s < 1.0 + BANNER_S + 0.5:
+        now_s += 0.05
+        session.tick(now_s)
+        written += session.output(now_s)
+    assert written.count(b"!") >= 1 and b"\x18" not in written and b"?" in written.partition(b"!")[2]
+    session.receive(2 * held, now_s)
+    assert b"\x18" in session.output(now_s)
+
+
+def test_an_alarm_that_no_banner_follows_does_not_end_the_handshake() -> None:
+    session = GrblSession()
+    session.connect(0.0)
+    session.receive(IDLE, 0.1)
+    session.output(0.1)
+    session.receive(b"ALARM:4\r\n", 0.1)
+    session.tick(0.2)
+    assert b"?" in session.output(0.2)
+    session.receive(IDLE.replace(b"Idle", b"Alarm"), 0.3)
+    for number, data in enumerate(IDENTITY):
+        session.output(0.4)
+        session.receive(data, 0.4 + number * 0.1)
+    assert session.link.phase is Phase.READY and session.reporter.state is MillState.ALARM
+
+
+@pytest.mark.parametrize("said", [b"error:2\r\n", BANNER])
+def test_an_override_under_way_ends_with_the_program_and_says_so(said: bytes) -> None:
+    session, override = streaming_session(), Override("feed", 120)
+    session.command(override, 1.0)
+    session.receive(said, 1.0)
+    (done,) = [event for event in session.take_events() if isinstance(event, CommandDone)]
+    assert done.command is override and done.failure

@@ -327,7 +327,7 @@ def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
     """The program itself stays low enough; the height at which the tool should be brought back does not."""
     abort_a_run(shop, zero_z_mm=-6.0)
     assert shop.mill.plan_recovery(shop.id).ready
-    shop.mill._planner._reentry = dataclasses.replace(shop.mill._planner._reentry, safe_z_mm=9.0)
+    shop.mill._planner.reentry = dataclasses.replace(shop.mill._planner.reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready and "G0 Z7" in plan.blocks
 
@@ -336,7 +336,7 @@ def test_where_nobody_knows_how_high_the_mill_gets_a_way_back_in_beyond_that_is_
     abort_a_run(shop, zero_z_mm=-6.0)
     replaced_owner(shop)
     shop.bench.until_state(MillState.IDLE)
-    shop.mill._planner._reentry = dataclasses.replace(shop.mill._planner._reentry, safe_z_mm=9.0)
+    shop.mill._planner.reentry = dataclasses.replace(shop.mill._planner.reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.refusals == () and any("not certain: on the way back in Z would go" in words for words in plan.words)
 

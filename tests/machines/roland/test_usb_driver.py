@@ -24,6 +24,7 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError, PortError
 from machines.roland.mdx40a import decode_state
+from machines.roland.simulated_blocks import SimulatedAxes
 from machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
 from machines.roland.usb_device import RollingmillDevice, open_mdx40a
 from machines.roland.usb_driver import RolandUsbDriver
@@ -110,7 +111,7 @@ def test_a_line_called_executed_is_cut_and_the_counter_alone_would_lie(
     driver.start(iter(lines))
     ahead = 0
     while ProgramDone() not in driver.poll(poll_s):
-        progress, done = driver.progress, len(mill.begun) - (mill._move is not None)
+        progress, done = driver.progress, len(mill.begun) - (mill.axes.move is not None)
         assert progress.executed_line <= done
         assert progress.executed_line <= progress.answered_line <= progress.sent_line
         ahead = max(ahead, progress.answered_line - done)
@@ -377,7 +378,7 @@ def test_large_writes_hang_the_simulated_mill_and_the_driver_never_makes_one() -
 
 
 def test_our_reading_of_the_state_block_is_the_librarys() -> None:
-    mill = SimulatedMdx40a(machine_mm=(1.234, -5.678, -9.001))
+    mill = SimulatedMdx40a(axes=SimulatedAxes(machine_mm=(1.234, -5.678, -9.001)))
     block = mill.vend_get(0x0100, 32)
     ours, theirs = decode_state(block), machine._decode_state(block)
     assert ours.machine_mm == (theirs.x_mm, theirs.y_mm, theirs.z_mm)

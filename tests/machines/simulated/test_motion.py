@@ -143,8 +143,8 @@ def test_no_segment_is_longer_than_its_slot(moves):
     port.write(b"".join(b"%sX%.4fY%.4fZ%.4fF%d\n" % (g.encode(), x, y, z, f) for g, x, y, z, f in moves))
     for _ in range(50):
         mill.advance(mill.now_s + 0.05)
-        assert all(took <= 0.01 + 1e-9 for _, _, _, took, _ in mill.firmware.stepper._queue)
-        assert len(mill.firmware.stepper._queue) <= 5
+        assert all(took <= 0.01 + 1e-9 for _, _, _, took, _ in mill.firmware.stepper.segments.queue)
+        assert len(mill.firmware.stepper.segments.queue) <= 5
 
 
 def test_an_arc_is_cut_within_its_tolerance():
@@ -166,16 +166,16 @@ def test_feed_override_changes_the_speed_of_what_is_planned():
     mill.advance(1.0)
     port.write(b"G1X50F600\nX100\n")
     mill.advance(2.0)
-    assert mill.firmware.stepper.speed() == pytest.approx(10.0)
+    assert mill.firmware.stepper.speed == pytest.approx(10.0)
     port.write(b"\x91" * 10)
     mill.advance(2.5)
-    assert mill.firmware.stepper.speed() == pytest.approx(20.0)
+    assert mill.firmware.stepper.speed == pytest.approx(20.0)
     port.write(b"\x90")
     mill.advance(3.0)
-    assert mill.firmware.stepper.speed() == pytest.approx(10.0)
+    assert mill.firmware.stepper.speed == pytest.approx(10.0)
     port.write(b"\x92" * 9)
     mill.advance(4.0)
-    assert mill.firmware.stepper.speed() == pytest.approx(1.0)
+    assert mill.firmware.stepper.speed == pytest.approx(1.0)
     assert len(mill.firmware.stepper.planner.blocks) == 2
 
 

@@ -15,10 +15,9 @@ import contextlib
 import itertools
 import selectors
 import tempfile
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,6 @@ from machines.profiles import load_profile
 from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.memory_port import MemoryPort
-from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
 from service.milling.agent.event_hub import Hub
@@ -50,36 +48,18 @@ from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings
 from service.server.database.connection import connect
 from service.server.database.tables import metadata, runs
-from service.server.fleet.agent_client import AgentAwayError
 from service.server.fleet.core import FleetCore
-from service.server.fleet.machine_commands import OrderContext, Orders
+from service.server.fleet.machine_commands import Orders
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.representation import Surroundings
-from service.server.fleet.run_commands import Controls, RunOrder
+from service.server.fleet.run_commands import Controls
 from service.server.fleet.stops import Stops
-from service.server.schemas.control import GrantView
 from service.settings import ServerSettings
+from tests.service.server.fleet.order_network import MessageNetwork
+from tests.service.server.fleet.order_people import CHECKS, MACHINE, People
 
-MACHINE = "m"
-ASK_S = 2.0  # the page's rule (service/page/machine/mill_link.js)
-CHECKS = frozenset({"tool", "zero", "stock", "clear"})
 _QUIET = frozenset({MillState.IDLE, MillState.HELD, MillState.ALARM})
 _SLICE_S = 0.25
 _TOKEN = "t" * 40
-
-
-@dataclass
-class Press:
-    """One order as a person gave it."""
-
-    number: int
-    what: str
-    at_s: float
-    stops_before: int  # pressed by anybody until then
-    control: str
-    seen: str = ""
-    outcome: str = "under way"
-    acts: int = 0
 
 
 @dataclass
@@ -91,32 +71,6 @@ class Act:
     at_s: float
     lease: str  # digest of who has control now
     seen: str  # digest of plan or set-up as it is now
-
-
-@dataclass
-class StopPress:
-    at_s: float
-    reached_s: float | None = None
-    written: bool = False
-
-
-@dataclass
-class Weather:
-    """What is between, for all messages that one press leads to: seconds there and back of each, from the front.
-
-    twice_after_s : by message, how much later it comes once more. lost : number of the one whose answer is lost
-    """
-
-    delays_s: list[float] = field(default_factory=list)
-    twice_after_s: dict[int, float] = field(default_factory=dict)
-    lost: int = -1
-    sent: int = 0
-
-    def next_delay_s(self) -> float:
-        return self.delays_s.pop(0) if self.delays_s else 0.002
-
-
-_WEATHER: ContextVar[Weather] = ContextVar("weather")
 
 
 @cache
@@ -190,20 +144,19 @@ class _OwnedThread(MillThread):
 
 
 class World:
+    """The parts of one history, and its time."""
+
     def __init__(self, folder: Path, program: tuple[Preflight, Path]) -> None:
         self.folder = folder
         self.program = program
         self.sim = SimulatedMill(GRBL_11.with_settings({120: 3000, 121: 3000, 122: 3000}), seed=1)
         self.suspended_s = 0.0
         self.database_s = 0.0
-        self.presses: list[Press] = []
-        self.stop_presses: list[StopPress] = []
         self.acts: list[Act] = []
         self.judged: list[str] = []
         self.loop = _SimulatedLoop(self)
-        self.on_the_way = 0  # messages
-        self.in_vain = 0  # waits for an answer that is lost
-        self._tasks: set[asyncio.Task[Any]] = set()
+        self.network = MessageNetwork(self.loop)
+        self.people = People(self)
         self._numbers = itertools.count()
         (folder / "token").write_text(_TOKEN)
         (folder / "token").chmod(0o600)
@@ -213,7 +166,6 @@ class World:
         self.profile = load_profile("grbl")
         self._make_agent()
         self.make_server()
-        self.judged: list[str] = []
         self.run_id = self.agent_run = ""
 
     # ------------------------------------------------------------------ time
@@ -236,7 +188,7 @@ class World:
     def pass_until_all_came(self, seconds: float) -> None:
         """Until no message and nobody who presses is waited for, but for an answer that is lost; so long at most."""
         end_s = self.sim.now_s + seconds
-        while len(self._tasks) > self.in_vain and self.sim.now_s < end_s:
+        while self.network.is_awaited and self.sim.now_s < end_s:
             self.pass_s(0.5)
 
     def suspend(self, seconds: float) -> None:
@@ -300,8 +252,7 @@ class World:
         self.controls = Controls(self.core, self.orders)
 
     def restart_server(self) -> None:
-        for task in self._tasks:
-            task.cancel()
+        self.network.cancel()
         self.make_server()
 
     # ------------------------------------------------------------------ what leaves
@@ -309,7 +260,7 @@ class World:
     def note_act(self) -> None:
         if origin := self.mill._order.caller.origin:
             lease, number = self.gate.get_lease(), int(origin)
-            press = self.presses[number]
+            press = self.people.presses[number]
             seen = self._present(press.what) if press.seen else ""
             digest = lease.digest if lease is not None else ""
             self.acts.append(Act(number, press.what, self.now_s(), digest, seen))
@@ -317,102 +268,31 @@ class World:
     def take_acts(self) -> list[Act]:
         """Those that were not judged yet."""
         acts, self.acts = self.acts, []
-        self.judged += [self.presses[act.press].what for act in acts]
+        self.judged += [self.people.presses[act.press].what for act in acts]
         return acts
 
     def note_stop(self, caller: Caller, *, written: bool) -> None:
-        press = self.stop_presses[int(caller.origin.split()[1])]
+        press = self.people.stops[int(caller.origin.split()[1])]
         press.reached_s = press.reached_s or self.now_s()
         press.written = press.written or written
 
     def _present(self, what: str) -> str:
         return self.mill.last_plan if what == "recover" else self.mill.last_setup
 
-    # ------------------------------------------------------------------ people
-
-    def press(
-        self,
-        what: str,
-        control: str,
-        weather: Weather,
-        *,
-        by_page: bool,
-        seen: str = "",
-        body: dict[str, Any] | None = None,
-    ) -> None:
-        number = len(self.presses)
-        press = Press(number, what, self.now_s(), len(self.stop_presses), control, seen)
-        self.presses.append(press)
-        give = self._press_on_page if by_page else self._press_by_curl
-        self._begin(self._note_outcome(press, weather, give(press, body or {})))
-
-    def press_stop(self, stop: Stop) -> None:
-        press = StopPress(self.now_s())
-        self.stop_presses.append(press)
-
-        async def send() -> None:
-            server = self.stops
-            await self.hop(lambda: self._stop_at(server, stop, press))
-
-        self._begin(send())
-
-    async def _stop_at(self, server: Stops, stop: Stop, press: StopPress) -> None:
-        context = OrderContext(name="p", origin=f"stop {self.stop_presses.index(press)}", arrived_s=self.now_s())
-        await server.stop_machine(MACHINE, stop, context)
-
-    async def _note_outcome(self, press: Press, weather: Weather, giving: Awaitable[object]) -> None:
-        _WEATHER.set(weather)
-        try:
-            await giving
-            press.outcome = "taken"
-        except (Problem, MachineError, AgentAwayError) as error:
-            press.outcome = str(error)
-
-    async def _press_on_page(self, press: Press, body: dict[str, Any]) -> None:
-        """As service/page/machine does it."""
-        stops_seen = self.thread.snapshot.stops
-        context = OrderContext(name="p", origin=str(press.number), control=press.control)
-
-        async def ask() -> GrantView:
-            arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self.now_s())
-            return await self.orders.grant(MACHINE, arrived, stops_seen)
-
-        granted = await self.hop(ask)
-        if self.now_s() - press.at_s > ASK_S:
-            press.outcome = "not sent"
-            raise Problem(503, "not sent")
-        await self.hop(lambda: self._give(press, body, context, granted.grant))
-
-    async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
-        """Without a grant the moment is that of the arrival at the server."""
-        context = OrderContext(name="p", origin=str(press.number), control=press.control)
-
-        async def give() -> object:
-            press.at_s, press.stops_before = self.now_s(), len(self.stop_presses)
-            return await self._give(press, body, context, "")
-
-        await self.hop(give, once=True)
-
-    async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
-        context = OrderContext(
-            name="p", origin=context.origin, control=context.control, grant=grant, arrived_s=self.now_s()
-        )
-        said = RunOrder(operator="Ada", checks=CHECKS | {"position"}, seen=press.seen)
-        match press.what:
-            case "start":
-                started = RunOrder(operator="Ada", checks=CHECKS, seen=press.seen)
-                return await self.controls.start(self.run_id, started, Surroundings(), context)
-            case "recover":
-                return await self.controls.recover(self.run_id, said, context)
-            case "resume run":
-                return await self.controls.resume(self.run_id, context)
-        return await self.orders.give(MACHINE, press.what, body, context)
+    # ------------------------------------------------------------------ what is done to the mill
 
     def take_control(self, *, take_over: bool) -> str | None:
         """At once, with no network between: the secret."""
         with contextlib.suppress(MachineError):
             return self.gate.take_lease("Ada", "p", take_over=take_over)[0]
         return None
+
+    def set_zero(self) -> None:
+        """Somebody sets the zero at the mill itself: plan and set-up are others from now on."""
+        if self.mill.status.state is MillState.IDLE:
+            with contextlib.suppress(MachineError):
+                self.mill.command(SetZero("X"))
+                self.pass_s(0.3)
 
     def make_ready(self, what: str) -> str:
         """Bring mill and run, in calm weather, to where this order is allowed; what a person sees then.
@@ -428,7 +308,7 @@ class World:
 
     def _try_to_make_ready(self, what: str) -> str:
         mill = self.mill
-        self._until(lambda: not self.on_the_way)
+        self._until(lambda: not self.network.on_the_way)
         known = self.loop.run_until_complete(self.core.renew_link(MACHINE))
         self.loop.run_until_complete(known.address())  # else the first press of a server would have messages of its own
         if mill._runs.live is not None:
@@ -451,13 +331,6 @@ class World:
             return mill.plan_recovery(self.agent_run).digest
         return self.thread.snapshot.setup if what == "start" else ""
 
-    def set_zero(self) -> None:
-        """Somebody sets the zero at the mill itself: plan and set-up are others from now on."""
-        if self.mill.status.state is MillState.IDLE:
-            with contextlib.suppress(MachineError):
-                self.mill.command(SetZero("X"))
-                self.pass_s(0.3)
-
     def _until(self, true: Callable[[], bool]) -> None:
         for _ in range(1500):
             if true():
@@ -475,47 +348,6 @@ class World:
             connection.execute(sa.update(runs).values(open=False))
             connection.execute(sa.insert(runs).values(**row, created_by="p", created_at=self.now_s()))
 
-    # ------------------------------------------------------------------ between
-
-    async def hop(self, deliver: Callable[[], Awaitable[Any]], *, once: bool = False) -> Any:
-        """A message on its way, delivered whatever becomes of the sender; it may come twice, or lose its answer."""
-        weather = _WEATHER.get(None) or Weather()
-        there_s, back_s = weather.next_delay_s(), weather.next_delay_s()
-        number, weather.sent = weather.sent, weather.sent + 1
-        again_s = None if once else weather.twice_after_s.get(number)
-
-        async def travel(delay_s: float) -> Any:
-            self.on_the_way += 1
-            try:
-                await asyncio.sleep(delay_s)
-                return await deliver()
-            finally:
-                self.on_the_way -= 1
-
-        first = self._begin(travel(there_s))
-        if again_s is not None:
-            self._begin(travel(there_s + again_s))
-        answer = await asyncio.shield(first)
-        if number != weather.lost:
-            await asyncio.sleep(back_s)
-            return answer
-        self.in_vain += 1
-        try:
-            return await asyncio.sleep(1e6)
-        finally:
-            self.in_vain -= 1
-
-    def _begin(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
-        task = self.loop.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._end)
-        return task
-
-    def _end(self, task: asyncio.Task[Any]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled():
-            task.exception()
-
     def close(self) -> None:
         for task in asyncio.all_tasks(self.loop):
             task.cancel()
@@ -526,7 +358,7 @@ class World:
         self.database.dispose()
 
 
-class _Network(httpx.AsyncBaseTransport):
+class _AgentTransport(httpx.AsyncBaseTransport):
     """From the server to the agent of this moment."""
 
     def __init__(self, world: World) -> None:
@@ -540,7 +372,7 @@ class _Network(httpx.AsyncBaseTransport):
             answer = await self._world.agent_app.handle_async_request(copy)
             return httpx.Response(answer.status_code, headers=answer.headers, content=await answer.aread())
 
-        answer: httpx.Response = await self._world.hop(deliver)
+        answer: httpx.Response = await self._world.network.hop(deliver)
         return httpx.Response(answer.status_code, headers=answer.headers, stream=httpx.ByteStream(answer.content))
 
 
@@ -550,7 +382,7 @@ class _Core(FleetCore):
     def __init__(self, world: World) -> None:
         self._world = world
         super().__init__(ServerSettings(data=world.folder), world.database, None, None)  # type: ignore[arg-type]
-        self._http = httpx.AsyncClient(transport=_Network(world), base_url="http://127.0.0.1")
+        self._http = httpx.AsyncClient(transport=_AgentTransport(world), base_url="http://127.0.0.1")
 
     async def do(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
         if self._world.database_s:

@@ -20,7 +20,9 @@ from machines.mill.orders import CARRY_OUT_S, GRANT_S, Stop
 from machines.preflight.preflight import Preflight
 from machines.profiles import load_profile
 from service.milling.preflight import run_preflight
-from tests.service.server.fleet.order_world import ASK_S, Weather, World
+from tests.service.server.fleet.order_network import Weather
+from tests.service.server.fleet.order_people import ASK_S
+from tests.service.server.fleet.order_world import World
 
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
 LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G1 Z-1 F200"]
@@ -76,7 +78,7 @@ class OrderHistories(RuleBasedStateMachine):
                for the grant and then for the order (by curl there is no first pair)
         """
         world = self.world
-        chance = Random(f"{number} {self.tally['histories']} {len(world.presses)}")
+        chance = Random(f"{number} {self.tally['histories']} {len(world.people.presses)}")
         event = chance.choice(EVENTS)
         what = chance.choice(("start", "recover") if event == "zero" else ORDERS)
         self.judge(chance.choice((0.0, 0.5, 3.0)))
@@ -92,7 +94,9 @@ class OrderHistories(RuleBasedStateMachine):
         delays_s = [late.get(number, 0.002) for number in range(8)]
         twice_s = {chance.randrange(4): chance.choice((0.0, 0.1, 1.0, 4.0))} if chance.random() < 0.4 else {}
         weather = Weather(list(delays_s), twice_s, chance.choice((-1,) * 9 + (0, 1, 2, 3)))
-        world.press(what, self.secret, weather, by_page=by_page, seen=seen if by_page else "", body=BODIES.get(what))
+        world.people.press(
+            what, self.secret, weather, by_page=by_page, seen=seen if by_page else "", body=BODIES.get(what)
+        )
         world.pass_s(chance.uniform(0.0, min(sum(delays_s), 5.0)))
         self.happen(event)
         if chance.random() < 0.5:
@@ -105,7 +109,7 @@ class OrderHistories(RuleBasedStateMachine):
         world = self.world
         match event:
             case "hold" | "abort" | "jog-cancel":
-                world.press_stop(Stop(event))
+                world.people.press_stop(Stop(event))
             case "take over":
                 self.secret = world.take_control(take_over=True) or ""
             case "give back":
@@ -126,17 +130,17 @@ class OrderHistories(RuleBasedStateMachine):
         world = self.world
         world.pass_s(settle_s)
         for act in world.take_acts():
-            press = world.presses[act.press]
+            press = world.people.presses[act.press]
             limit_s = ASK_S + (CARRY_OUT_S if act.what in ("start", "recover") else GRANT_S)
             assert act.at_s <= press.at_s + limit_s + 0.2, f"{act} was late: {press}"
-            later = [one for one in world.stop_presses[press.stops_before :] if one.reached_s is not None]
+            later = [one for one in world.people.stops[press.stops_before :] if one.reached_s is not None]
             assert not any(one.reached_s < act.at_s for one in later), f"{act} after a later stop: {press}, {later}"
             digest = hashlib.sha256(press.control.encode()).hexdigest() if act.lease or press.control else ""
             assert act.lease == digest, f"{act} under another lease: {press}"
             assert not press.seen or act.seen == press.seen, f"{act} for another plan: {press}"
             press.acts += 1
             assert press.acts == 1, f"{act} came true twice: {press}"
-        assert all(one.written for one in world.stop_presses if one.reached_s is not None), "a stop waited"
+        assert all(one.written for one in world.people.stops if one.reached_s is not None), "a stop waited"
 
 
 def run_histories(count: int, *, derandomize: bool = True) -> Counter[str]:

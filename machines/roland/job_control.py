@@ -1,0 +1,211 @@
+"""The job of an MDX-40A: one program within the job bracket, held, aborted and ended by what the mill reports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import inf
+
+from machines.driver import (
+    FaultCause,
+    Faulted,
+    MillState,
+    Notice,
+    ProgramDone,
+    ProgramLine,
+    StatusChannel,
+    Stopped,
+    StreamProgress,
+)
+from machines.roland.block_feed import BlockFeed, FeedFault
+from machines.roland.mdx40a import DeviceState, Mdx40aDevice, read_work_origin_mm, to_work_mm
+
+_STILL_S = 0.6  # three reports without motion
+_STALL_S = 60.0  # neither counter nor position moves, nobody paused it
+_PAUSED = "the mill waits (VIEW lamp): hold its VIEW button for 3 s to go on"
+_DRAINS = (
+    "no more blocks are fed; the mill finishes the few it holds. At once: VIEW button (pause) or cover (emergency)"
+)
+
+
+class JobControl:
+    """Owns the program under way, what was asked of it, and since when the mill stands.
+
+    feed : from start until the mill has executed or dropped it
+    """
+
+    def __init__(self, channel: StatusChannel, dialect: str) -> None:
+        self.feed: BlockFeed | None = None
+        self._channel = channel
+        self._dialect = dialect
+        self._held = self._aborting = False
+        self._still_since_s = self._changed_s = 0.0
+
+    @property
+    def next_turn_s(self) -> float:
+        """Seconds until it is worth asking for the byte counter again."""
+        return self.feed.wait_s if self.feed is not None and self.feed.block is not None else inf
+
+    def note_change(self, now_s: float) -> None:
+        """Note that the mill moves, or may begin to."""
+        self._still_since_s = self._changed_s = now_s
+
+    def start(self, device: Mdx40aDevice, lines: Iterator[ProgramLine]) -> None:
+        origin_mm = read_work_origin_mm(device, self._dialect)
+        here_mm = to_work_mm(device.read_state().machine_mm, origin_mm)
+        self.feed = BlockFeed(device, lines, dialect=self._dialect, origin_mm=origin_mm, here_mm=here_mm)
+        device.begin_job()
+        self._held = self._aborting = False
+        self.note_change(device.clock())
+        if origin_mm is None:
+            words = "the work origin cannot be read: lines count as executed only at the end"
+            self._channel.events.append(Notice(words))
+        self.count()
+        self._channel.enter(MillState.RUN, "")
+
+    def hold(self, now_s: float) -> None:
+        if self.feed is None or self._held:
+            return
+        self._held = True
+        self._channel.events.append(Notice(_DRAINS))
+        self._channel.enter(MillState.HOLDING, _DRAINS)
+        self._still_since_s = now_s
+
+    def resume(self, now_s: float) -> bool:
+        """Feed again; False where there is nothing to resume."""
+        if self.feed is None or not self._held or self._aborting:
+            return False
+        self._held = False
+        self._changed_s = now_s
+        self._channel.enter(MillState.RUN, "")
+        return True
+
+    def abort(self, device: Mdx40aDevice) -> None:
+        self._held = self._aborting = True
+        self._channel.end_stream()
+        device.stop_motion()
+        self._still_since_s = device.clock()
+        self._channel.enter(MillState.HOLDING, "stopping")
+
+    def drop(self) -> None:
+        """Forget the program: the link is gone."""
+        self.count()
+        self.feed = None
+        self._held = self._aborting = False
+        self._channel.end_stream()
+
+    def turn(self, device: Mdx40aDevice) -> None:
+        """Take back what the mill has counted, and send the next block where one may go."""
+        feed = self.feed
+        if feed is None or self._aborting:
+            return
+        left_at, ended = feed.frame_left_at, feed.ended
+        try:
+            feed.turn(device, may_send=not self._held)
+        except FeedFault as fault:
+            self._stop_by_fault(device, fault.cause, str(fault), device.clock())
+            return
+        if feed.frame_left_at != left_at:
+            words = f"line {feed.frame_left_at} changes the work frame: lines count as executed only at the end"
+            self._channel.events.append(Notice(words))
+        if feed.ended and not ended:
+            self._still_since_s = device.clock()  # what it still holds may not have begun to move
+        self.count()
+
+    def follow(self, device: Mdx40aDevice, state: DeviceState, now_s: float, *, failed: bool) -> None:
+        """Compare the job with a report, and end it where the report says so."""
+        feed, still = self.feed, now_s - self._still_since_s >= _STILL_S
+        if feed is not None and (failed or state.door_open):
+            self._device_fault(device, feed, state, now_s, failed=failed)
+        elif self._aborting:
+            if still:
+                self._end(device)
+                self._channel.events.append(Stopped(position_kept=True))
+                self._channel.enter(MillState.IDLE, "")
+        elif feed is not None:
+            self._settle(device, feed, state, now_s, still=still)
+        else:
+            self._show_idle(device, state, failed=failed)
+        self.count()
+
+    def _settle(self, device: Mdx40aDevice, feed: BlockFeed, state: DeviceState, now_s: float, *, still: bool) -> None:
+        channel = self._channel
+        if state.view_lamp:
+            self._changed_s = now_s
+            channel.enter(MillState.HELD, _PAUSED)
+        elif self._held and still:
+            channel.enter(MillState.HELD, "held; feeding stopped")
+        elif self._held:
+            channel.enter(MillState.HOLDING, _DRAINS)
+        elif feed.ended and still and state.phase == "idle":
+            feed.follower.stands_at_the_end()
+            self._end(device)
+            channel.events.append(ProgramDone())
+            channel.enter(MillState.IDLE, "")
+        elif now_s - max(self._changed_s, feed.changed_s) > _STALL_S:
+            words = f"neither the byte counter nor the position has moved for {_STALL_S:g} s"
+            self._stop_by_fault(device, FaultCause.STALL, words, now_s)
+        else:
+            channel.enter(MillState.RUN, "")
+
+    def _show_idle(self, device: Mdx40aDevice, state: DeviceState, *, failed: bool) -> None:
+        channel = self._channel
+        if failed:
+            if channel.status.state is not MillState.ALARM:
+                channel.enter(MillState.ALARM, f"{device.error_words()}; switch the mill off and on to clear it")
+        elif state.door_open:
+            channel.enter(MillState.DOOR, "the cover is open")
+        elif state.phase in ("homing", "starting"):
+            channel.enter(MillState.HOMING, "the mill is starting up")
+        elif state.moves:
+            channel.enter(MillState.RUN, "moved from its panel")
+        else:
+            channel.enter(MillState.IDLE, "")
+
+    def _device_fault(
+        self, device: Mdx40aDevice, feed: BlockFeed, state: DeviceState, now_s: float, *, failed: bool
+    ) -> None:
+        words = ["the cover was opened: the mill has made an emergency stop"] if state.door_open else []
+        if failed:
+            at = f"; it has not taken '{feed.block.line.text[:40].decode('latin-1')}'" if feed.block else ""
+            words += [
+                f"the mill reports: {device.error_words()}{at}",
+                "if it refuses every block, its command set (RML-1 or NC) is wrong; switch it off and on to clear",
+            ]
+        self._stop_by_fault(device, FaultCause.DEVICE, "; ".join(words), now_s)
+        self._channel.update(position_trusted=False)
+        if state.door_open and not failed:
+            self._channel.enter(MillState.DOOR, "; ".join(words))
+
+    def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: str, now_s: float) -> None:
+        """The stream ends; the mill is told to stop in the one way that is known."""
+        feed = self.feed
+        line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line
+        device.stop_motion()
+        self._end(device)
+        self._channel.events.append(Faulted(cause, words, line, now_s))
+        self._channel.enter(MillState.ALARM, words)
+
+    def _end(self, device: Mdx40aDevice) -> None:
+        if self.feed is not None:
+            self.count()
+            device.end_job()
+        self.feed = None
+        self._aborting = self._held = False
+        progress = self._channel.progress
+        self._channel.progress = replace(progress, streaming=False, bytes_in_flight=0, lines_in_flight=0)
+
+    def count(self) -> None:
+        """Renew the progress."""
+        feed = self.feed
+        if feed is None:
+            return
+        self._channel.progress = StreamProgress(
+            sent_line=feed.sent_line,
+            sent_offset=feed.sent_offset,
+            answered_line=feed.answered_line,
+            executed_line=feed.follower.executed_line,
+            bytes_in_flight=len(feed.block.data) if feed.block else 0,
+            lines_in_flight=1 if feed.block else 0,
+            streaming=not self._aborting,
+        )

@@ -1,0 +1,133 @@
+"""People who press: on the page, whose rule is modelled here, or by curl."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from machines.errors import MachineError
+from machines.mill.orders import Stop
+from service.http.problems import Problem
+from service.server.fleet.agent_client import AgentAwayError
+from service.server.fleet.machine_commands import OrderContext
+from service.server.fleet.representation import Surroundings
+from service.server.fleet.run_commands import RunOrder
+from service.server.fleet.stops import Stops
+from service.server.schemas.control import GrantView
+from tests.service.server.fleet.order_network import WEATHER, Weather
+
+if TYPE_CHECKING:
+    from tests.service.server.fleet.order_world import World
+
+MACHINE = "m"
+ASK_S = 2.0  # the page's rule (service/page/machine/mill_link.js)
+CHECKS = frozenset({"tool", "zero", "stock", "clear"})
+
+
+@dataclass
+class Press:
+    """One order as a person gave it."""
+
+    number: int
+    what: str
+    at_s: float
+    stops_before: int  # pressed by anybody until then
+    control: str
+    seen: str = ""
+    outcome: str = "under way"
+    acts: int = 0
+
+
+@dataclass
+class StopPress:
+    at_s: float
+    reached_s: float | None = None
+    written: bool = False
+
+
+class People:
+    """Gives orders and stops, and remembers what came of them."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.presses: list[Press] = []
+        self.stops: list[StopPress] = []
+
+    def press(
+        self,
+        what: str,
+        control: str,
+        weather: Weather,
+        *,
+        by_page: bool,
+        seen: str = "",
+        body: dict[str, Any] | None = None,
+    ) -> None:
+        number = len(self.presses)
+        press = Press(number, what, self._world.now_s(), len(self.stops), control, seen)
+        self.presses.append(press)
+        give = self._press_on_page if by_page else self._press_by_curl
+        self._world.network.begin(self._note_outcome(press, weather, give(press, body or {})))
+
+    def press_stop(self, stop: Stop) -> None:
+        press = StopPress(self._world.now_s())
+        self.stops.append(press)
+
+        async def send() -> None:
+            server = self._world.stops
+            await self._world.network.hop(lambda: self._stop_at(server, stop, press))
+
+        self._world.network.begin(send())
+
+    async def _stop_at(self, server: Stops, stop: Stop, press: StopPress) -> None:
+        context = OrderContext(name="p", origin=f"stop {self.stops.index(press)}", arrived_s=self._world.now_s())
+        await server.stop_machine(MACHINE, stop, context)
+
+    async def _note_outcome(self, press: Press, weather: Weather, giving: Awaitable[object]) -> None:
+        WEATHER.set(weather)
+        try:
+            await giving
+            press.outcome = "taken"
+        except (Problem, MachineError, AgentAwayError) as error:
+            press.outcome = str(error)
+
+    async def _press_on_page(self, press: Press, body: dict[str, Any]) -> None:
+        """As service/page/machine does it."""
+        stops_seen = self._world.thread.snapshot.stops
+        context = OrderContext(name="p", origin=str(press.number), control=press.control)
+
+        async def ask() -> GrantView:
+            arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
+            return await self._world.orders.grant(MACHINE, arrived, stops_seen)
+
+        granted = await self._world.network.hop(ask)
+        if self._world.now_s() - press.at_s > ASK_S:
+            press.outcome = "not sent"
+            raise Problem(503, "not sent")
+        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+
+    async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
+        """Without a grant the moment is that of the arrival at the server."""
+        context = OrderContext(name="p", origin=str(press.number), control=press.control)
+
+        async def give() -> object:
+            press.at_s, press.stops_before = self._world.now_s(), len(self.stops)
+            return await self._give(press, body, context, "")
+
+        await self._world.network.hop(give, once=True)
+
+    async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
+        context = OrderContext(
+            name="p", origin=context.origin, control=context.control, grant=grant, arrived_s=self._world.now_s()
+        )
+        said = RunOrder(operator="Ada", checks=CHECKS | {"position"}, seen=press.seen)
+        match press.what:
+            case "start":
+                started = RunOrder(operator="Ada", checks=CHECKS, seen=press.seen)
+                return await self._world.controls.start(self._world.run_id, started, Surroundings(), context)
+            case "recover":
+                return await self._world.controls.recover(self._world.run_id, said, context)
+            case "resume run":
+                return await self._world.controls.resume(self._world.run_id, context)
+        return await self._world.orders.give(MACHINE, press.what, body, context)
