@@ -83,7 +83,12 @@ def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choice
 def test_a_key_that_is_new_in_the_spec_has_its_row(watched: Callable[..., Watched]) -> None:
     """Of what the schema says of it: label, hint, unit, limits, default; and what a person fills in is asked for."""
     schema = JobSpec.model_json_schema()
-    words = {"title": "Tilt of the wall", "description": "Its upper edge to you.", "unit": "°", "form": {"card": "lens"}}
+    words = {
+        "title": "Tilt of the wall",
+        "description": "Its upper edge to you.",
+        "unit": "°",
+        "form": {"card": "lens"},
+    }
     new = {"type": "number", "minimum": -60, "maximum": 60, "default": 0.0, **words}
     schema["$defs"]["OpticsSpec"]["properties"]["wall_tilt_deg"] = new
     module = f"export const SCHEMA = {json.dumps(schema)};"

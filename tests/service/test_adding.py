@@ -53,13 +53,16 @@ job, other = job_with(0.25), job_with(0.5)
 x_mm = np.linspace(0.0, 4.0, 17)
 lens = Heightfield(x_mm=x_mm, y_mm=x_mm, z_mm=-0.5 - 0.01 * x_mm[None, :] * x_mm[:, None])
 stock = cam_stock_of(job.spec)
-(spec,) = cam_passes_of(job.spec)
-program = generate_program(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"])
+
+def program_of(job):
+    (spec,) = cam_passes_of(job.spec)
+    return b"".join(generate_program(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"]))
+
 print(json.dumps({
     "row": JobSpec.model_json_schema()["$defs"]["PassRow"]["properties"][KEY],
     "refusal": refusal,
     "anew": [stage for stage in ("map", "pass-1") if key_of(job, stage) != key_of(other, stage)],
-    "program": b"".join(program).decode(),
+    "programs": [program_of(one).decode() for one in (job, other)],
 }))
 """
 
@@ -80,14 +83,15 @@ def tones_png(picture: Array) -> bytes:
 _PICTURE = {
     "service/job/report/pictures.py": (
         "PICTURES = (\n",
-        f'PICTURES = (\n    ReportPicture(name="{_TONES}", part="lens", title="Tones", caption="Its tones.", shown="page"),\n',
+        "PICTURES = (\n"
+        f'    ReportPicture(name="{_TONES}", part="lens", title="Tones", caption="Its tones.", shown="page"),\n',
     ),
     "service/job/report/figures/tones.py": _DRAWING,
     "service/job/stages/lens.py": (
-        "        shop.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n",
-        "        shop.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n"
+        "        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n",
+        "        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n"
         "        from service.job.report.figures.tones import tones_png\n"
-        f'        shop.draw("{_TONES}", lambda: tones_png(seen))\n',
+        f'        context.draw("{_TONES}", lambda: tones_png(seen))\n',
     ),
 }
 _A_JOB = """
@@ -140,8 +144,8 @@ def test_a_pass_key_reaches_the_form_the_key_of_its_stage_and_the_program(tmp_pa
     assert (told["row"]["minimum"], told["row"]["maximum"], told["row"]["default"]) == (0.1, 1, 0.5)
     assert f"passes.0.{_KEY}" in told["refusal"] and "from 0.1 to 1" in told["refusal"]
     assert told["anew"] == ["pass-1"]
-    feeds = re.findall(r"F(\d+)", told["program"])
-    assert "250" in feeds and "500" not in feeds
+    quarter, half = (re.findall(r"F(\d+)", program) for program in told["programs"])
+    assert "250" in quarter and "250" not in half
 
 
 def test_a_picture_of_the_report_is_in_the_folder_on_the_sheet_and_on_the_page(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """The pictures that the stages of a job draw: the one table from which folders, the setup sheet and the page know them.
 
-To add one: a row here, a function in `figures/` that draws it, and in the stage `shop.draw(NAME, ...)`.
+To add one: a row here, a function in `figures/` that draws it, and in the stage `context.draw(NAME, ...)`.
 """
 
 from __future__ import annotations
@@ -121,8 +121,7 @@ PICTURES = (
         name="plan.png",
         part="programs",
         title="Plans to choose from",
-        caption="Passes that were weighed: what the wall shows after more or fewer hours of milling. The ones that were "
-        "chosen are marked.",
+        caption="Passes to choose from: what the wall shows after more or fewer hours. The choice is marked.",
     ),
     ReportPicture(
         name="toolpath.png",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 
 from fastapi import APIRouter, Request
@@ -29,7 +30,7 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
-MADE = {
+MADE: dict[str, tuple[str, Callable[[], object]]] = {
     "new/spec_schema.js": ("SCHEMA", JobSpec.model_json_schema),
     "job/report_pictures.js": ("PICTURES", lambda: [asdict(picture) for picture in PICTURES]),
 }

@@ -168,7 +168,5 @@ def _target(told: dict[str, Any]) -> dict[str, Any]:
 
 
 OTHER |= {
-    key: _another(key, value)
-    for key, value in flatten(BASE).items()
-    if key not in {*OTHER, *ALONE, *ONLY_ONE_VALUE}
+    key: _another(key, value) for key, value in flatten(BASE).items() if key not in {*OTHER, *ALONE, *ONLY_ONE_VALUE}
 }

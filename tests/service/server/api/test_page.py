@@ -136,7 +136,9 @@ def test_a_module_that_the_server_makes_is_served_as_a_file_is(closed: ApiServer
     name, value = MADE[path]
     exported = answer.text.removeprefix(f"export const {name} = ").removesuffix(";\n")
     assert json.loads(exported) == json.loads(json.dumps(value()))
-    assert answer.headers["content-type"].startswith("text/javascript") and answer.headers["cache-control"] == "no-cache"
+    assert (
+        answer.headers["content-type"].startswith("text/javascript") and answer.headers["cache-control"] == "no-cache"
+    )
     assert not (FOLDER / path).exists()
     again = closed.client.get(f"/page/{path}", headers={"If-None-Match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
