@@ -8,6 +8,8 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -120,6 +122,77 @@ def test_the_map_names_every_folder_and_no_other() -> None:
         for part in path.parent.relative_to(TOP).parts
     }
     assert named == there
-    for package in ("optics", "cam", "machines", "service"):
-        for path in (TOP / package).rglob("*.py"):
-            assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
+    for path, module in parsed_modules().items():
+        assert ast.get_docstring(module), path
+
+
+BANNED = {
+    "nursery": "fork server",
+    "errand": "command sequence",
+    "heart": "lease renewer",
+    "walk": "stage runner; of lines, trace",
+    "patience": "timeout",
+    "whence": "source",
+    "ashore": "unattended",
+    "adrift": "unattended",
+    "stepover": "pitch",
+    "workpiece": "stock",
+}
+"""Words for what has another one already."""
+
+
+@cache
+def parsed_modules() -> dict[Path, ast.Module]:
+    packages = ("optics", "cam", "machines", "service")
+    paths = [path for package in packages for path in (TOP / package).rglob("*.py")]
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+
+
+def identifiers(module: ast.Module) -> Iterator[str]:
+    """Names that a module gives to something."""
+    for node in ast.walk(module):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                yield node.name
+            case ast.arg():
+                yield node.arg
+            case ast.Name(ctx=ast.Store()):
+                yield node.id
+            case ast.Attribute(ctx=ast.Store()):
+                yield node.attr
+
+
+def words_of(identifier: str) -> str:
+    """ "_ForkServer", "fork_server" -> "fork server"."""
+    return " ".join(re.findall(r"[a-z0-9]+|[A-Z]+(?![a-z])|[A-Z][a-z0-9]*", identifier)).lower()
+
+
+def test_each_word_of_the_glossary_is_defined_once_and_used_by_the_code() -> None:
+    """In an identifier, or in a docstring."""
+    glossary = " ".join(ARCHITECTURE.partition("## Glossary")[2].split())
+    defined = [word.lower() for word in re.findall(r"\*\*(.+?)\*\*", glossary)]
+    assert len(defined) > 20 and sorted(defined) == sorted(set(defined))
+    said: list[str] = []
+    for module in parsed_modules().values():
+        said += map(words_of, identifiers(module))
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+        nodes = (node for node in ast.walk(module) if isinstance(node, documented))
+        said += (" ".join((ast.get_docstring(node) or "").lower().split()) for node in nodes)
+    text = "\n".join(said)
+    assert not [word for word in defined if not re.search(rf"\b{re.escape(word)}s?\b", text)]
+
+
+def test_what_has_a_word_has_no_other() -> None:
+    """In Python by the identifiers; of the page all that is written with an underscore or as one word."""
+    named = [(path, name) for path, module in parsed_modules().items() for name in identifiers(module)]
+    for path in (TOP / "service" / "page").rglob("*.js"):
+        code = re.sub(r"^\s*(?:\*|/\*\*|//).*$", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        named += [(path, name) for name in re.findall(r"[A-Za-z_]\w+", code)]
+    assert len(named) > 20_000
+    found = {
+        f"{path.relative_to(TOP)}: {name} (say {BANNED[word]})"
+        for path, name in named
+        for word in (part.removesuffix("s") for part in words_of(name).split())
+        if word in BANNED
+    }
+    assert not found

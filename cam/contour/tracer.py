@@ -66,7 +66,7 @@ def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
         room = int(offset[last] - offset[first])
         xy, start = np.empty((2 * room + 4, 2)), np.empty(room + 4, np.int64)
         origin = field.x0_mm, field.y0_mm, field.step_mm
-        count = _walk(*grid, *origin, field.wanted, offset, triangles, first, last, pitch_mm, xy, start)
+        count = _trace_lines(*grid, *origin, field.wanted, offset, triangles, first, last, pitch_mm, xy, start)
         return ContourLines(xy_mm=xy[: start[count]].copy(), start=start[: count + 1].copy())
 
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
@@ -74,7 +74,7 @@ def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
 
 
 @njit(cache=True, nogil=True)
-def _walk(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, first, last, pitch, xy, start):  # type: ignore[no-untyped-def]
+def _trace_lines(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, first, last, pitch, xy, start):  # type: ignore[no-untyped-def]
     """Write tracks of the lines first..last - 1, thinned, into xy and start; return how many."""
     stamp = np.full(2 * cells.size, -1, np.int32)
     longest = 0

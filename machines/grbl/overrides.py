@@ -14,7 +14,7 @@ _STEPS = {
     "spindle": (2, 0x99, 0x9A, 0x9B, 0x9C, 0x9D),
 }
 _RAPID = {100: 0x95, 50: 0x96, 25: 0x97}
-PATIENCE_REPORTS = 6  # reports without any change after which a step is sent again
+REPORTS_TO_CHANGE = 6  # reports without any change after which a step is sent again
 GIVE_UP_S = 15.0
 
 
@@ -67,7 +67,7 @@ class OverrideControl:
     def begin(self, command: Override, now_s: float) -> None:
         self.end("replaced by a newer override")
         self._command, self._until_s = command, now_s + GIVE_UP_S
-        self._reports = PATIENCE_REPORTS
+        self._reports = REPORTS_TO_CHANGE
         self.link.poll_at_s = now_s
 
     def end(self, failure: str = "") -> None:
@@ -82,7 +82,7 @@ class OverrideControl:
         if command is None:
             return
         self._reports += 1
-        if report.overrides is None and self._reports < PATIENCE_REPORTS:
+        if report.overrides is None and self._reports < REPORTS_TO_CHANGE:
             return
         percent = _read_percent(command.what, view.overrides)
         step = _make_step(command.what, percent, command.percent)

@@ -143,9 +143,9 @@ class InlineSyncer:
 class ThreadSyncer:
     """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself."""
 
-    def __init__(self, every_s: float = SYNC_EVERY_S, patience_s: float = 30.0) -> None:
+    def __init__(self, every_s: float = SYNC_EVERY_S, timeout_s: float = 30.0) -> None:
         self._every_s = every_s
-        self._patience_s = patience_s
+        self._timeout_s = timeout_s
         self._lock = threading.Condition()
         self._file: File | None = None
         self._left: list[File] = []  # let go, to be made safe and closed
@@ -162,7 +162,7 @@ class ThreadSyncer:
             return self._failure
         since_s = self._waiting_since_s
         waited_s = time.monotonic() - since_s if since_s is not None else 0.0
-        return f"the disk has not finished an fsync for {waited_s:.0f} s" if waited_s > self._patience_s else ""
+        return f"the disk has not finished an fsync for {waited_s:.0f} s" if waited_s > self._timeout_s else ""
 
     def take(self, file: File, when_safe: Callable[[], None]) -> None:
         with self._lock:
@@ -185,8 +185,8 @@ class ThreadSyncer:
             wanted, file = self._written, self._file
             self._urgent = True
             self._lock.notify_all()
-            if not self._lock.wait_for(lambda: self._safe >= wanted or bool(self._failure), self._patience_s):
-                self._failure = f"the disk has not finished an fsync for {self._patience_s:g} s"
+            if not self._lock.wait_for(lambda: self._safe >= wanted or bool(self._failure), self._timeout_s):
+                self._failure = f"the disk has not finished an fsync for {self._timeout_s:g} s"
             assert file is self._file  # one thread writes and syncs; only the waiting is shared
 
     def hasten(self) -> None:

@@ -42,7 +42,7 @@ _COARSER = (2, 1)
 _LEAST_CELLS = 24  # of the smaller side of a coarse grid
 _SHORT_STEP = 0.25  # remesh after a step below this ...
 _MOST_BETWEEN = 3  # ... and after so many steps in any case
-_PATIENCE = 6  # a grid is done when so many steps did not lower the rms ...
+_STALLED_STEPS = 6  # a grid is done when so many steps did not lower the rms ...
 _GAIN = 0.05  # ... by this share;
 _COARSE_GAIN = 0.2  # a coarse grid is left earlier
 _LEAST_ON_SCREEN = 1e-4  # of the mean triangle
@@ -218,7 +218,7 @@ class _Run:
 
 
 def _is_stalled(rms: list[float], gain: float) -> bool:
-    return len(rms) > _PATIENCE and min(rms[-_PATIENCE:]) > (1.0 - gain) * min(rms[:-_PATIENCE])
+    return len(rms) > _STALLED_STEPS and min(rms[-_STALLED_STEPS:]) > (1.0 - gain) * min(rms[:-_STALLED_STEPS])
 
 
 def _read(values: Array, u: Array, v: Array, *, order: int = 1) -> Array:

@@ -25,7 +25,7 @@ from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.files import is_drawing
 
 _READ_S = 30.0
-_PATIENCE_S = 120.0
+_TIMEOUT_S = 120.0
 _AGAIN_S = 0.5
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _HASH = re.compile(r"[0-9a-f]{64}")
@@ -97,7 +97,7 @@ def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
             now_s, reached = time.monotonic(), part.stat().st_size if part.exists() else 0
             if reached != size:
                 heard_s, size = now_s, reached
-            if now_s - heard_s > _PATIENCE_S:
+            if now_s - heard_s > _TIMEOUT_S:
                 raise FailedError(f"{error}; run the command again to go on at byte {reached:,}") from None
             time.sleep(_AGAIN_S)
 

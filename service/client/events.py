@@ -46,11 +46,11 @@ def stream_events(
     *,
     on_lost: Callable[[str], None],
     on_back: Callable[[], None],
-    patience_s: float = 600.0,
+    timeout_s: float = 600.0,
 ) -> Iterator[ServerEvent | None]:
     """Yield messages until the server has no more (204). None: the connection is new, ask for the present state.
 
-    `on_lost` is told once for each time the connection is lost; GoneError when it stays away for `patience_s`.
+    `on_lost` is told once for each time the connection is lost; GoneError when it stays away for `timeout_s`.
     """
     last_id, tries, lost_s = "", 0, None
     while True:
@@ -76,7 +76,7 @@ def stream_events(
             if lost_s is None:
                 lost_s = now_s
                 on_lost(words)
-            if now_s - lost_s > patience_s:
+            if now_s - lost_s > timeout_s:
                 raise
         time.sleep(_AGAIN_S[min(tries, len(_AGAIN_S) - 1)])
         tries += 1

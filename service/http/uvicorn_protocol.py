@@ -41,7 +41,7 @@ class ProblemProtocol(H11Protocol):
         self._most, self.limit_concurrency = self.limit_concurrency, None
         self.app = self._admit
         self._waits_since_s: float | None = None  # for a request's head; None: a request is being answered
-        self._patience: asyncio.TimerHandle | None = None
+        self._head_timer: asyncio.TimerHandle | None = None
         self._is_known = False  # the application has let a request of this connection in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -96,7 +96,7 @@ class ProblemProtocol(H11Protocol):
     def _await_head(self) -> None:
         self._await_nothing()
         self._waits_since_s = self.loop.time()
-        self._patience = self.loop.call_later(_REQUEST_HEAD_S, self.transport.close)
+        self._head_timer = self.loop.call_later(_REQUEST_HEAD_S, self.transport.close)
 
     def _note_request(self) -> None:
         if self.cycle is not None and not self.cycle.response_complete:
@@ -104,8 +104,8 @@ class ProblemProtocol(H11Protocol):
 
     def _await_nothing(self) -> None:
         self._waits_since_s = None
-        if self._patience is not None:
-            self._patience.cancel()
+        if self._head_timer is not None:
+            self._head_timer.cancel()
 
     def _make_room(self) -> None:
         """Close the connection that has asked for nothing for the longest time."""

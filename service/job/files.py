@@ -25,19 +25,16 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.job.report.pictures import PICTURES, list_pictures
 
 SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
-LENS_FILES = (TARGET_PICTURE, PREPARED, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
+LENS_FILES = (HEIGHTFIELD, MAP, SOLID, *list_pictures("lens"))
+LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
-LIGHT_FILES = (
-    "caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png", AS_FINISHED,
-    COMPARED_FINISHED,
-)  # fmt: skip
 FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
-TOOLPATH = "toolpath.png"
-PLAN = "plan.png"
+TOOLPATH, PLAN = "toolpath.png", "plan.png"
 SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
@@ -45,8 +42,8 @@ COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.np
 COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
 COUPON_ARCHIVE = "coupon.zip"
 _KNOWN = {
-    *(SPEC, REPORT, REPORT_PAGE, TOOLPATH, PLAN),
-    *LENS_FILES, *LIGHT_FILES, *COUPON_FILES, *COUPON_FIT_FILES,
+    *(SPEC, REPORT, REPORT_PAGE, HEIGHTFIELD, MAP, SOLID),
+    *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"

@@ -1,10 +1,15 @@
-"""The files of the page as they are served: read when asked for, packed once, known by their content."""
+"""The files of the page as they are served: read when asked for, packed once, known by their content.
+
+Some modules are no files: the server makes them, of what it knows itself.
+"""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
+import json
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,14 +38,23 @@ class PageFile:
 
 
 class PageFiles:
-    """Files of one folder. One that is changed on disk is read anew: who works on the page just loads it again."""
+    """Files of one folder. One that is changed on disk is read anew: who works on the page just loads it again.
 
-    def __init__(self, folder: Path = FOLDER) -> None:
+    made : by path, the name that a module exports and what gives its value, as JSON
+    """
+
+    def __init__(
+        self, folder: Path = FOLDER, made: Mapping[str, tuple[str, Callable[[], object]]] | None = None
+    ) -> None:
         self._folder = folder
+        self._made = made or {}
+        self._modules: dict[str, PageFile] = {}
         self._known: dict[str, tuple[tuple[int, int], PageFile]] = {}
 
     def file(self, path: str) -> PageFile | None:
         """Return the file; None where there is none, or none that belongs to the page."""
+        if path in self._made:
+            return self._module(path)
         kind = _PATH.fullmatch(path)
         if kind is None:
             return None
@@ -53,6 +67,13 @@ class PageFiles:
         except OSError:
             return None
         return known[1]
+
+    def _module(self, path: str) -> PageFile:
+        if path not in self._modules:
+            name, value = self._made[path]
+            text = f"export const {name} = {json.dumps(value(), separators=(',', ':'))};\n"
+            self._modules[path] = _page_file(text.encode(), "js")
+        return self._modules[path]
 
 
 def _page_file(content: bytes, kind: str) -> PageFile:

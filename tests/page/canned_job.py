@@ -20,6 +20,7 @@ from service.job.page_data.header import header_line
 from service.job.page_data.surface import surface_bytes
 from service.job.page_data.thumbnail import thumbnail_png
 from service.job.report.figures.base import picture_png
+from service.job.spec.model import JobSpec
 from tests.page.paths import SIDE_MM, Thinned, write_path
 
 FACTORS = (0.5, 0.7, 0.85, 1.0, 1.16, 1.35, 1.6)
@@ -28,6 +29,16 @@ PIXELS = 64
 _TOLD: dict[str, Any] = json.loads(Path(__file__).with_name("job.json").read_text(encoding="utf-8"))
 _LEVELS = (Thinned(8, 0.2, 0.4), Thinned(2, 0.1, 0.1), Thinned(1, 0.05, 0.0))
 JOB_ID: str = _TOLD["job"]["id"]
+
+
+def _fill_specs(job: dict[str, Any]) -> None:
+    """Add the keys of the spec that are newer than the file, with their defaults."""
+    job["spec"] = JobSpec.model_validate(job["spec"]).model_dump(mode="json")
+    for row, given in zip(job["report"]["passes"], job["spec"]["passes"], strict=True):
+        row["settings"] = given | row["settings"]
+
+
+_fill_specs(_TOLD["job"])
 
 
 @cache

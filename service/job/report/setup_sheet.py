@@ -29,6 +29,7 @@ from service.job.report.optics import (
     sentences_of_preparation,
     tolerance_sentences,
 )
+from service.job.report.pictures import PICTURES
 from service.job.spec.lens_task import source_spread_mm
 from service.job.spec.light import SUN_DEG
 from service.job.spec.outline import ellipse_mm
@@ -41,35 +42,6 @@ _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
 
 _AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
-_PICTURES = (
-    (
-        "prepared.png",
-        "The picture as it was given, and as the lens aims at it: contrast raised in what will show on the wall.",
-    ),
-    ("comparison.png", "Target, simulated caustic and the difference between them."),
-    ("comparison-as-finished.png", "Target, the picture after finishing by hand and the difference between them."),
-    (
-        "as-milled.png",
-        "Target, design and the surface that the programs leave, whole and in the part with the most detail. The last "
-        "one counts the grooves of every move, the steps of the machine and its height errors.",
-    ),
-    (
-        "through-focus.png",
-        "The same lens with the screen at other distances. It is in focus only at the distance it is made for.",
-    ),
-    (
-        "tolerances.png",
-        "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken out), and "
-        "a source of another size. Simulated with fewer rays than the scores above, so a decibel or two may lie "
-        "between them: what counts is the loss along a curve.",
-    ),
-    ("lens.png", "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."),
-    ("flow.png", "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."),
-    (
-        "toolpath.png",
-        "Each program from above. Left: some rows of the whole part. Right: every move in a small square.",
-    ),
-)
 
 
 def render_report(
@@ -120,9 +92,9 @@ def render_report(
         highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
         tool_changes=_tool_changes(programs),
         lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
-        main_pictures=[name for name in ("target.png", "caustic.png", _AS_MILLED, _AS_FINISHED) if name in files],
+        main_pictures=[one for one in PICTURES if one.name in files and one.shown == "wall"],
         finish_pictures=[name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
-        pictures=[(name, caption) for name, caption in _PICTURES if name in files],
+        pictures=[one for one in PICTURES if one.name in files and one.shown != "wall"],
         files=frozenset(files),
     )
 

@@ -13,13 +13,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from service.job.spec.section import Section
+from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
 
-Radius = Annotated[float, Field(gt=0, le=25)]
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
-StepDown = Annotated[float, Field(ge=0.01, le=50)]
-Rate = Annotated[float, Field(gt=0, le=50_000)]
-Speed = Annotated[float, Field(gt=0, le=200_000)]
 
 FRAME_MM = 1.0
 """Of the block that must stay around the slot: without it the tabs hold nothing."""

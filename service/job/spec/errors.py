@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import SpecError
+from service.job.spec.form import unit_of
 from service.job.spec.model import JobSpec
 
 Place = tuple[int | str, ...]
@@ -134,7 +135,5 @@ def _range(schema: Mapping[str, Any]) -> str:
 
 
 def _unit(key: str) -> str:
-    for ending, unit in (("_mm_per_min", "mm/min"), ("_mm", "mm"), ("_rpm", "rpm"), ("_deg", "degrees")):
-        if key.endswith(ending):
-            return f" {unit}"
-    return ""
+    unit = unit_of(key).replace("°", "degrees")
+    return f" {unit}" if unit else ""

@@ -12,9 +12,17 @@ from pydantic import Field
 
 from service.errors import SpecError
 from service.job.spec.finish_library import Process, load_processes
+from service.job.spec.form import shown
 from service.job.spec.section import Section
 
 NONE, BEST = "none", "best"
+_PROCESSES = {
+    NONE: "no: as the mill leaves it",
+    BEST: "yes, whatever shows most",
+    "felt": "felt and compound",
+    "sanding": "wet sanding on a soft block",
+    "lacquer": "a thin coat of lacquer",
+}
 
 
 class FinishSpec(Section):
@@ -26,12 +34,42 @@ class FinishSpec(Section):
     pad_mm               : size of the tool, which follows whatever is longer
     """
 
-    process: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")] = NONE
-    k0_rad_per_mm: Annotated[float, Field(ge=0.05, le=1000)] | None = None
-    order: Annotated[float, Field(ge=0.5, le=8)] | None = None
-    depth_um: Annotated[float, Field(ge=-500, le=500)] | None = None
-    minutes: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    pad_mm: Annotated[float, Field(ge=0.5, le=5000)] | None = None
+    process: Annotated[
+        str,
+        Field(pattern=r"^[a-z][a-z0-9-]{0,39}$"),
+        shown(
+            "Finished by hand",
+            "Half an hour takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",
+            choices=_PROCESSES,
+            card="mill",
+            wide=True,
+        ),
+    ] = NONE
+    k0_rad_per_mm: Annotated[
+        Annotated[float, Field(ge=0.05, le=1000)] | None,
+        shown(
+            "Levels from",
+            "What is left of a wave of k rad/mm is exp(-(k / this)^order). The test piece measures yours.",
+            usual="usual",
+        ),
+    ] = None
+    order: Annotated[
+        Annotated[float, Field(ge=0.5, le=8)] | None,
+        shown("Order", "1 soft pad, 2 sanding, 4 a film that levels.", usual="usual"),
+    ] = None
+    depth_um: Annotated[Annotated[float, Field(ge=-500, le=500)] | None, shown("Comes off", usual="usual")] = None
+    minutes: Annotated[
+        Annotated[float, Field(gt=0, le=100_000)] | None,
+        shown(
+            "Work",
+            "On the whole lens. Empty: planned with “Recommended”, else as the process takes.",
+            usual="planned",
+        ),
+    ] = None
+    pad_mm: Annotated[
+        Annotated[float, Field(ge=0.5, le=5000)] | None,
+        shown("Size of the tool", "Of the pad or block: it follows whatever is longer.", usual="usual"),
+    ] = None
 
     @property
     def finishes(self) -> bool:

@@ -6,11 +6,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from service.job.spec.form import shown
 from service.job.spec.section import Section
 
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _KIND_OF = {"size_deg": "sun", "distance_mm": "point", "size_mm": "point"}
+_KINDS = {
+    "collimated": ("Parallel", "a spotlight far away, or a collimated lamp"),
+    "sun": ("Sun", "half a degree wide: about 1 mm of blur for every 110 mm to the wall"),
+    "point": ("Lamp", "a small bright lamp close by"),
+}
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
 _RANGE = {
     "size_deg": "a number more than 0 and at most 10 degrees",
@@ -30,12 +36,33 @@ class LightSpec(Section):
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 
-    kind: Literal["collimated", "sun", "point"] = "collimated"
-    size_deg: Annotated[float, Field(gt=0, le=10)] | None = Field(default=None, validate_default=True)
-    distance_mm: Annotated[float, Field(ge=10, le=100_000)] | None = Field(default=None, validate_default=True)
-    size_mm: Annotated[float, Field(ge=0, le=1000)] | None = Field(default=None, validate_default=True)
+    kind: Annotated[
+        Literal["collimated", "sun", "point"],
+        shown("What shines on the lens", choices=_KINDS, card="light", look="cards"),
+    ] = "collimated"
+    size_deg: Annotated[
+        Annotated[float, Field(gt=0, le=10)] | None,
+        shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when={"optics.light.kind": "sun"}),
+    ] = Field(default=None, validate_default=True)
+    distance_mm: Annotated[
+        Annotated[float, Field(ge=10, le=100_000)] | None,
+        shown("Lamp to the lens", card="light", usual="needed", start="1000", when={"optics.light.kind": "point"}),
+    ] = Field(default=None, validate_default=True)
+    size_mm: Annotated[
+        Annotated[float, Field(ge=0, le=1000)] | None,
+        shown(
+            "Size of the lamp",
+            "Its diameter; 0 is a point.",
+            card="light",
+            usual="0",
+            when={"optics.light.kind": "point"},
+        ),
+    ] = Field(default=None, validate_default=True)
     profile: list[list[float]] | None = None
-    gaussian_mm: Annotated[float, Field(gt=0, le=20_000)] | None = None
+    gaussian_mm: Annotated[
+        Annotated[float, Field(gt=0, le=20_000)] | None,
+        shown("Beam diameter", "Where a laser's beam has fallen to 1/e² of its middle.", usual="even light"),
+    ] = None
 
     @property
     def even(self) -> bool:

@@ -11,9 +11,13 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from service.job.spec.around import CutOutSpec, FaceSpec, cut_out_fault
 from service.job.spec.finish import FinishSpec
+from service.job.spec.form import shown
 from service.job.spec.light import LightSpec
+from service.job.spec.machine import MachineSpec
 from service.job.spec.optics import OpticsSpec
+from service.job.spec.passes import PassRow
 from service.job.spec.section import Section
+from service.wording import psnr_in_words
 
 __all__ = [
     "FinishSpec",
@@ -34,10 +38,18 @@ MOST_PASSES = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
-Tool = Annotated[float, Field(gt=0, le=25)]
-Rate = Annotated[float, Field(gt=0, le=50_000)]
-Speed = Annotated[float, Field(gt=0, le=200_000)]
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+_PRESETS = {
+    "recommended": (
+        "Recommended", "passes planned for this picture and machine: the best light for the time",
+    ),
+    "draft": ("Draft", "one rough and one coarse finish: quick, to see whether it works"),
+    "paper": ("Paper", "the three passes of the published method: very fine, slow"),
+}  # fmt: skip
+_LIKENESSES = {
+    level: (f"{word} ({level} dB)", f"{psnr_in_words(level).capitalize()}.")
+    for level, word in ((21, "recognisable"), (27, "plain"), (33, "good"), (40, "very close"))
+}
+_WHEN_PLANNED = {"preset": "recommended"}
 
 
 class ImageSpec(Section):
@@ -47,12 +59,50 @@ class ImageSpec(Section):
     prepare_detail_mm : the smallest detail that will show, on the screen; left out: by the throw and the light
     """
 
-    pixels: Annotated[int, Field(ge=16, le=MAX_PIXELS)] = 512
-    tone: Literal["srgb", "linear"] = "srgb"
-    fit: Literal["crop", "pad", "stretch"] = "crop"
-    invert: bool = False
-    prepare: Literal["none", "detail"] = "none"
-    prepare_detail_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+    pixels: Annotated[
+        int,
+        Field(ge=16, le=MAX_PIXELS),
+        shown("Pixels across", "More shows finer detail where the mill can cut it, and takes longer to compute."),
+    ] = 512
+    tone: Annotated[
+        Literal["srgb", "linear"],
+        shown(
+            "Tones are meant",
+            choices={"srgb": "as photos are (sRGB)", "linear": "linear light"},
+            card="picture",
+            wide=True,
+        ),
+    ] = "srgb"
+    fit: Annotated[
+        Literal["crop", "pad", "stretch"],
+        shown(
+            "Where proportions differ",
+            choices={"crop": "choose a part", "pad": "whole picture, dark around", "stretch": "stretch"},
+            card="picture",
+            wide=True,
+        ),
+    ] = "crop"
+    invert: Annotated[bool, shown("Negative", card="picture")] = False
+    prepare: Annotated[
+        Literal["none", "detail"],
+        shown(
+            "Prepared for the wall",
+            "Contrast is raised in what is just large enough to show. The job shows both pictures beside each other.",
+            choices={"none": "no, as it is", "detail": "yes: faces and detail brought out"},
+            card="picture",
+            wide=True,
+        ),
+    ] = "none"
+    prepare_detail_mm: Annotated[
+        Annotated[float, Field(gt=0, le=1000)] | None,
+        shown(
+            "Smallest detail that will show",
+            "As the estimate says it. Empty: about 1 mm for every 100 mm to the wall.",
+            card="picture",
+            usual="by the wall",
+            when={"image.prepare": "detail"},
+        ),
+    ] = None
 
     @field_validator("prepare_detail_mm")
     @classmethod
@@ -68,89 +118,13 @@ class StockSpec(Section):
     face, cut_out : what is milled beside the lens; left out: nothing
     """
 
-    thickness_mm: Annotated[float, Field(gt=0, le=500)] = 40.0
-    margin_mm: Annotated[float, Field(ge=0, le=200)] = 8.0  # keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears
-    skim_mm: Annotated[float, Field(gt=0, le=10)] = 0.1
-    material: Literal["pmma"] = "pmma"
+    thickness_mm: Annotated[float, Field(gt=0, le=500), shown("Thickness")] = 40.0
+    # The default keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears.
+    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 8.0
+    skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
+    material: Annotated[Literal["pmma"], shown("Material", choices={"pmma": "acrylic (PMMA)"})] = "pmma"
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
-
-
-class PassRow(Section):
-    """One milling pass with a ball end mill; radius_mm is the RADIUS of the ball."""
-
-    name: Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=24)] = "finish"
-    strategy: Literal["raster", "contour"] = "raster"
-    direction: Literal["x", "y"] = "x"
-    link: Literal["u-turn", "retract"] = "u-turn"
-    where: Literal["everywhere", "rest"] = "everywhere"
-    radius_mm: Tool
-    pitch_mm: Annotated[float, Field(ge=0.002, le=25)]
-    stock_to_leave_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
-    step_down_mm: Annotated[float, Field(ge=0.01, le=50)] | None = None
-    feed_mm_per_min: Rate | None = None
-    plunge_mm_per_min: Rate | None = None
-    spindle_rpm: Speed | None = None
-    flute_length_mm: Annotated[float, Field(gt=0, le=200)] | None = None
-    shank_radius_mm: Annotated[float, Field(gt=0, le=50)] | None = None
-
-    @model_validator(mode="after")
-    def _pitch_fits_the_ball(self) -> Self:
-        if self.pitch_mm > self.radius_mm:
-            raise ValueError(
-                f"pitch_mm = {self.pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
-                f"radius_mm = {self.radius_mm:g}"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
-        if self.where == "rest" and self.strategy == "contour":
-            raise ValueError('where = "rest" goes with rows only; allowed: strategy = "raster"')
-        if self.shank_radius_mm is not None and self.flute_length_mm is None:
-            raise ValueError(
-                f"shank_radius_mm = {self.shank_radius_mm:g} says nothing without the height at which it begins; "
-                "allowed: with flute_length_mm"
-            )
-        return self
-
-
-class MachineSpec(Section):
-    """The mill: a profile by name, and any of its figures set otherwise. Triples are X, Y, Z."""
-
-    profile: str = "grbl"
-    travel_mm: Triple | None = None
-    max_rate_mm_per_min: Triple | None = None
-    acceleration_mm_per_s2: Triple | None = None
-    step_mm: Annotated[float, Field(gt=0, le=1)] | None = None
-    z_noise_mm: Annotated[float, Field(ge=0, le=0.1)] | None = None
-    whole_steps: bool | None = None
-    most_program_mb: Annotated[float, Field(ge=0.1, le=1_000_000)] | None = None
-    most_program_hours: Annotated[float, Field(ge=0.05, le=10_000)] | None = None
-    junction_deviation_mm: Annotated[float, Field(gt=0, le=1)] | None = None
-    planner_blocks: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    lines_per_s: Annotated[float, Field(gt=0, le=1_000_000)] | None = None
-    safe_z_mm: Annotated[float, Field(ge=0.5, le=200)] | None = None
-    spindle_rpm: Annotated[list[Speed], Field(min_length=2, max_length=2)] | None = None
-    coolant: Literal["none", "air", "mist", "flood"] | None = None
-    blend_tolerance_mm: Annotated[float, Field(ge=0, le=1)] | None = None
-    high_precision: Literal["none", "g05.1", "g08"] | None = None
-    warm_up_s: Annotated[float, Field(ge=0, le=3600)] | None = None
-    trace_outline: bool | None = None
-
-    @field_validator("spindle_rpm")
-    @classmethod
-    def _slow_then_fast(cls, speeds: list[float] | None) -> list[float] | None:
-        if speeds is not None and speeds[0] > speeds[1]:
-            raise ValueError(f"{speeds} must hold the slowest speed, then the fastest")
-        return speeds
-
-    @field_validator("travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2")
-    @classmethod
-    def _each_positive(cls, values: list[float] | None) -> list[float] | None:
-        if values is not None and not all(0 < value <= 1_000_000 for value in values):
-            raise ValueError(f"{values} must hold three numbers X, Y, Z, each more than 0 and at most 1000000")
-        return values
 
 
 class PlanSpec(Section):
@@ -158,9 +132,25 @@ class PlanSpec(Section):
     under, or the PSNR to reach in the least time. Without any: nearly the best picture in the least time.
     """
 
-    hours: Annotated[float, Field(gt=0, le=10_000)] | None = None
-    blur_mm: Annotated[float, Field(gt=0, le=100)] | None = None
-    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = None
+    hours: Annotated[
+        Annotated[float, Field(gt=0, le=10_000)] | None,
+        shown("Time at most", "On the mill, all passes.", card="mill", usual="no limit", when=_WHEN_PLANNED),
+    ] = None
+    blur_mm: Annotated[
+        Annotated[float, Field(gt=0, le=100)] | None,
+        shown("Blur at most", "On the wall. Instead of a time.", card="mill", usual="any", when=_WHEN_PLANNED),
+    ] = None
+    psnr_db: Annotated[
+        Annotated[float, Field(gt=0, le=100)] | None,
+        shown(
+            "Likeness to reach",
+            "Of the wall to the picture. Instead of a time.",
+            choices=_LIKENESSES,
+            card="mill",
+            usual="any",
+            when=_WHEN_PLANNED,
+        ),
+    ] = None
 
     @model_validator(mode="after")
     def _one_thing(self) -> Self:
@@ -173,16 +163,19 @@ class PlanSpec(Section):
 class JobSpec(Section):
     """A whole job. `passes` left out means those of the preset; those of "recommended" are planned for the picture."""
 
-    preset: Literal["paper", "draft", "recommended"] = "paper"
-    plan: PlanSpec = PlanSpec()
-    image: ImageSpec = ImageSpec()
-    optics: OpticsSpec = OpticsSpec()
-    stock: StockSpec = StockSpec()
+    preset: Annotated[
+        Literal["paper", "draft", "recommended"],
+        shown("How fine", choices=_PRESETS, card="mill", look="cards"),
+    ] = "paper"
+    plan: Annotated[PlanSpec, Field(title="Plan")] = PlanSpec()
+    image: Annotated[ImageSpec, Field(title="Picture")] = ImageSpec()
+    optics: Annotated[OpticsSpec, Field(title="Optics")] = OpticsSpec()
+    stock: Annotated[StockSpec, Field(title="Stock")] = StockSpec()
     passes: Annotated[
         tuple[PassRow, ...], Field(max_length=MOST_PASSES, strict=False, json_schema_extra={"minItems": 1})
     ]
-    finish: FinishSpec = FinishSpec()
-    machine: MachineSpec = MachineSpec()
+    finish: Annotated[FinishSpec, Field(title="Finish by hand")] = FinishSpec()
+    machine: Annotated[MachineSpec, Field(title="Machine")] = MachineSpec()
 
     @field_validator("passes")
     @classmethod

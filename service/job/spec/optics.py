@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from service.job.spec.form import shown
 from service.job.spec.light import LightSpec
 from service.job.spec.outline import MOST_CORNERS, counter_clockwise, ellipse_mm, outline_fault
 from service.job.spec.section import Distance, Length, Section
@@ -31,25 +32,54 @@ class OpticsSpec(Section):
     outline       : "rectangle", "ellipse", or corners [x_mm, y_mm] as seen from above on the mill
     """
 
-    width_mm: Length = 100.0
-    height_mm: Length = 100.0
-    throw_mm: Distance = 100.0
-    refractive_index: Annotated[float, Field(ge=1.05, le=3.0)] = 1.49
-    screen_width_mm: Screen | None = None
-    screen_height_mm: Screen | None = None
-    method: Literal["transport", "paper"] = "transport"
-    screen_shift_x_mm: Shift = 0.0
-    screen_shift_y_mm: Shift = 0.0
-    surface: Literal["lens", "mirror"] = "lens"
-    branch: Literal["auto", "direct", "inverted"] = "auto"
-    outline: str | list[list[float]] = "rectangle"
-    min_radius_mm: Annotated[float, Field(ge=0, le=25)] | None = None
-    creases: bool = False
-    vertices_per_pixel: Annotated[int, Field(ge=1, le=8)] = 2
-    viewed_from: Literal["lens", "behind"] = "lens"
-    corrections: Annotated[int, Field(ge=0, le=3)] = 2
-    polish: bool = False
-    foreseen_blur_mm: Annotated[list[Blur], Field(min_length=2, max_length=2)] = [0.0, 0.0]  # noqa: RUF012
+    width_mm: Annotated[Length, shown("Width", card="lens", filled=True)] = 100.0
+    height_mm: Annotated[Length, shown("Height", card="lens", filled=True)] = 100.0
+    throw_mm: Annotated[Distance, shown("Distance to the wall", card="lens", filled=True)] = 100.0
+    refractive_index: Annotated[
+        float,
+        Field(ge=1.05, le=3.0),
+        shown("Refractive index", "How strongly the material bends light: acrylic 1.49."),
+    ] = 1.49
+    screen_width_mm: Annotated[
+        Screen | None, shown("Picture width on the wall", card="lens", usual="like the lens")
+    ] = None
+    screen_height_mm: Annotated[Screen | None, shown("Picture height", usual="in proportion")] = None
+    method: Annotated[
+        Literal["transport", "paper"],
+        shown("Method", choices={"transport": "optical path", "paper": "as published"}),
+    ] = "transport"
+    screen_shift_x_mm: Annotated[Shift, shown("Picture moved right")] = 0.0
+    screen_shift_y_mm: Annotated[Shift, shown("Picture moved up")] = 0.0
+    surface: Annotated[Literal["lens", "mirror"], shown("Surface")] = "lens"
+    branch: Annotated[
+        Literal["auto", "direct", "inverted"],
+        shown("Rays", choices={"auto": "automatic", "direct": "straight", "inverted": "crossing"}),
+    ] = "auto"
+    outline: Annotated[str | list[list[float]], shown("Outline", choices={shape: shape for shape in _SHAPES})] = (
+        "rectangle"
+    )
+    min_radius_mm: Annotated[
+        Annotated[float, Field(ge=0, le=25)] | None,
+        shown("Smallest ball to fit", "Valleys tighter than this are filled; 0: none.", usual="of the finish"),
+    ] = None
+    creases: Annotated[bool, shown("Leave creases sharp")] = False
+    vertices_per_pixel: Annotated[int, Field(ge=1, le=8), shown("Vertices per pixel")] = 2
+    viewed_from: Annotated[
+        Literal["lens", "behind"], shown("Looked at", choices={"lens": "on a wall", "behind": "from behind"})
+    ] = "lens"
+    corrections: Annotated[
+        int, Field(ge=0, le=3), shown("Corrections", "Rounds against the lens's own light, 0 to 3.")
+    ] = 2
+    polish: Annotated[bool, shown("Polish the picture (slow)")] = False
+    foreseen_blur_mm: Annotated[
+        list[Blur],
+        Field(min_length=2, max_length=2),
+        shown(
+            "Blur to work against",
+            "The lens is made sharper by as much as the tool will blur.",
+            names=("across", "up"),
+        ),
+    ] = [0.0, 0.0]  # noqa: RUF012
     light: LightSpec = LightSpec()
 
     @property

@@ -20,15 +20,12 @@ from machines.profiles import MachineProfile, ProfileError, UnknownProfileError,
 from service.errors import FailedError, SpecError
 from service.job.spec.finish import find_processes
 from service.job.spec.finish_library import Process
+from service.job.spec.machine import MachineSpec
 from service.job.spec.model import JobSpec
 from service.job.spec.tools import load_tools
 
 LoadProfile = Callable[[str], MachineProfile]
-_PROFILE_KEYS = {
-    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
-    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm", "whole_steps", "most_program_mb", "most_program_hours",
-    "coolant", "blend_tolerance_mm", "high_precision", "warm_up_s", "trace_outline",
-}  # fmt: skip
+_PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -80,7 +80,11 @@ class StageContext:
         job_files.write_bytes(self.folder / name, data)
 
     def draw(self, name: str, picture: Callable[[], bytes]) -> None:
-        """Save what `picture` returns, drawn beside whatever comes next."""
+        """Save what `picture` returns, drawn beside whatever comes next.
+
+        name : of a row of `service.job.report.pictures`, or of another file that `service.job.files` knows
+        """
+        assert job_files.is_known(name), name
         self.picture_queue.draw(self.folder / name, picture)
 
     def hand_over(self, name: str, value: T, encode: Callable[[T], bytes]) -> None:

@@ -147,9 +147,9 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
     raise FailedError(f"{type(command).__name__}: no answer from the mill; go and look at it")
 
 
-def _give(thread: MillThread, command: Command, patience_s: float) -> None:
+def _give(thread: MillThread, command: Command, timeout_s: float) -> None:
     """Give a command; NotAllowedError where the mill does not take it, now or in a moment."""
-    give_up_s = time.monotonic() + patience_s
+    give_up_s = time.monotonic() + timeout_s
     while True:
         try:
             give_order(thread, type(command).__name__.lower(), lambda mill: mill.command(command))

@@ -4,7 +4,7 @@ import { h, replace, sheet } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { shape } from "../lib/state.js";
 import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
-import { KINDS, pictureShelf } from "./pictures.js";
+import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { eyeWords, millSeconds, passesOf, smallestDetail } from "./figures.js";
 import { settingWords, valueWords } from "./setting_words.js";
 import { wipe } from "./wipe.js";
@@ -40,14 +40,14 @@ function tellApart([a, b]) {
 
 function pictures(sides, names, shelf) {
   const both = wipe();
-  const kinds = KINDS.filter(({ name }) => sides.every(({ artifacts }) => artifacts.has(name))).reverse();
+  const kinds = ON_THE_WALL.filter(({ name }) => sides.every(({ artifacts }) => artifacts.has(name))).reverse();
   const title = h("h2", { id: "compare-pictures" }, "Pictures");
   const part = (...inner) => h("section", { class: "card stack", "aria-labelledby": "compare-pictures" }, title, inner);
   if (!kinds.length) return part(h("p", {}, "One of these jobs has no pictures yet."));
   const show = async (kind) => {
     try {
       const urls = await Promise.all(sides.map(({ artifacts }) => shelf.get(artifacts.get(kind.name))));
-      both.show(...urls.map((url, k) => ({ words: names[k], url, alt: `${names[k]}, ${kind.words}: ${kind.note}` })));
+      both.show(...urls.map((url, k) => ({ words: names[k], url, alt: `${names[k]}, ${kind.title}: ${kind.note}` })));
     } catch (error) {
       toast(`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
     }
@@ -56,7 +56,7 @@ function pictures(sides, names, shelf) {
     "div", { class: "choice", role: "radiogroup", "aria-label": "Which picture" },
     kinds.map((kind, k) => {
       const input = h("input", { type: "radio", name: "kind", checked: k === 0, onchange: () => show(kind) });
-      return h("label", {}, input, h("span", {}, kind.words));
+      return h("label", {}, input, h("span", {}, kind.title));
     }),
   );
   show(kinds[0]);

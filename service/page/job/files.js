@@ -4,6 +4,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
+import { PICTURES } from "./report_pictures.js";
 import { saveLink, sheetLink } from "./save.js";
 
 const SHEET = "report.html";
@@ -14,6 +15,7 @@ const OFFERED = [
   ["spec.json", "Settings (JSON)", "the job again from a terminal"],
 ];
 
+const TITLES = new Map(PICTURES.map(({ name, title }) => [name, title]));
 const GOING = ["queued", "running"];
 
 /** {node, update(job)}: each program with what it does, and the mills it may go to. */
@@ -105,7 +107,7 @@ export function filesPart() {
     shown = key;
     const offered = OFFERED.filter(([name]) => artifacts.has(name));
     replace(list, offered.map(([name, words, why]) => fileRow(artifacts.get(name), words, why, name === SHEET)));
-    replace(every, files.map((file) => fileRow(file, file.name, "")));
+    replace(every, files.map((file) => fileRow(file, file.name, TITLES.get(file.name))));
     const total = files.reduce((sum, file) => sum + file.bytes, 0);
     const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${jobName(job)}.zip`, size: total };
     const whole = saveLink({ ...zip, words: `All files (zip, ${bytes(total)})` });

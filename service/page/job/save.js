@@ -58,7 +58,7 @@ async function fetchAndSave({ url, name, size, link }) {
   const usual = link.textContent;
   try {
     const target = await pickTarget(name);
-    const response = await api.request("GET", url, { patience_ms: 0 });
+    const response = await api.request("GET", url, { timeout_ms: 0 });
     const total = Number(response.headers.get("content-length")) || size;
     const showShare = (done) => (link.textContent = `${name}: ${total ? percent(done / total) : bytes(done)}`);
     const counted = response.body.pipeThrough(counter(showShare));

@@ -1,7 +1,5 @@
 /** Settings of a job in the words that their fields have in the form of a new one. */
-import { EXPERT, LENS, LIGHT, MILL, PASS, PICTURE } from "../new/fields.js";
-
-const ROWS = [...LENS, ...LIGHT, ...MILL, ...PICTURE, ...EXPERT.flatMap(([, rows]) => rows)];
+import { PASS, SPEC } from "../new/fields.js";
 
 /** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
 export function settingWords(key, spec) {
@@ -23,7 +21,7 @@ export function valueWords(key, value) {
 
 function rowOf(key) {
   const { pass, own } = splitKey(key);
-  return (pass === null ? ROWS : PASS).find((row) => row.key === own);
+  return (pass === null ? SPEC : PASS).find((row) => row.key === own);
 }
 
 /** The number of the pass that a key belongs to, or null, and the key within. */

@@ -6,7 +6,7 @@
  * with `onAway` is told both.
  */
 
-const PATIENCE_MS = 20_000;
+const TIMEOUT_MS = 20_000;
 const AGREE_MS = 5000;
 const DECLINED_MS = 60_000;
 const PROBE_MS = [500, 1000, 2000, 3000];
@@ -79,12 +79,12 @@ export const api = {
   },
   /** Sends a FormData; large pictures over a slow link may take their time. */
   async upload(path, form, options = {}) {
-    return readJson(await request("POST", path, { patience_ms: 0, ...options, body: form }));
+    return readJson(await request("POST", path, { timeout_ms: 0, ...options, body: form }));
   },
 
   /** An object URL of a file, the same one as long as the file is the same. Give it back with `release(path)`. */
   async blob(path, options = {}) {
-    const response = await request("GET", path, { patience_ms: 0, ...options, cache: "no-cache" });
+    const response = await request("GET", path, { timeout_ms: 0, ...options, cache: "no-cache" });
     const etag = response.headers.get("etag");
     const known = pictures.get(path);
     if (known && etag && known.etag === etag) {
@@ -111,7 +111,7 @@ export const api = {
   async bytes(path, { from = 0, to, signal } = {}) {
     const part = from > 0 || to !== undefined;
     const headers = part ? { Range: `bytes=${from}-${to === undefined ? "" : to - 1}` } : {};
-    const response = await request("GET", path, { headers, signal, patience_ms: 0 });
+    const response = await request("GET", path, { headers, signal, timeout_ms: 0 });
     const found = await response.arrayBuffer();
     return part && response.status === 200 ? found.slice(from, to) : found;
   },
@@ -178,7 +178,7 @@ function listen(listeners, fn) {
   return () => listeners.delete(fn);
 }
 
-/** options: headers, body, type, signal, cache, keepalive, patience_ms (0: none), quiet (a 401 asks nobody for a key). */
+/** options: headers, body, type, signal, cache, keepalive, timeout_ms (0: none), quiet (a 401 asks nobody for a key). */
 async function request(method, path, options = {}) {
   const response = await answer(method, path, options);
   if (response.ok) return response;
@@ -197,11 +197,11 @@ async function getsKey() {
   return given;
 }
 
-async function answer(method, path, { headers = {}, body, type, signal, cache, keepalive, patience_ms = PATIENCE_MS }) {
+async function answer(method, path, { headers = {}, body, type, signal, cache, keepalive, timeout_ms = TIMEOUT_MS }) {
   const own = { Accept: "application/json", ...headers };
   if (type) own["Content-Type"] = type;
   if (token) own.Authorization = `Bearer ${token}`;
-  const signals = [signal, patience_ms ? AbortSignal.timeout(patience_ms) : null].filter(Boolean);
+  const signals = [signal, timeout_ms ? AbortSignal.timeout(timeout_ms) : null].filter(Boolean);
   try {
     const response = await fetch(path, {
       method,

@@ -82,7 +82,7 @@ async function readOnce(path, place, say, alive, stopped) {
   try {
     const headers = { Accept: "text/event-stream", ...(place.lastId && { "Last-Event-ID": place.lastId }) };
     const signal = AbortSignal.any([stopped, broken.signal]);
-    const response = await api.request("GET", path, { headers, signal, cache: "no-store", patience_ms: 0 });
+    const response = await api.request("GET", path, { headers, signal, cache: "no-store", timeout_ms: 0 });
     if (response.status === 204) return { over: true, words: "" };
     say({ kind: "state", state: "open", words: "" });
     await read(response.body, place, say, markAlive);

@@ -25,11 +25,11 @@ export async function sendGranted({ machine, stops, headers }, path, body) {
 
 /** The word of the grant; "" where none came in time. */
 async function askGrant(path, body, headers, left_ms) {
-  const patience = AbortSignal.timeout(Math.max(0, left_ms));
+  const timeout = AbortSignal.timeout(Math.max(0, left_ms));
   try {
-    return (await api.post(path, body, { headers, signal: patience, patience_ms: 0 })).grant;
+    return (await api.post(path, body, { headers, signal: timeout, timeout_ms: 0 })).grant;
   } catch (error) {
-    if (patience.aborted) return "";
+    if (timeout.aborted) return "";
     throw error;
   }
 }

@@ -225,7 +225,7 @@ export class MillLink {
     const timeout = new Error("No answer in time.");
     const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
     const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(timeout))]).then(note);
-    const how = { patience_ms: URGENT_MS, quiet: true, keepalive: true };
+    const how = { timeout_ms: URGENT_MS, quiet: true, keepalive: true };
     const post = () => api.post(`${this.path}/control/${what}`, {}, how).then(note);
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;

@@ -5,7 +5,7 @@ const OTHERS = "Other machines";
 
 /** The field of the machine with a choice for each profile: [name, words, description, group]. */
 export function withProfiles(field, profiles) {
-  if (field.named !== "profiles" || !profiles.length) return field;
+  if (field.key !== "machine.profile" || !profiles.length) return field;
   const [here, others] = [profiles.filter(isHere), profiles.filter((profile) => !isHere(profile))];
   const choice = (group) => (profile) => [profile.name, words(profile), profile.description, here.length ? group : undefined];
   return { ...field, choices: [...here.map(choice(HERE)), ...others.map(choice(OTHERS))] };

@@ -66,6 +66,7 @@ function numberInput(field, { described, onChange }, more) {
     inputMode: "decimal",
     autocomplete: "off",
     placeholder: String(usual),
+    title: field.limits || null,
     "aria-describedby": described,
     oninput: onChange,
     ...more,
@@ -104,7 +105,7 @@ function oneNumber(field, parts, options) {
 
 function severalNumbers(field, parts) {
   const inputs = field.names.map((name, at) =>
-    numberInput({ usual: field.usual?.[at] ?? name }, parts, {
+    numberInput({ ...field, usual: field.usual?.[at] ?? name }, parts, {
       "aria-label": `${field.label} ${name}${field.unit ? `, ${field.unit}` : ""}`,
     }),
   );

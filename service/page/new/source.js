@@ -7,7 +7,7 @@ import { merged } from "./spec.js";
 /** {file, name, spec, notice}; plan: number of a row of the job's plan. */
 export async function sourceOf(id, plan) {
   const asked = await api.get(`/v1/jobs/${encodeURIComponent(id)}/request`);
-  const response = await api.request("GET", asked.image, { patience_ms: 0 });
+  const response = await api.request("GET", asked.image, { timeout_ms: 0 });
   const file = new File([await response.blob()], asked.name);
   const name = jobName(asked);
   const row = plan === undefined ? null : await planRow(id, Number(plan));

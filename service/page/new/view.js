@@ -8,7 +8,7 @@ import { foretell } from "../job/foretold.js";
 import { couponPart } from "./coupon.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
-import { MACHINE_USUAL } from "./fields.js";
+import { usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
 import { keepDraft, take, takeDraft } from "./picked.js";
@@ -18,6 +18,7 @@ import { sourceOf } from "./source.js";
 import { valueAt } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 
+const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
 const MAKE = "Make the lens";
 const NO_PICTURE = "Choose a picture first.";

@@ -17,7 +17,7 @@ from service.milling.agent.settings import make_agent_settings
 from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
-_PATIENCE_S = 20.0
+_TIMEOUT_S = 20.0
 
 
 def main() -> int:
@@ -47,7 +47,7 @@ def main() -> int:
 
 def _await(port: Path) -> None:
     """Wait for the mill, which is started at the same time."""
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + _TIMEOUT_S
     while not port.exists() and time.monotonic() < until:
         time.sleep(0.05)
 

@@ -48,7 +48,7 @@ NETWORK = frozenset(
 )
 MOUNTS = Path("/proc/self/mountinfo")
 LOCK_NAME = "worker.lock"
-PATIENCE_S = 2.0  # a worker that was killed just now may not be quite gone
+TIMEOUT_S = 2.0  # a worker that was killed just now may not be quite gone
 
 
 def executor_name(settings: ServerSettings) -> str:
@@ -95,7 +95,7 @@ def lock_data(settings: ServerSettings) -> IO[str]:
         file = (settings.data / LOCK_NAME).open("a+", encoding="ascii")
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
-    if not _within(PATIENCE_S, lambda: _try_flock(file)):
+    if not _within(TIMEOUT_S, lambda: _try_flock(file)):
         file.close()
         raise InputError(f"CAUSTICMILL_DATA: another worker has {settings.data}; a SQLite database is for one worker")
     return file
@@ -110,7 +110,7 @@ class NameLock:
             hashlib.sha256(f"causticmill {executor}".encode()).digest()[:8], "big", signed=True
         )
         self._connection = self._connect()
-        if not _within(PATIENCE_S, self._take):
+        if not _within(TIMEOUT_S, self._take):
             self._connection.close()
             raise InputError(
                 f"CAUSTICMILL_EXECUTOR: another worker runs as {executor}; give each worker a name of its own"
@@ -147,8 +147,8 @@ def _try_flock(file: IO[str]) -> bool:
     return True
 
 
-def _within(patience_s: float, attempt: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + patience_s
+def _within(timeout_s: float, attempt: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + timeout_s
     while not attempt():
         if time.monotonic() > deadline:
             return False

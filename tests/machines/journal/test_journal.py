@@ -226,7 +226,7 @@ def test_a_stuck_fsync_does_not_stall_the_writer_not_even_across_a_rotation(tmp_
 
 def test_a_disk_that_never_answers_is_an_error(tmp_path: Path) -> None:
     disk = SlowDisk()
-    journal = Journal(tmp_path, disk=disk, syncer=ThreadSyncer(0.001, patience_s=0.05))
+    journal = Journal(tmp_path, disk=disk, syncer=ThreadSyncer(0.001, timeout_s=0.05))
     journal.append("start", line=0)
     journal.sync()
     disk.gate.clear()

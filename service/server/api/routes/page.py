@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import asdict
+
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from service.http.problems import Problem
+from service.job.report.pictures import PICTURES
+from service.job.spec.model import JobSpec
 from service.page.files import INDEX, PageFile, PageFiles
 from service.server.api.answers.download import matches
 
@@ -25,8 +30,14 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
+MADE: dict[str, tuple[str, Callable[[], object]]] = {
+    "new/spec_schema.js": ("SCHEMA", JobSpec.model_json_schema),
+    "job/report_pictures.js": ("PICTURES", lambda: [asdict(picture) for picture in PICTURES]),
+}
+"""Modules of what the page would else have to list itself."""
+
 router = APIRouter()
-_files = PageFiles()
+_files = PageFiles(made=MADE)
 
 
 @router.api_route(PREFIX + "{path:path}", methods=["GET", "HEAD"], include_in_schema=False)

@@ -1,4 +1,6 @@
-"""A spec in which every figure is given, and another allowed value for each of its keys."""
+"""A spec in which every figure is given, and another allowed value for each of its keys: as it stands in OTHER, or in
+ALONE, or any that the schema allows.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _ROW = {
     "flute_length_mm": 15.0,
     "shank_radius_mm": 3.0,
 }
-BASE: dict[str, Any] = {
+_GIVEN: dict[str, Any] = {
     "preset": "draft",
     "plan": {"hours": None, "blur_mm": None, "psnr_db": None},
     "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False, "prepare": "none",
@@ -50,6 +52,7 @@ BASE: dict[str, Any] = {
         "blend_tolerance_mm": None, "high_precision": "none", "warm_up_s": 0.0, "trace_outline": False,
     },
 }  # fmt: skip
+BASE: dict[str, Any] = JobSpec.model_validate(_GIVEN).model_dump(mode="json")
 OTHER: dict[str, Any] = {
     "preset": "paper",
     "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True, "image.prepare": "detail",
@@ -116,13 +119,19 @@ def spec_of(changes: dict[str, Any]) -> JobSpec:
     return resolve_spec(base=_changed(BASE, "", changes))
 
 
-def leaves(data: Any, place: str = "") -> list[str]:
+def leaves(data: Any) -> list[str]:
     """Dotted keys of all single values; a list of numbers is one."""
-    if isinstance(data, dict):
-        return [key for name, value in data.items() for key in leaves(value, f"{place}.{name}".lstrip("."))]
+    return list(flatten(data))
+
+
+def flatten(data: Any, place: str = "") -> dict[str, Any]:
+    """The single values by their dotted keys."""
     if isinstance(data, list | tuple) and data and isinstance(data[0], dict):
-        return [key for number, value in enumerate(data) for key in leaves(value, f"{place}.{number}")]
-    return [place]
+        data = dict(enumerate(data))
+    if not isinstance(data, dict):
+        return {place: data}
+    found = (flatten(value, f"{place}.{name}".lstrip(".")) for name, value in data.items())
+    return {key: value for inner in found for key, value in inner.items()}
 
 
 def _changed(data: Any, place: str, changes: dict[str, Any]) -> Any:
@@ -133,3 +142,31 @@ def _changed(data: Any, place: str, changes: dict[str, Any]) -> Any:
     if isinstance(data, list) and isinstance(data[0], dict):
         return [_changed(value, f"{place}.{number}", changes) for number, value in enumerate(data)]
     return data
+
+
+_SCHEMA = JobSpec.model_json_schema()
+
+
+def _another(key: str, value: Any) -> Any:
+    """Near the value, or at the low end of what is allowed."""
+    told = _target(_SCHEMA)
+    for step in key.split("."):
+        told = _target(told["items"] if step.isdecimal() else told["properties"][step])
+    if "enum" in told:
+        return next(other for other in told["enum"] if other != value)
+    if told["type"] == "boolean":
+        return not value
+    low = told["minimum"] if "minimum" in told else told["exclusiveMinimum"]
+    other = low + 0.01 * (told["maximum"] - low) if value in (None, low) else value - 0.1 * (value - low)
+    return other if told["type"] == "number" else round(other) + (round(other) == value)
+
+
+def _target(told: dict[str, Any]) -> dict[str, Any]:
+    """What a reference stands for, and of "this or nothing" this."""
+    one = next((one for one in told.get("anyOf", ()) if one.get("type") != "null"), told)
+    return _SCHEMA["$defs"][one["$ref"].rpartition("/")[2]] if "$ref" in one else one
+
+
+OTHER |= {
+    key: _another(key, value) for key, value in flatten(BASE).items() if key not in {*OTHER, *ALONE, *ONLY_ONE_VALUE}
+}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -11,6 +12,7 @@ import httpx
 import pytest
 
 from service.page.files import FOLDER
+from service.server.api.routes.page import MADE
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S
 
@@ -124,7 +126,22 @@ def test_every_module_that_is_imported_is_there(path: str) -> None:
     text = (FOLDER / path).read_text(encoding="utf-8")
     for found in filter(None, (name for names in IMPORT.findall(text) for name in names)):
         assert found.startswith("."), f"{path}: {found}"
-        assert (FOLDER / path).parent.joinpath(found).is_file(), f"{path}: {found}"
+        at = (FOLDER / path).parent.joinpath(found).resolve()
+        assert at.is_file() or str(at.relative_to(FOLDER.resolve())) in MADE, f"{path}: {found}"
+
+
+@pytest.mark.parametrize("path", MADE)
+def test_a_module_that_the_server_makes_is_served_as_a_file_is(closed: ApiServer, path: str) -> None:
+    answer = closed.client.get(f"/page/{path}")
+    name, value = MADE[path]
+    exported = answer.text.removeprefix(f"export const {name} = ").removesuffix(";\n")
+    assert json.loads(exported) == json.loads(json.dumps(value()))
+    assert (
+        answer.headers["content-type"].startswith("text/javascript") and answer.headers["cache-control"] == "no-cache"
+    )
+    assert not (FOLDER / path).exists()
+    again = closed.client.get(f"/page/{path}", headers={"If-None-Match": answer.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
 
 
 def test_an_installed_server_has_every_file() -> None:

@@ -1,0 +1,59 @@
+"""A row of `passes` in the job spec. `cam.passes.PassSpec` has the same keys, and is made from it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from service.job.spec.form import shown
+from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
+
+
+class PassRow(Section):
+    """One milling pass with a ball end mill; radius_mm is the RADIUS of the ball."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=24), shown("Name")] = "finish"
+    radius_mm: Annotated[Radius, shown("Ball radius")]
+    pitch_mm: Annotated[float, Field(ge=0.002, le=25), shown("Pitch")]
+    stock_to_leave_mm: Annotated[float, Field(ge=0, le=10), shown("Stock to leave")] = 0.0
+    strategy: Annotated[
+        Literal["raster", "contour"], shown("Strategy", choices={"raster": "rows", "contour": "contour lines"})
+    ] = "raster"
+    direction: Annotated[Literal["x", "y"], shown("Rows along", choices={"x": "X", "y": "Y"})] = "x"
+    link: Annotated[
+        Literal["u-turn", "retract"], shown("Between rows", choices={"u-turn": "turn", "retract": "lift"})
+    ] = "u-turn"
+    where: Annotated[
+        Literal["everywhere", "rest"], shown("Where", choices={"everywhere": "everywhere", "rest": "only the rest"})
+    ] = "everywhere"
+    step_down_mm: Annotated[StepDown | None, shown("Step down", usual="usual")] = None
+    feed_mm_per_min: Annotated[Rate | None, shown("Feed", usual="usual")] = None
+    plunge_mm_per_min: Annotated[Rate | None, shown("Plunge", usual="usual")] = None
+    spindle_rpm: Annotated[Speed | None, shown("Spindle", usual="usual")] = None
+    flute_length_mm: Annotated[
+        Annotated[float, Field(gt=0, le=200)] | None, shown("Flute length", usual="not checked")
+    ] = None
+    shank_radius_mm: Annotated[
+        Annotated[float, Field(gt=0, le=50)] | None, shown("Shank radius", usual="not checked")
+    ] = None
+
+    @model_validator(mode="after")
+    def _pitch_fits_the_ball(self) -> Self:
+        if self.pitch_mm > self.radius_mm:
+            raise ValueError(
+                f"pitch_mm = {self.pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
+                f"radius_mm = {self.radius_mm:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        if self.where == "rest" and self.strategy == "contour":
+            raise ValueError('where = "rest" goes with rows only; allowed: strategy = "raster"')
+        if self.shank_radius_mm is not None and self.flute_length_mm is None:
+            raise ValueError(
+                f"shank_radius_mm = {self.shank_radius_mm:g} says nothing without the height at which it begins; "
+                "allowed: with flute_length_mm"
+            )
+        return self
