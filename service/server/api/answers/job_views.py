@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from service.job.files import is_program, run_order
+from service.job.files import is_program, program_order
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
@@ -97,7 +97,7 @@ def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
     """Return the programs by number, from 1 in the order in which they are run: that of their pass, unless one is
     split.
     """
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
     return dict(enumerate(found, 1))
 
 
