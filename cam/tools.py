@@ -30,7 +30,7 @@ class Tool:
     cost_class: int
 
     def reaches(self, depth_mm: float) -> bool:
-        """Whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
+        """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
         free_mm = self.stick_out_mm if self.shank_radius_mm <= self.radius_mm else self.flute_length_mm
         return depth_mm <= free_mm
 
@@ -53,7 +53,7 @@ class Speeds:
         spindle_rpm: tuple[float, float],
         max_rate_mm_per_min: tuple[float, float, float],
     ) -> Speeds:
-        """The material's start values within reach of tool and mill; feeds go with speed and number of flutes.
+        """Return the material's start values within reach of tool and mill; feeds go with speed and number of flutes.
 
         spindle_rpm         : slowest and fastest of the mill
         max_rate_mm_per_min : of its axes X, Y, Z
@@ -70,7 +70,7 @@ class Speeds:
 
 
 def contact_speed_m_per_min(radius_mm: float, spindle_rpm: float, slope: float) -> float:
-    """Of the cutting edge where a ball touches a surface of that slope; none at its tip."""
+    """Return the speed of the cutting edge where a ball touches a surface of that slope; none at its tip."""
     return 2 * pi * spindle_rpm * radius_mm * slope / sqrt(1 + slope * slope) / 1000
 
 
@@ -85,7 +85,7 @@ def tool_pass(
     direction: Direction = "x",
     strategy: Strategy = "raster",
 ) -> PassSpec:
-    """A pass with this tool at these speeds."""
+    """Return a pass with this tool at these speeds."""
     return PassSpec(
         name=name,
         strategy=strategy,

@@ -13,10 +13,10 @@ class Digits:
     z_mm: float
 
     def coarsen(self, step_mm: float) -> Digits:
-        """The raster of a mill that moves in such steps: whole steps, where they are coarser than the digits."""
+        """Return the raster of a mill that moves in such steps: whole steps, where they are coarser than the digits."""
         return Digits(xy_mm=_coarser(self.xy_mm, step_mm), z_mm=_coarser(self.z_mm, step_mm))
 
 
 def _coarser(digit_mm: float, step_mm: float) -> float:
-    """A step that the digits can state exactly, no finer than either; the digit where steps are finer."""
+    """Return a step that the digits can state exactly, no finer than either; the digit where steps are finer."""
     return max(1, round(step_mm / digit_mm)) * digit_mm

@@ -13,7 +13,9 @@ UNKNOWN = np.iinfo(np.int64).min
 
 @njit(cache=True, nogil=True)
 def write_number(value, decimals, least_decimals, out, at):  # type: ignore[no-untyped-def]
-    """value / 10^decimals, zeros behind the least decimals left out, into out[at:]; returns the place after it."""
+    """Write value / 10^decimals, zeros behind the least decimals left out, into out[at:]; return the place after
+    it.
+    """
     if value < 0:
         out[at] = 45  # -
         at += 1
@@ -46,7 +48,7 @@ def write_number(value, decimals, least_decimals, out, at):  # type: ignore[no-u
 def write_lines(  # type: ignore[no-untyped-def]
     points, state, decimals, letters, gap, line_end, opening, closing, least_decimals, number_every, out
 ):
-    """Points (n, 3) as blocks into out; state (4,) int64: the last position and the lines written, updated.
+    """Write points (n, 3) as blocks into out; state (4,) int64: the last position and the lines written, updated.
 
     Axis words only where they changed, no block where none did; `opening` and `closing` (a motion word, a feed word)
     go on the first block alone. Returns bytes and lines written.

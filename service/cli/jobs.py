@@ -1,4 +1,4 @@
-"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in runs.
+"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in `service.cli.runs`.
 
 Everything is imported inside the commands, so that --help answers at once.
 """

@@ -100,7 +100,7 @@ def is_program(name: str) -> bool:
     return _PROGRAM.fullmatch(name) is not None
 
 
-def run_order(name: str) -> tuple[int, int, str]:
+def program_order(name: str) -> tuple[int, int, str]:
     """Return the key that sorts programs into the order in which they are run."""
     pass_number, _, rest = name.removeprefix("pass-").partition("-")
     return int(pass_number), len(rest), rest  # a hundredth part has one more digit

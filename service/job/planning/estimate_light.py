@@ -1,4 +1,4 @@
-"""How much of the picture one will recognise, and what detail, foretold for an estimate with the planner's eyes."""
+"""How much of the picture one will recognise, and what detail, predicted for an estimate as the planner predicts it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plan with the eyes it was made with, and what of it the job spec takes."""
+"""A plan with the light model it was made with, and what of it the job spec takes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from service.job.spec.model import PassRow
 
 @dataclass(frozen=True, kw_only=True)
 class Planned:
-    """A plan with the eyes it was made with."""
+    """A plan with the light model it was made with."""
 
     plan: Plan
     light: PictureLight

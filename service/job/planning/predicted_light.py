@@ -1,4 +1,4 @@
-"""What lenses show as milled, as far as it can be known before a program is written: the planner's eyes.
+"""What lenses show as milled, as far as it can be known before a program is written: the planner's light model.
 
 Facets of a milled surface are much smaller than a pixel: each patch sends its light over all their slopes, and the
 picture is that of the perfect lens convolved with where they send it, darker at its edges, with the stripes of rows

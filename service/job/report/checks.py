@@ -15,7 +15,9 @@ _SCRATCH_MM = 0.5  # shorter slots are not worth a word
 
 
 def check_rows(passes: Sequence[Row]) -> list[Cells]:
-    """(what was verified, what is allowed, one cell per pass); rows that no pass has an answer to are left out."""
+    """Return (what was verified, what is allowed, one cell per pass); rows that no pass has an answer to are left
+    out.
+    """
     asked: tuple[tuple[str, str, Callable[[Row], str | None]], ...] = (
         ("Program read back and cut in simulation", "every move", lambda p: _unit(p, "moves", whole, "moves")),
         ("Cut below the lens", "1 µm, or 1.5 steps of the heights written", lambda p: _number(p, "gouge_um", 2, "µm")),
@@ -48,7 +50,7 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
 
 
 def flutes_in_words(row: Row) -> str:
-    """How long the flutes must be and, where that is stated, are."""
+    """Return how long the flutes must be and, where that is stated, are."""
     need_mm, have_mm = row.get("flute_need_mm"), row.get("flute_length_mm")
     if need_mm is None:
         return MISSING
@@ -57,7 +59,7 @@ def flutes_in_words(row: Row) -> str:
 
 
 def order_in_words(row: Row) -> str:
-    """How the tool goes over the lens in a pass."""
+    """Return how the tool goes over the lens in a pass."""
     if row.get("is_around"):
         return "rows along X over the whole top" if "above_mm" in row else "around the lens, layer by layer"
     if row.get("strategy") == "contour":

@@ -43,7 +43,7 @@ class SetUp:
 
 
 def top_view(job: SetUp) -> Markup:
-    """The block as the operator sees it from above, the front of the mill at the bottom."""
+    """Draw the block as the operator sees it from above, the front of the mill at the bottom."""
     block_w, block_h = job.width_mm + 2 * job.margin_mm, job.height_mm + 2 * job.margin_mm
     scale = 230.0 / max(block_w, block_h)
     left, top = 58.0, 14.0
@@ -71,7 +71,7 @@ def top_view(job: SetUp) -> Markup:
 
 
 def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """What the cutter's flanks go over, where a ring is left around it."""
+    """Draw what the cutter's flanks go over, where a ring is left around it."""
     if job.swept_mm is None or job.ring_mm <= 0:
         return []
     left, right, front, back = job.swept_mm
@@ -81,7 +81,7 @@ def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
 
 
 def _lens(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
-    """The aperture, and in it the outline of a lens that is no rectangle."""
+    """Draw the aperture, and in it the outline of a lens that is no rectangle."""
     w, h = scale * job.width_mm, scale * job.height_mm
     if not job.outline_mm:
         return [_box(zero_x, zero_y - h, w, h, _LENS, "#1f2933")]
@@ -94,7 +94,7 @@ def _lens(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
 
 
 def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
-    """The lens's size: in its middle where that is clear of the axes, else beside the block."""
+    """Return the lens's size: in its middle where that is clear of the axes, else beside the block."""
     words = f"{job.width_mm:g} × {job.height_mm:g} mm"
     if min(w, h) - 2 * m > _ROOM_FOR_WORDS:
         x, y, anchor = left + w / 2, top + h / 2, "middle"
@@ -104,7 +104,7 @@ def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float
 
 
 def side_view(job: SetUp) -> Markup:
-    """Light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
+    """Draw light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
     left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
     deepest = job.deepest_mm or 0.0
     depth = min(max(deepest / job.thickness_mm, 0.0), 0.95) * (back - zero)
@@ -136,7 +136,7 @@ def side_view(job: SetUp) -> Markup:
 
 
 def _draw_light(job: SetUp, left: float, width: float, zero: float, back: float) -> list[str]:
-    """Arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
+    """Draw arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
     middle = left + width / 2
     spread = 1.0 if job.lamp_mm is None else 0.35
     low, high = (zero - 62, zero - 8) if job.is_mirror else (back + 34, back + 6)

@@ -19,15 +19,15 @@ _MOST_OF_IT = 0.7  # of what milling costs, from which one cause explains it
 
 
 def sentences_as_milled(milled: Mapping[str, Any]) -> list[str]:
-    """From report `as_milled`; nothing where there is none."""
+    """Return sentences from report `as_milled`; nothing where there is none."""
     if milled.get("psnr_db") is None:
         return []
     return [_word_expectation(milled), *_main_cause(milled), _blur(milled)]
 
 
 def _main_cause(milled: Mapping[str, Any]) -> list[str]:
-    """What costs most. Marks hide each other: where one is taken away the others stay, so that what each alone would
-    bring does not add up to what all of them cost.
+    """Return what costs most. Marks hide each other: where one is taken away the others stay, so that what each alone
+    would bring does not add up to what all of them cost.
     """
     gains = sorted((milled.get("gain_db_without") or {}).items(), key=lambda row: -row[1])
     if not gains or gains[0][1] < _WORTH_DB:
@@ -45,7 +45,9 @@ def _main_cause(milled: Mapping[str, Any]) -> list[str]:
 
 
 def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | None:
-    """A warning where the milled surface blurs more than a pixel. planned: the planner chose the passes, for a goal."""
+    """Return a warning where the milled surface blurs more than a pixel. planned: the planner chose the passes, for a
+    goal.
+    """
     pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
     if not pixels > 1.0:
         return None

@@ -44,7 +44,7 @@ def lens_solid(
     max_vertices: int = 257,
     outline_mm: Sequence[Sequence[float]] | None = None,
 ) -> Any:
-    """The block as a trimesh.Trimesh, normals outward, at most max_vertices along the longer side of the lens.
+    """Return the block as a trimesh.Trimesh, normals outward, at most max_vertices along the longer side of the lens.
 
     outline_mm : corners in the aperture, counter-clockwise, that the block is cut along; None: it stays a box
     Raises ReliefTooDeep where the floor gets thinner than min_floor_mm, SolidError where no closed solid results.
@@ -60,12 +60,12 @@ def lens_solid(
 
 
 def stl_bytes(mesh: Any) -> bytes:
-    """Binary STL in millimetres."""
+    """Return binary STL in millimetres."""
     return bytes(mesh.export(file_type="stl"))
 
 
 def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], thickness_mm: float) -> Any:
-    """What of the block stands over the outline."""
+    """Return what of the block stands over the outline."""
     flat = manifold3d.CrossSection([[(x, y) for x, y in outline_mm]])
     column = flat.extrude(thickness_mm + 2 * _OVERLAP_MM).translate((0, 0, -thickness_mm - _OVERLAP_MM))
     cut = (solid ^ column).to_mesh64()
@@ -81,7 +81,7 @@ def _mesh(vertices: Array, faces: Indices) -> Any:
 
 
 def _lens_grid(heightfield: Heightfield, max_vertices: int) -> tuple[Array, Array, Array]:
-    """Axes and spline heights of a grid from rim to rim, no finer than the heightfield, nowhere above Z0."""
+    """Return axes and spline heights of a grid from rim to rim, no finer than the heightfield, nowhere above Z0."""
     longer = max(heightfield.width_mm, heightfield.height_mm)
     nx, ny = (
         max(2, min(nodes, round((max_vertices - 1) * side / longer) + 1))
@@ -96,7 +96,7 @@ def _lens_grid(heightfield: Heightfield, max_vertices: int) -> tuple[Array, Arra
 
 
 def _block(x_mm: Array, y_mm: Array, z_mm: Array, *, thickness_mm: float, margin_mm: float) -> tuple[Array, Indices]:
-    """Vertices (n, 3) and outward triangles (m, 3) of the whole block.
+    """Return vertices (n, 3) and outward triangles (m, 3) of the whole block.
 
     The rim of the lens is a closed loop of vertices. Copies of that loop, level after level, make the wall up to Z0,
     the flat ring outward, and the sides down to the back, which is a fan around one centre vertex.
@@ -130,25 +130,27 @@ def _at_height(loop: Array, z_mm: float) -> Array:
 
 
 def _grown(loop: Array, centre_mm: Array, margin_mm: float) -> Array:
-    """The rectangular loop with margin_mm added on each side; vertices keep their share of each side."""
+    """Return the rectangular loop with margin_mm added on each side; vertices keep their share of each side."""
     half_mm = np.abs(loop[:, :2] - centre_mm).max(axis=0)
     return np.column_stack([centre_mm + (loop[:, :2] - centre_mm) * (1 + margin_mm / half_mm), loop[:, 2]])
 
 
 def _band(inner: Indices, outer: Indices) -> Indices:
-    """Triangles between two loops that both run counter-clockwise seen from above; `inner` comes first on the skin."""
+    """Return triangles between two loops that both run counter-clockwise seen from above; `inner` comes first on the
+    skin.
+    """
     return _quads(inner, outer, np.roll(outer, -1), np.roll(inner, -1))
 
 
 def _quads(a: Indices, b: Indices, c: Indices, d: Indices) -> Indices:
-    """Two triangles for each quad a-b-c-d, counter-clockwise seen from outside."""
+    """Return two triangles for each quad a-b-c-d, counter-clockwise seen from outside."""
     first = np.stack([a, b, c], axis=-1).reshape(-1, 3)
     second = np.stack([a, c, d], axis=-1).reshape(-1, 3)
     return np.concatenate([first, second])
 
 
 def _proper(faces: Indices) -> Indices:
-    """Without the triangles that have collapsed to an edge."""
+    """Return the triangles without those that have collapsed to an edge."""
     a, b, c = faces.T
     return faces[(a != b) & (b != c) & (c != a)]
 
@@ -159,7 +161,7 @@ def _without_unused(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
 
 
 def _require_closed(mesh: Any) -> manifold3d.Manifold:
-    """The solid that the mesh bounds; two libraries must agree that it does."""
+    """Make the solid that the mesh bounds; two libraries must agree that it does."""
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=np.asarray(mesh.vertices), tri_verts=np.asarray(mesh.faces, dtype=np.uint64))
     )

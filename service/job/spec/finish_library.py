@@ -85,7 +85,7 @@ class Process:
         return self.minutes(area_mm2) * (self.default_k0_rad_per_mm / k0_rad_per_mm) ** (1 / self.k0_exponent)
 
     def _part(self, minutes: float, area_mm2: float) -> float:
-        """The minutes as a multiple of the default ones."""
+        """Return the minutes as a multiple of the default ones."""
         return minutes / self.minutes(area_mm2) if self.default_minutes > 0 else 0.0
 
     def _lenses(self, area_mm2: float) -> float:

@@ -33,7 +33,7 @@ def resolve_job(
     light_picture: Path | None = None,
     load: LoadProfile = load_profile,
 ) -> ResolvedJob:
-    """The complete job: defaults, then base, then file, then preset, then overrides ('key.key=value').
+    """Resolve the complete job: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
     light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
@@ -43,7 +43,7 @@ def resolve_job(
 
 
 def resolve_spec(**given: Any) -> JobSpec:
-    """The spec of `resolve_job` with the same arguments."""
+    """Return the spec of `resolve_job` with the same arguments."""
     return resolve_job(**given).spec
 
 
@@ -55,7 +55,7 @@ def spec_data(
     base: Mapping[str, Any] | None = None,
     light_picture: Path | None = None,
 ) -> dict[str, Any]:
-    """What resolve_job validates: plain data, put together from all that was given."""
+    """Return what resolve_job validates: plain data, put together from all that was given."""
     data = _merge(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
         data = {**data, "preset": preset}
@@ -76,7 +76,7 @@ def spec_data(
 
 
 def validate_spec(data: Mapping[str, Any]) -> JobSpec:
-    """The model of plain data; SpecError in place of pydantic's error."""
+    """Validate plain data as the model; SpecError in place of pydantic's error."""
     try:
         return JobSpec.model_validate(data)
     except ValidationError as error:
@@ -84,7 +84,7 @@ def validate_spec(data: Mapping[str, Any]) -> JobSpec:
 
 
 def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
-    """Plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
+    """Read plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
@@ -106,7 +106,7 @@ def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
 
 
 def load_stored_spec(folder: Path) -> JobSpec:
-    """The spec of an earlier job; SpecError where there is none."""
+    """Load the spec of an earlier job; SpecError where there is none."""
     path = folder / SPEC
     if not path.is_file():
         raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
@@ -118,12 +118,14 @@ def load_stored_spec(folder: Path) -> JobSpec:
 
 
 def load_stored_job(folder: Path) -> ResolvedJob:
-    """The earlier job in a folder, with the figures that the files of this computer give now. SpecError."""
+    """Return the earlier job in a folder, with the figures that the files of this computer give now. SpecError."""
     return look_up(load_stored_spec(folder))
 
 
 def restore_job(spec: Mapping[str, Any], figures: str | None) -> ResolvedJob:
-    """The job that was kept as plain data and text. figures: None where it was submitted before they were kept."""
+    """Restore the job that was kept as plain data and text. figures: None where it was submitted before they were
+    kept.
+    """
     found = validate_spec(spec)
     return look_up(found) if figures is None else ResolvedJob(spec=found, figures=Figures.from_text(figures))
 
@@ -131,7 +133,9 @@ def restore_job(spec: Mapping[str, Any], figures: str | None) -> ResolvedJob:
 def resolve_for_lens(
     folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
 ) -> ResolvedJob:
-    """The complete job of new programs for the lens in a job's folder: what was asked for there, then resolve_job."""
+    """Resolve the complete job of new programs for the lens in a job's folder: what was asked for there, then
+    resolve_job.
+    """
     stored = load_stored_job(folder)
     wanted = resolve_job(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
     require_same_lens(stored.spec, wanted.spec)
@@ -139,7 +143,7 @@ def resolve_for_lens(
 
 
 def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
-    """Programs are for the lens that exists: SpecError where `wanted` asks for another."""
+    """Raise SpecError where `wanted` asks for another lens than the one that exists."""
     pairs = [("image", stored.image, wanted.image), ("optics", stored.optics, wanted.optics)]
     problems = [
         (f"{name}.{key}", f"this lens was designed with {old}; allowed: the same, or a new `causticmill design`")
@@ -156,7 +160,7 @@ def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
 
 
 def parse_override(text: str) -> tuple[list[str], Any]:
-    """'optics.width_mm=40' -> (['optics', 'width_mm'], 40). Values as in TOML, a bare word is a string."""
+    """Parse 'optics.width_mm=40' -> (['optics', 'width_mm'], 40). Values as in TOML, a bare word is a string."""
     key, equals, written = text.partition("=")
     steps = [step.strip() for step in key.split(".")]
     if not equals or not all(steps) or not written.strip():
@@ -176,14 +180,14 @@ def _require_preset(preset: object) -> None:
 
 
 def _leave_room(data: dict[str, Any]) -> None:
-    """A margin that leaves large balls the choice, where the person has not said how wide it is."""
+    """Set a margin that leaves large balls the choice, where the person has not said how wide it is."""
     stock = data.get("stock", {})
     if isinstance(stock, Mapping):
         data["stock"] = {"margin_mm": RECOMMENDED_MARGIN_MM, **stock}
 
 
 def _merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """upper over lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
+    """Lay upper over lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
     result = dict(lower)
     if upper.get("preset") not in (None, lower.get("preset")):
         result.pop("passes", None)
@@ -211,7 +215,7 @@ def _override(data: dict[str, Any], text: str) -> None:
 
 
 def _set_profile(data: dict[str, Any], picture: Path) -> None:
-    """The picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
+    """Put the picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
     from service.job.picture.light_profile import light_rows  # arrays: not for those who only plan
 
     optics, image = data.get("optics", {}), data.get("image", {})

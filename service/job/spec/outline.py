@@ -18,19 +18,19 @@ Corner = Sequence[float]
 
 
 def ellipse_mm(width_mm: float, height_mm: float) -> list[list[float]]:
-    """Corners of the ellipse that touches all four rims, counter-clockwise."""
+    """Return corners of the ellipse that touches all four rims, counter-clockwise."""
     angles = (2 * pi * k / _ELLIPSE_CORNERS for k in range(_ELLIPSE_CORNERS))
     return [[width_mm * (1 + cos(angle)) / 2, height_mm * (1 + sin(angle)) / 2] for angle in angles]
 
 
 def counter_clockwise(corners: Sequence[Corner]) -> list[list[float]]:
-    """The same corners, in that order."""
+    """Return the same corners, in that order."""
     ordered = [[float(x), float(y)] for x, y in corners]
     return ordered if _signed_area(ordered) > 0 else ordered[::-1]
 
 
 def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: float) -> str | None:
-    """What is wrong with a closed outline, in words; None where it is the outline of a lens."""
+    """Return what is wrong with a closed outline, in words; None where it is the outline of a lens."""
     sides = list(pairwise([*corners, corners[0]]))
     for number, (x, y) in enumerate(corners):
         if not (0 <= x <= width_mm and 0 <= y <= height_mm):
@@ -48,12 +48,12 @@ def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: floa
 
 
 def _signed_area(corners: Sequence[Corner]) -> float:
-    """Positive where the corners run counter-clockwise."""
+    """Return the area, positive where the corners run counter-clockwise."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise([*corners, corners[0]])) / 2
 
 
 def _cross(a: Corner, b: Corner, c: Corner, d: Corner) -> bool:
-    """Whether the segments a-b and c-d have a point in common."""
+    """Return whether the segments a-b and c-d have a point in common."""
     if max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0]):
         return False
     if max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1]):
@@ -62,5 +62,5 @@ def _cross(a: Corner, b: Corner, c: Corner, d: Corner) -> bool:
 
 
 def _side(a: Corner, b: Corner, point: Corner) -> float:
-    """Positive where `point` lies to the left of a -> b."""
+    """Return the side, positive where `point` lies to the left of a -> b."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])

@@ -44,13 +44,13 @@ _VALUES = Rules(
 
 
 def own_file(name: str = _NAME, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Where the person's own library of that name is, or would be."""
+    """Return where the person's own library of that name is, or would be."""
     folders = user_folders(environment)
     return folders[0].parent / name if folders else None
 
 
 def library_file(given: Path | None = None) -> Path:
-    """The file in use: the one given, else the person's own, else the built-in."""
+    """Return the file in use: the one given, else the person's own, else the built-in."""
     if given is not None:
         return given
     own = own_file()
@@ -58,7 +58,7 @@ def library_file(given: Path | None = None) -> Path:
 
 
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
-    """The tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
+    """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
     data = read_library(path, "tool library")
     rows = data.pop("tool", [])
@@ -119,7 +119,7 @@ def read_library(path: Path, what: str) -> dict[str, Any]:
 
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
-    """Lines that list the library for a person."""
+    """Return lines that list the library for a person."""
     head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]

@@ -24,10 +24,10 @@ export function findNextStep(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
   const standsStill = trouble && !["home", "recover"].includes(trouble.step);
   if (!link.machine && !trouble) return makeStep("wait", "ask the server.");
-  if (standsStill) return { ...due("trouble", trouble.next, { kind: trouble.kind }), trouble };
+  if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
   if (!link.mine) return { ...findControlStep(link), trouble };
-  return { ...standing(link, trouble, load, ticked), trouble };
+  return { ...findStandingStep(link, trouble, load, ticked), trouble };
 }
 
 function makeStep(step, words, more = {}) {

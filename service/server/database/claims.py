@@ -103,7 +103,7 @@ class WorkBook:
             write_event(connection, job.id, "stage.started", {"stage": stage, "number": begun.number}, at=at)
             return begun
 
-    def result(self, key: str) -> StageResult | None:
+    def find_result(self, key: str) -> StageResult | None:
         """Return what equal work made before, if it was done."""
         with begin_reading(self._database) as connection:
             row = connection.execute(sa.select(stage_results).where(stage_results.c.key == key)).mappings().first()

@@ -35,9 +35,9 @@ def connect(url: str) -> sa.Engine:
         sa.event.listen(engine, "begin", _begin_sqlite)
         return engine
     # Keepalives: a host that is gone is noticed in about 25 s rather than in hours.
-    keepalive = {"connect_timeout": CONNECT_TIMEOUT_S, "keepalives_idle": 10, "keepalives_interval": 5}
+    connect_args = {"connect_timeout": CONNECT_TIMEOUT_S, "keepalives_idle": 10, "keepalives_interval": 5}
     return sa.create_engine(
-        url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=keepalive
+        url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=connect_args
     )
 
 

@@ -128,7 +128,7 @@ class JobBook:
             found = [JobListRow.of(row) for one in queries for row in connection.execute(one).mappings()]
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
 
-    def stages(self, job_id: str) -> list[StageRun]:
+    def list_stages(self, job_id: str) -> list[StageRun]:
         """Return every try of every stage, in the order in which they began."""
         query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
         with begin_reading(self.database) as connection:
@@ -139,12 +139,12 @@ class JobBook:
         with begin_reading(self.database) as connection:
             return _reports_so_far(connection, [job.id]).get(job.id)
 
-    def with_report(self, job: Job) -> Job:
+    def add_report(self, job: Job) -> Job:
         """Return the job; where it has not ended, with what its finished stages report."""
         return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
 
-    def with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
-        """Return those of the jobs that there are, as `with_report`, each with the programs that it offers."""
+    def list_with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
+        """Return those of the jobs that there are, as `add_report`, each with the programs that it offers."""
         with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}
@@ -158,19 +158,19 @@ class JobBook:
         with begin_reading(self.database) as connection:
             return may_be_milled(connection, job)
 
-    def artifacts(self, job_id: str) -> list[Artifact]:
+    def list_artifacts(self, job_id: str) -> list[Artifact]:
         """Return the files that the job offers, by name; programs only once they have been checked."""
         with begin_reading(self.database) as connection:
             get_job(connection, job_id)
             return list_offered_artifacts(connection, job_id)
 
-    def artifact(self, job_id: str, name: str) -> Artifact:
-        for artifact in self.artifacts(job_id):
+    def find_artifact(self, job_id: str, name: str) -> Artifact:
+        for artifact in self.list_artifacts(job_id):
             if artifact.name == name:
                 return artifact
         raise UnknownArtifactError(job_id, name)
 
-    def pictures(self, job_ids: Collection[str]) -> dict[str, str]:
+    def list_pictures(self, job_ids: Collection[str]) -> dict[str, str]:
         """Return by job, where it has one, the smallest picture of what its light is to paint, by its name."""
         query = (
             sa.select(artifacts.c.job_id, artifacts.c.name)
@@ -180,17 +180,17 @@ class JobBook:
         with begin_reading(self.database) as connection:
             return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
 
-    def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
+    def list_events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
         """Return events after the one numbered `after`, at most 500 of them."""
         with begin_reading(self.database) as connection:
             return read_events(connection, job_id, after, min(limit, BATCH))
 
-    def latest(self, after: Mapping[str, int]) -> News:
+    def read_news(self, after: Mapping[str, int]) -> News:
         """Return events of many jobs, each after the seq given for it, and the progress of those that run."""
         with begin_reading(self.database) as connection:
             return read_news(connection, after)
 
-    def queue_positions(self) -> dict[str, int]:
+    def read_queue_positions(self) -> dict[str, int]:
         """Return the places of the first thousand waiting jobs, from 1 for the one that starts next."""
         query = (
             sa.select(jobs.c.id)
@@ -201,7 +201,7 @@ class JobBook:
         with begin_reading(self.database) as connection:
             return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
 
-    def counts(self) -> dict[JobState, int]:
+    def count_states(self) -> dict[JobState, int]:
         """Return how many jobs are in each state."""
         with begin_reading(self.database) as connection:
             return count_jobs(read_counters(connection))

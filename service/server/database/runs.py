@@ -100,7 +100,7 @@ class RunBook:
     def __init__(self, database: sa.Engine) -> None:
         self._database = database
 
-    def made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
+    def find_made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
         """Return the run that this key has made. KeyReusedError where it stood for another request."""
         table = idempotency_keys.c
         mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
@@ -131,7 +131,7 @@ class RunBook:
         except IntegrityError:
             raise MachineTakenError(new.machine, self._open_id(new.machine)) from None
         assert new.key is not None
-        before = self.made_before(new.key, new.request_sha256)
+        before = self.find_made_before(new.key, new.request_sha256)
         if before is None:  # made and refused by another caller in the meantime
             raise MachineTakenError(new.machine, self._open_id(new.machine))
         return before, False
@@ -165,7 +165,7 @@ class RunBook:
                 query = query.where(sa.tuple_(runs.c.created_at, runs.c.id) < sa.tuple_(at, before))
             return [RunRow.of(row) for row in connection.execute(query).mappings()]
 
-    def finished(self, job_id: str, machine: str) -> frozenset[str]:
+    def list_finished(self, job_id: str, machine: str) -> frozenset[str]:
         """Return hashes of the job's programs that this mill has finished."""
         return self.list_finished_by_mill([job_id]).get((job_id, machine), frozenset())
 
@@ -188,7 +188,7 @@ class RunBook:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
 
-    def told(self, run: RunRow, view: Json) -> RunRow:
+    def record_report(self, run: RunRow, view: Json) -> RunRow:
         """Return what the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
 
         Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a

@@ -160,7 +160,7 @@ class TokenBook:
             alive = tokens.c.expires_at.is_(None) | (tokens.c.expires_at > now)
             connection.execute(update(tokens).where(tokens.c.id == token.id, alive).values(**values))
 
-    def any_ever(self) -> bool:
+    def has_ever_had_any(self) -> bool:
         """Return whether there ever was a token. From then on nobody is anonymous: an expiry must not open what was
         closed.
 
@@ -169,7 +169,7 @@ class TokenBook:
         with begin_reading(self.engine) as connection:
             return connection.execute(select(tokens.c.id).where(~tokens.c.paired).limit(1)).first() is not None
 
-    def any_live(self) -> bool:
+    def has_live(self) -> bool:
         """Return whether a token that an administrator has made opens something."""
         now = self._clock()
         return any(token.live(now) and not token.paired for token in self.list_rows())

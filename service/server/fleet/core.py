@@ -139,7 +139,7 @@ class FleetCore:
             words = "its agent no longer knows this run"
             await self.do(self.runs.close, run.id, LOST, words, make_reason(ServerCode.RUN_LOST))
             return Seen(await self.do(self.runs.get, run.id))
-        return Seen(await self.do(self.runs.told, run, view))
+        return Seen(await self.do(self.runs.record_report, run, view))
 
     async def await_end(self, seconds: float) -> bool:
         """Wait so long, or until the server ends: then True."""

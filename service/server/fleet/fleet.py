@@ -188,7 +188,7 @@ class Fleet:
     def _read_surroundings(self, rows: Sequence[RunRow]) -> list[Surroundings]:
         """Return what each of the runs is part of, by as many queries for a hundred of them as for one."""
         job_ids = {run.job_id for run in rows}
-        found = self._core.jobs.with_programs(job_ids)
+        found = self._core.jobs.list_with_programs(job_ids)
         finished = self._core.runs.list_finished_by_mill(job_ids)
         programs = {job_id: programs_of(files) for job_id, (_, files) in found.items()}
         return [

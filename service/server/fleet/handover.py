@@ -46,7 +46,7 @@ class Handovers:
         """Make the run, or find the one that this key has made. Problem where it may not be."""
         asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
         core = self._core
-        if key is not None and (before := await core.do(core.runs.made_before, key, asked)) is not None:
+        if key is not None and (before := await core.do(core.runs.find_made_before, key, asked)) is not None:
             return before
         program = await self._chosen(machine, job_id, wanted)
         if (other := await core.do(core.runs.open_on, machine.name)) is not None:
@@ -113,13 +113,13 @@ class Handovers:
         core = self._core
         try:
             job: Job = await core.do(core.jobs.get, job_id)
-            programs = programs_of(await core.do(core.jobs.artifacts, job_id))
+            programs = programs_of(await core.do(core.jobs.list_artifacts, job_id))
         except UnknownJobError:
             raise _no_job(job_id) from None
         if not await core.do(core.jobs.may_be_milled, job):
             raise Problem(409, str(JobNotReadyError(job)), field="job")
         if wanted is None:
-            done = await core.do(core.runs.finished, job_id, machine.name)
+            done = await core.do(core.runs.list_finished, job_id, machine.name)
             return _next(programs, done, machine.name)
         for program in programs:
             if wanted in (program.number, program.name):

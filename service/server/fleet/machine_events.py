@@ -138,7 +138,7 @@ class MachineEvents:
         runs = self._core.runs
         run = await self._core.do(runs.open_on, self._machine.name)
         if run is not None and _is_about(view, run):
-            run = await self._core.do(runs.told, run, run_view(view, self._machine.name))
+            run = await self._core.do(runs.record_report, run, run_view(view, self._machine.name))
         return run if run is not None and run.open else None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from service.job.files import is_program, run_order
+from service.job.files import is_program, program_order
 from service.server.database.records import Artifact, Job
 from service.wording import ball
 
@@ -30,8 +30,8 @@ class Program:
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
     """Return the programs among a job's files, in the order in which they are run."""
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
-    passes = [run_order(file.name)[0] for file in found]
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
+    passes = [program_order(file.name)[0] for file in found]
     return [
         Program(
             number=number,

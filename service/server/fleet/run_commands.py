@@ -141,5 +141,7 @@ class Controls:
 
     async def _write_view(self, run: RunRow, view: Json) -> Seen:
         return Seen(
-            await self._core.do(self._core.runs.told, await self._core.row(run.id), run_view(view, run.machine))
+            await self._core.do(
+                self._core.runs.record_report, await self._core.row(run.id), run_view(view, run.machine)
+            )
         )

@@ -74,7 +74,7 @@ class Stops:
             if stop is not Stop.ABORT or problem.status not in (404, 409):
                 raise
             return await self._give_up(run_id, problem)
-        writing = self._go_on(self._core.do(self._core.runs.told, run, run_view(view, run.machine)))
+        writing = self._go_on(self._core.do(self._core.runs.record_report, run, run_view(view, run.machine)))
         return Seen(await self.wait_briefly(writing, _apply_view(run, view)))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:

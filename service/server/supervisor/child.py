@@ -1,4 +1,4 @@
-"""One child of the supervisor: started, listened to, started again with patience, stopped."""
+"""One child of the supervisor: started, listened to, started again with growing pauses, stopped."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class SupervisedChild:
         self._started_at = self._heard_at = self._listened_at = time.monotonic()
 
     def listen(self) -> None:
-        """Take what it has beaten since."""
+        """Read its beats since."""
         self._listened_at = time.monotonic()
         with contextlib.suppress(BlockingIOError):
             while self.beats is not None and os.read(self.beats, 4096):

@@ -82,7 +82,7 @@ class StageRunner:
                     return None
 
     def _reuse(self, stage: str, key: str) -> StageResult | None:
-        found = self._context.work.result(key)
+        found = self._context.work.find_result(key)
         if found is None:
             return None
         try:

@@ -27,7 +27,7 @@ _QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
 
 
 def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
-    """8 bit sRGB levels of linear irradiance (any shape); `white` becomes 255, what is brighter is clipped.
+    """Convert linear irradiance (any shape) to 8 bit sRGB; `white` becomes 255, what is brighter is clipped.
 
     IEC 61966-2-1. Raises ValueError unless white is positive and finite.
     """
@@ -39,7 +39,7 @@ def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
 
 
 def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
-    """The plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
+    """Draw the plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
     levels = srgb_levels(picture, white=white).repeat(scale, axis=0).repeat(scale, axis=1)
     buffer = io.BytesIO()
     Image.fromarray(levels).save(buffer, format="PNG", compress_level=_PACKED)
@@ -47,7 +47,7 @@ def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
 
 
 def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated caustic") -> bytes:
-    """Target, caustic and what lies between them: caustic - target in percent of white, red where too bright."""
+    """Draw target, caustic and their difference: caustic - target in percent of white, red where too bright."""
     white = float(target.max())
     difference = 100.0 * (caustic - target) / white
     rms = float(np.sqrt(np.mean(difference**2)))
@@ -65,7 +65,7 @@ def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated cau
 
 
 def preparation_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
-    """The picture as it was given and as the lens aims at it, both with the same amount of light."""
+    """Draw the picture as it was given and as the lens aims at it, both with the same amount of light."""
     white = float(max(np.quantile(given, 0.999), np.quantile(prepared, 0.999)))
     figure = new_figure(9.0, 0.5 + panel_height(4.4, *given.shape))
     panels = figure.subplots(1, 2)
@@ -76,7 +76,7 @@ def preparation_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes
 
 
 def through_focus_png(pictures: Sequence[tuple[float, Array]], *, throw_mm: float, white: float) -> bytes:
-    """The caustic on screens at several distances; `pictures` holds (distance / throw, picture) in order."""
+    """Draw the caustic on screens at several distances; `pictures` holds (distance / throw, picture) in order."""
     shape = pictures[0][1].shape
     figure = new_figure(3.2 * len(pictures) + 0.1, 0.6 + panel_height(3.15, *shape))
     panels = figure.subplots(1, len(pictures), squeeze=False)[0]
@@ -88,19 +88,21 @@ def through_focus_png(pictures: Sequence[tuple[float, Array]], *, throw_mm: floa
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure of its own, outside pyplot's global state, so that threads do not share anything."""
+    """Make a figure of its own, outside pyplot's global state, so that threads do not share anything."""
     figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def panel_height(width_in: float, height: float, width: float) -> float:
-    """Inches for a panel width_in wide that shows something of height x width; long strips keep white around them."""
+    """Return inches for a panel width_in wide that shows something of height x width; long strips keep white around
+    them.
+    """
     return width_in * min(max(height / width, 0.25), 2.5)
 
 
 def png_bytes(figure: Figure) -> bytes:
-    """Drawn once: `savefig` draws all of it a first time only to lay it out."""
+    """Draw once: `savefig` draws all of it a first time only to lay it out."""
     canvas: Any = figure.canvas
     canvas.draw()
     buffer = io.BytesIO()
@@ -110,7 +112,7 @@ def png_bytes(figure: Figure) -> bytes:
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, ... at or above value; 1 for zero."""
+    """Return the next of 1, 2, 5, 10, ... at or above value; 1 for zero."""
     if value <= 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

@@ -25,7 +25,7 @@ _S, _DRAWING = range(2)
 
 @njit(cache=True, nogil=True)
 def _is_clear(stamps, cell, x, y, radius, since):  # type: ignore[no-untyped-def]
-    """Is no stamp older than `since` within radius of (x, y)?"""
+    """Return whether no stamp is newer than `since` within radius of (x, y)."""
     ny, nx = stamps.shape
     n = int(math.ceil(radius / cell))
     i0, j0 = int(math.floor(x / cell)), int(math.floor(y / cell))
@@ -38,7 +38,7 @@ def _is_clear(stamps, cell, x, y, radius, since):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _strew(start, end, corner, cell, apart, stamps, state, chosen):  # type: ignore[no-untyped-def]
-    """chosen (n,): the moves to draw. stamps (ny, nx): length of path at which a cell was drawn in, inf: never.
+    """Choose moves to draw (n,). stamps (ny, nx): length of path at which a cell was drawn in, inf: never.
 
     state: length so far, 1 while a track is drawn
     """
@@ -77,7 +77,7 @@ class ContourSample(PathSample):
     """Of a contour pass. `row_distance_mm` is the distance between the tracks drawn."""
 
     def __init__(self, *, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, **others: Any) -> None:
-        """As a `PathSample`; it has no rows and covers all, whatever `along` and `everywhere` say."""
+        """Begin as a `PathSample`; it has no rows and covers all, whatever `along` and `everywhere` say."""
         super().__init__(pitch_mm=pitch_mm, radius_mm=radius_mm, width_mm=width_mm, height_mm=height_mm, **others)
         self._window_follows = False
         side_mm = min(_WINDOW_PITCHES * pitch_mm, 0.5 * min(width_mm, height_mm))
@@ -89,7 +89,7 @@ class ContourSample(PathSample):
         self._now = self._longest = self._new_stretch(np.full(3, np.nan))
 
     def tracks_mm(self) -> Array:
-        """(k, 2, 3) tracks to draw, in the order in which they are cut."""
+        """Return (k, 2, 3) tracks to draw, in the order in which they are cut."""
         kept = self._longest.drawn.segments()
         if not len(kept):
             return kept
@@ -99,13 +99,15 @@ class ContourSample(PathSample):
         return kept[lengths[piece] >= _SHORTEST * self.row_distance_mm]
 
     def window_tracks(self) -> tuple[Array, Array]:
-        """Every move of the path that meets the window (k, 2, 3), and at what share of the path it is cut (k,)."""
+        """Return every move of the path that meets the window (k, 2, 3), and at what share of the path it is cut
+        (k,).
+        """
         longest = self._longest
         along = np.concatenate(longest.along_mm) if longest.along_mm else np.zeros(0)
         return longest.near.segments(), along / max(longest.length_mm, 1e-12)
 
     def ends_mm(self) -> Array:
-        """(2, 3) where the path begins and ends."""
+        """Return (2, 3) where the path begins and ends."""
         return np.stack([self._longest.first_mm, self._longest.last_mm])
 
     @property

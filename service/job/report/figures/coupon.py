@@ -14,7 +14,7 @@ _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 
 
 def coupon_fit_png(seen: Array, fit: FinishFit, *, extent_mm: Sequence[float], notes: Sequence[str] = ()) -> bytes:
-    """PNG: the rectified photograph (ny, nx), row 0 on top, 1 is straight light; below it H as measured.
+    """Draw the rectified photograph (ny, nx), row 0 on top, 1 is straight light; below it H as measured.
 
     extent_mm : left, right, bottom, top of the photograph on the piece
     """

@@ -37,7 +37,7 @@ class FlowStep(Protocol):
 def heightfield_png(
     x_mm: Array, y_mm: Array, z_mm: Array, *, outline_mm: Sequence[Sequence[float]] | None = None
 ) -> bytes:
-    """Heights (ny, nx) with contour lines, and the same surface in raking light; both seen from above, on the mill.
+    """Draw heights (ny, nx) with contour lines, and the same surface in raking light; both from above, on the mill.
 
     outline_mm : corners of the lens within its aperture; what lies beyond is shown paler
     """
@@ -73,7 +73,7 @@ def heightfield_png(
 
 
 def _draw_outline(axes: Axes, outline_mm: Sequence[Sequence[float]], extent: tuple[float, float, float, float]) -> None:
-    """The rim of the lens, and a veil over the rest of the aperture."""
+    """Draw the rim of the lens, and a veil over the rest of the aperture."""
     left, right, low, high = extent
     frame = [(left, low), (right, low), (right, high), (left, high), (left, low)]
     rim = [(float(x), float(y)) for x, y in outline_mm]
@@ -85,7 +85,9 @@ def _draw_outline(axes: Axes, outline_mm: Sequence[Sequence[float]], extent: tup
 
 
 def shade_by_raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:
-    """Brightness 0 to 1 (ny, nx) of the surface z_mm (ny, nx) lit from the upper left, 40 degrees above the plane."""
+    """Return brightness 0 to 1 (ny, nx) of the surface z_mm (ny, nx) lit from the upper left, 40 degrees above the
+    plane.
+    """
     light = LightSource(azdeg=315, altdeg=40)
     dy_mm = float(y_mm[1] - y_mm[0])
     # LightSource takes row 0 for the top; ours has the lowest y
@@ -93,7 +95,7 @@ def shade_by_raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:
 
 
 def flow_png(steps: Sequence[FlowStep], *, viewed_from: str) -> bytes:
-    """The paper's Fig. 6: the mapping's isoparametric lines above, the difference D below, one column per step.
+    """Draw the paper's Fig. 6: the mapping's isoparametric lines above, the difference D below, one column per step.
 
     The panels are turned as the viewer sees the screen: for viewed_from "lens" x runs to the left.
     """
@@ -118,7 +120,7 @@ def flow_png(steps: Sequence[FlowStep], *, viewed_from: str) -> bytes:
 
 
 def _draw_mapping(axes: Axes, lens_mm: Array) -> None:
-    """About 48 moved grid lines in each direction, the first and the last among them."""
+    """Draw about 48 moved grid lines in each direction, the first and the last among them."""
     ny, nx = lens_mm.shape[:2]
     rows = np.unique(np.linspace(0, ny - 1, min(ny, _LINES_SHOWN + 1)).astype(int))
     columns = np.unique(np.linspace(0, nx - 1, min(nx, _LINES_SHOWN + 1)).astype(int))

@@ -21,7 +21,7 @@ _PART = 4  # a quarter of each side is shown enlarged
 
 
 def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, white: float) -> bytes:
-    """Curves above, and below some of the pictures that they stand for.
+    """Draw curves above, and below some of the pictures that they stand for.
 
     pictures : (caption, picture as the viewer sees it, row 0 on top); all at one exposure, `white` is 255
     """
@@ -88,7 +88,7 @@ def _label(axes: Axes, title: str, below: str) -> None:
 
 
 def as_milled_png(target: Array, designed: Array, milled: Array, *, figures: Mapping[str, Any]) -> bytes:
-    """Pictures (ny, nx) as the viewer sees them, row 0 on top; figures: report `as_milled`."""
+    """Draw pictures (ny, nx) as the viewer sees them, row 0 on top; figures: report `as_milled`."""
     white = float(target.max())
     captions = (
         "Target",
@@ -107,7 +107,7 @@ def as_milled_png(target: Array, designed: Array, milled: Array, *, figures: Map
 
 
 def busiest_part(picture: Array) -> tuple[slice, slice]:
-    """The quarter of each side in which the picture changes most from pixel to pixel."""
+    """Return the quarter of each side in which the picture changes most from pixel to pixel."""
     ny, nx = picture.shape
     high, wide = max(ny // _PART, min(8, ny)), max(nx // _PART, min(8, nx))
     change = np.hypot(*np.gradient(picture))

@@ -29,7 +29,7 @@ class Window:
     y1_mm: float
 
     def meets(self, start_mm: Array, end_mm: Array) -> Mask:
-        """(n,) which moves have a bounding box that meets the window."""
+        """Return (n,) which moves have a bounding box that meets the window."""
         low, high = np.minimum(start_mm[:, :2], end_mm[:, :2]), np.maximum(start_mm[:, :2], end_mm[:, :2])
         return np.asarray(
             (low[:, 0] <= self.x1_mm)
@@ -40,7 +40,7 @@ class Window:
 
 
 def square(x0_mm: float, y0_mm: float, side_mm: float) -> Window:
-    """The window with that lower left corner."""
+    """Return the window with that lower left corner."""
     return Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
 
 
@@ -59,7 +59,9 @@ class PathSample:
         everywhere: bool = True,
         limit: int = 200_000,
     ) -> None:
-        """along: which way the rows run; everywhere: False where only places are cut: the window shows the first."""
+        """Begin. along: which way the rows run; everywhere: False where only places are cut: the window shows the
+        first.
+        """
         self.label = label
         self.pitch_mm = pitch_mm
         side_mm = min(max(18 * pitch_mm, 0.6), 0.5 * min(width_mm, height_mm))
@@ -107,11 +109,13 @@ class PathSample:
                 kept.keep_only(np.arange(kept.count) >= kept.count // 2)
 
     def bounds_mm(self) -> Array:
-        """(2, 3) lowest and highest corner of all cutting moves, whether kept or not; NaN without any."""
+        """Return (2, 3) lowest and highest corner of all cutting moves, whether kept or not; NaN without any."""
         return self._extremes.copy()
 
     def cuts_mm(self) -> Array:
-        """(k, 2, 3) start and end of the cutting moves kept over the whole part, in order; then the extreme ones."""
+        """Return (k, 2, 3) start and end of the cutting moves kept over the whole part, in order; then the extreme
+        ones.
+        """
         kept = self._cuts.segments()
         return kept if np.isnan(self._extremes).any() else np.concatenate([kept, self._extreme_moves])
 
@@ -119,11 +123,11 @@ class PathSample:
         return self._jumps.segments()
 
     def zoom_mm(self) -> tuple[Array, Array]:
-        """Cutting and rapid moves (k, 2, 3) that meet the window; of very many, the last ones."""
+        """Return cutting and rapid moves (k, 2, 3) that meet the window; of very many, the last ones."""
         return self._zoomed_cuts.segments(), self._zoomed_jumps.segments()
 
     def entry_points_mm(self) -> Array:
-        """(k, 3) where rapids end and cutting begins; of more than 2000, every second, fourth, ... one."""
+        """Return (k, 3) where rapids end and cutting begins; of more than 2000, every second, fourth, ... one."""
         return np.concatenate(self._entry_points) if self._entry_points else np.zeros((0, 3))
 
     def _note_entries(self, start_mm: Array, rapid: Mask) -> None:
@@ -185,7 +189,7 @@ class Segments:
         return self.count > self._limit
 
     def add(self, start_mm: Array, end_mm: Array, mask: Mask, *, merged_mm: float = 0.0) -> None:
-        """The masked moves; with merged_mm, runs of them become chords of about that length."""
+        """Add the masked moves; with merged_mm, runs of them become chords of about that length."""
         index = np.flatnonzero(mask)
         if not index.size:
             return
@@ -200,7 +204,7 @@ class Segments:
         self.count += len(starts)
 
     def segments(self) -> Array:
-        """(k, 2, 3) start and end of each move kept, in program order."""
+        """Return (k, 2, 3) start and end of each move kept, in program order."""
         if len(self._parts) > 1:
             self._parts = [np.concatenate(self._parts)]
         return self._parts[0] if self._parts else np.zeros((0, 2, 3))

@@ -49,8 +49,8 @@ def toolpath_png(
     margin_mm: float = 0.0,
     outline_mm: Sequence[Sequence[float]] | None = None,
 ) -> bytes:
-    """Two panels for each pass, side by side; of three passes or more one above the other, so that the picture fits
-    half a page. Colour is the height of the tool tip, the same in all panels.
+    """Draw two panels for each pass, side by side; of three passes or more one above the other, so that the picture
+    fits half a page. Colour is the height of the tool tip, the same in all panels.
 
     outline_mm : corners of a lens that does not fill its aperture
     """
@@ -140,7 +140,7 @@ def _draw_window(axes: Axes, sample: PathSample, norm: Normalize, part: _Part) -
 
 
 def _draw_contour_window(axes: Axes, sample: ContourSample, part: _Part) -> None:
-    """Every move, coloured by when it is cut."""
+    """Draw every move, coloured by when it is cut."""
     moves, along = sample.window_tracks()
     flat: Any = moves[:, :, :2]
     lines = LineCollection(flat, cmap=_ORDER, norm=Normalize(0.0, 100.0), linewidths=1.2, capstyle="round")

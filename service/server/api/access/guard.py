@@ -164,7 +164,7 @@ class Guard:
                 if token is not None:
                     self._stop_access.remember(secret, token)
                 return self._accept_token(token) if token else None
-            if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
+            if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.has_ever_had_any):
                 return ANONYMOUS
         except SQLAlchemyError:
             words = "the database cannot be asked who you are; try again"

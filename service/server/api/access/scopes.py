@@ -133,5 +133,5 @@ def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
     where = f"--host {settings.host} can be reached from other computers"
     fix = "127.0.0.1, or a proxy with TLS in front and CAUSTICMILL_BEHIND_PROXY=true"
     require_unread(settings.host, where, vouched=settings.behind_proxy, allowed=fix)
-    if not tokens.any_live():
+    if not tokens.has_live():
         raise InputError(f"{where}; make a token first: causticmill token create NAME --scope jobs:read ...")

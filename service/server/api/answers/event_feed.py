@@ -100,7 +100,7 @@ class Feed:
             asked = self._list_wanted()
             wait_s = self._poll_s
             try:
-                found = await asyncio.to_thread(self._book.latest, asked)
+                found = await asyncio.to_thread(self._book.read_news, asked)
             except (SQLAlchemyError, OSError) as error:
                 _log.warning("feed", error=str(error)[:200])
                 wait_s = _AFTER_ERROR_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from service.job.files import is_program, run_order
+from service.job.files import is_program, program_order
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
@@ -97,7 +97,7 @@ def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
     """Return the programs by number, from 1 in the order in which they are run: that of their pass, unless one is
     split.
     """
-    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: program_order(file.name))
     return dict(enumerate(found, 1))
 
 
@@ -140,20 +140,20 @@ def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Sta
 def read_view(services: Services, job: Job) -> JobView:
     """Return the job with all that the book knows of it."""
     book = services.book
-    position = _position(job, book.queue_positions()) if job.state is JobState.QUEUED else None
-    progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
-    runs, files = book.stages(job.id), book.artifacts(job.id)
-    job = book.with_report(job)
-    picture = book.pictures([job.id]).get(job.id)
+    position = _position(job, book.read_queue_positions()) if job.state is JobState.QUEUED else None
+    progress = book.read_news({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
+    runs, files = book.list_stages(job.id), book.list_artifacts(job.id)
+    job = book.add_report(job)
+    picture = book.list_pictures([job.id]).get(job.id)
     return make_view(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
 
 
 def read_summaries(services: Services, jobs: Sequence[JobListRow]) -> list[JobSummary]:
     book = services.book
-    positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
+    positions = book.read_queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
     running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
-    progress = book.latest(running).progress
-    pictures = book.pictures([job.id for job in jobs])
+    progress = book.read_news(running).progress
+    pictures = book.list_pictures([job.id for job in jobs])
     places = [_position(job, positions) for job in jobs]
     return [
         make_summary(job, position=place, progress=progress.get(job.id), picture=pictures.get(job.id))

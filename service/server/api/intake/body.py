@@ -1,4 +1,4 @@
-"""The body of a request, piece by piece, with patience that ends; and what is left of it when the answer is no."""
+"""The body of a request, piece by piece, within time limits; and what is left of it when it is refused."""
 
 from __future__ import annotations
 

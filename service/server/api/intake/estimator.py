@@ -57,11 +57,11 @@ class Estimator:
         self._what = what
         self._idle_s = idle_s
         self._module = module
-        self._bell = threading.Condition()
+        self._condition = threading.Condition()
         self._waiting: list[_Request] = []
         self._running: _Request | None = None
         self._closed = self._killed = False
-        self._keeper: threading.Thread | None = None
+        self._thread: threading.Thread | None = None
         self._child: LineChild | None = None
         self._warm = False
 
@@ -71,41 +71,41 @@ class Estimator:
 
         is_long : the answer may take LONG_S
         """
-        ask = _Request(caller=caller, asked=asked, is_long=is_long)
-        with self._bell:
+        request = _Request(caller=caller, asked=asked, is_long=is_long)
+        with self._condition:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
-            for one in self._asks_of(caller):
+            for one in self._requests_of(caller):
                 if one.asked == asked and not one.answer.done():
                     return one.answer
             self._end_all_of(caller)
             if len(self._waiting) >= _MOST_WAITING:
                 raise Problem(503, f"too many {self._what}s are asked for; try again", headers=_RETRY)
-            self._waiting.append(ask)
-            if self._keeper is None:
-                self._keeper = threading.Thread(target=self._keep, name=f"{self._what}s", daemon=True)
-                self._keeper.start()
-            self._bell.notify()
-        return ask.answer
+            self._waiting.append(request)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=f"{self._what}s", daemon=True)
+                self._thread.start()
+            self._condition.notify()
+        return request.answer
 
     def leave(self, caller: str) -> None:
         """End a caller's asks: it has gone, or asked for something else."""
-        with self._bell:
+        with self._condition:
             self._end_all_of(caller)
 
-    def _asks_of(self, caller: str) -> list[_Request]:
-        """Return a caller's asks, with the bell held."""
+    def _requests_of(self, caller: str) -> list[_Request]:
+        """Return a caller's asks, with the condition held."""
         return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
 
     def _end_all_of(self, caller: str) -> None:
-        """End a caller's asks, with the bell held."""
-        older = self._asks_of(caller)
+        """End a caller's asks, with the condition held."""
+        older = self._requests_of(caller)
         for one in older:
             one.end(Problem(409, f"a newer {self._what} was asked for"))
         self._waiting = [one for one in self._waiting if one.caller != caller]
         if any(one is self._running and one.is_long for one in older) and self._child is not None:
             self._killed = True
-            self._child.kill()  # the keeper buries it
+            self._child.kill()  # its thread reaps it
 
     def prepare(self) -> None:
         """Compile what estimates need, where it was not yet, so that the first person need not wait for it."""
@@ -116,7 +116,7 @@ class Estimator:
     @property
     def callers(self) -> set[str]:
         """Who waits for an answer."""
-        with self._bell:
+        with self._condition:
             return {one.caller for one in (self._running, *self._waiting) if one is not None}
 
     @property
@@ -126,26 +126,26 @@ class Estimator:
         return None if child is None else child.pid
 
     def close(self) -> None:
-        with self._bell:
+        with self._condition:
             self._closed = True
             for ask in (*self._waiting, *([self._running] if self._running else [])):
                 ask.end(Problem(503, "the server is ending", headers=_RETRY))
             self._waiting = []
-            self._bell.notify()
+            self._condition.notify()
             child = self._child
         if child is not None:
-            child.kill()  # the keeper buries it
-        if self._keeper is not None:
-            self._keeper.join()
+            child.kill()  # its thread reaps it
+        if self._thread is not None:
+            self._thread.join()
 
-    def _keep(self) -> None:
+    def _run(self) -> None:
         while (ask := self._wait_for_next()) is not None:
             self._finish(ask)
         self._drop()
 
     def _wait_for_next(self) -> _Request | None:
         """Return the next one to be answered; meanwhile an idle process is ended. None: closed."""
-        with self._bell:
+        with self._condition:
             self._running = None
             if self._killed:
                 self._killed = False
@@ -155,7 +155,7 @@ class Estimator:
                     self._running = self._waiting.pop(0)
                     if not self._running.answer.done():
                         return self._running
-                if not self._bell.wait(self._idle_s if self._child else None) and not self._waiting:
+                if not self._condition.wait(self._idle_s if self._child else None) and not self._waiting:
                     self._drop()
             return None
 

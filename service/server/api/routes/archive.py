@@ -53,7 +53,7 @@ async def archive(
     A job that still runs has more later.
     """
     services = services_of(request)
-    listed = await asyncio.to_thread(services.book.artifacts, str(job_id))
+    listed = await asyncio.to_thread(services.book.list_artifacts, str(job_id))
     files = [file for file in listed if not is_drawing(file.name)]
     job = await asyncio.to_thread(services.book.get, str(job_id))
     stem = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in job.name.rpartition(".")[0])

@@ -71,7 +71,7 @@ def _get_and_head(path: str, **told: Any) -> Any:
 )
 async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
     """Each file is there as soon as its stage is committed; programs once all of them have been checked."""
-    files = await asyncio.to_thread(services_of(request).book.artifacts, str(job_id))
+    files = await asyncio.to_thread(services_of(request).book.list_artifacts, str(job_id))
     return ArtifactList(artifacts=[make_artifact_view(file) for file in files])
 
 
@@ -83,7 +83,7 @@ async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
 )
 async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, asked: Asked) -> Response:
     """The file's bytes. To go on after a break, ask for the rest with Range, and If-Range with the ETag."""
-    file = await asyncio.to_thread(services_of(request).book.artifact, str(job_id), name)
+    file = await asyncio.to_thread(services_of(request).book.find_artifact, str(job_id), name)
     return await sent(request, file, asked)
 
 
@@ -96,7 +96,7 @@ async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, a
 async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: Asked) -> Response:
     """The program of pass n, as soon as every program of the job has been checked."""
     services = services_of(request)
-    found = programs(await asyncio.to_thread(services.book.artifacts, str(job_id)))
+    found = programs(await asyncio.to_thread(services.book.list_artifacts, str(job_id)))
     if n not in found:
         offered = ", ".join(map(str, found)) or "none yet"
         raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")

@@ -1,4 +1,4 @@
-"""POST /v1/estimates: what a job would come to, while a person still turns the knobs. Nothing is kept of it."""
+"""POST /v1/estimates: what a job would come to, while a person still edits its form. Nothing is kept of it."""
 
 from __future__ import annotations
 

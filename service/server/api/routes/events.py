@@ -65,10 +65,10 @@ def _known(services: Services, job_id: str, after: int | None) -> int | None:
     """Return the id, if there is such an event; else (the database is an older one, put back) the client begins
     anew.
     """
-    return after if after and services.book.events(job_id, after - 1, 1) else None
+    return after if after and services.book.list_events(job_id, after - 1, 1) else None
 
 
 def _is_over(services: Services, job_id: str, after: int | None) -> bool:
     """Return whether a client that comes back has nothing to wait for. UnknownJobError."""
     ended = services.book.get(job_id).ended
-    return ended and after is not None and not services.book.events(job_id, after, 1)
+    return ended and after is not None and not services.book.list_events(job_id, after, 1)

@@ -165,7 +165,7 @@ def _require_profile(name: str) -> None:
 def _fetch(services: Services, job_id: str, folder: Path) -> None:
     """Fetch the files of the job that a look needs. Problem 409 where there is no lens yet."""
     job = services.book.get(job_id)
-    files = {file.name: file for file in services.book.artifacts(job_id)}
+    files = {file.name: file for file in services.book.list_artifacts(job_id)}
     missing = [name for name in (job_files.HEIGHTFIELD, job_files.MAP) if name not in files]
     if missing:
         raise Problem(409, f"the job has no {missing[0]} yet: there is no lens to compare a photograph with")

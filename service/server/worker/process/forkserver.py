@@ -1,4 +1,4 @@
-"""The fork server: a warm process with one thread that forks a child for each stage, watches over it and buries it.
+"""The fork server: a warm process with one thread that forks a child for each stage, watches over it and reaps it.
 
 Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
 any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
@@ -50,7 +50,7 @@ class _Stage:
     pid: int
     beats: int
     silence_s: float
-    beaten_at: float = field(default_factory=time.monotonic)
+    last_beat_at: float = field(default_factory=time.monotonic)
     silent: bool = False
     status: int | None = None
     peak_mb: float = 0.0
@@ -92,7 +92,7 @@ class _Loop:
 
     def _on_sigterm(self, *_: object) -> None:
         """Note the signal only: whatever was interrupted, an import or the end itself, is not entered a second time."""
-        if os.getpid() != self._pid:  # a child that was told to end before it had made itself at home
+        if os.getpid() != self._pid:  # a child that was told to end before it had set itself up
             os._exit(128 + signal.SIGTERM)
         self._is_ending = True
 
@@ -125,7 +125,7 @@ class _Loop:
             return _REAP_S
         now = time.monotonic()
         return max(
-            0.0, min((s.beaten_at + s.silence_s - now for s in self._stages.values() if not s.silent), default=60.0)
+            0.0, min((s.last_beat_at + s.silence_s - now for s in self._stages.values() if not s.silent), default=60.0)
         )
 
     def _listen(self) -> bool:
@@ -150,14 +150,14 @@ class _Loop:
     def _pass_beat(self, number: int) -> None:
         for stage in self._stages.values():
             if stage.number == number:
-                stage.beaten_at = time.monotonic()
+                stage.last_beat_at = time.monotonic()
                 with contextlib.suppress(OSError):  # a child that is busy, or gone
                     os.write(stage.beats, b".")
 
     def _start(self, message: dict[str, Any], files: list[int]) -> None:
         number, silence_s = message["start"], message["silence_s"]
-        beats, beaten = os.pipe()
-        os.set_blocking(beaten, False)
+        beats, beats_in = os.pipe()
+        os.set_blocking(beats_in, False)
         given = ChildOrder(
             parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
             order=files[0], words=files[1], log=files[2], beats=beats,
@@ -165,12 +165,12 @@ class _Loop:
         try:
             pid = os.fork()
         except OSError as error:
-            os.close(beaten)
+            os.close(beats_in)
             self._tell({"not_started": number, "words": str(error.strerror)})
         else:
             if pid == 0:
                 run_child(given)
-            self._stages[pid] = _Stage(number, pid, beaten, silence_s)
+            self._stages[pid] = _Stage(number, pid, beats_in, silence_s)
             self._tell({"started": number, "pid": pid})
         for file in (*files, beats):
             os.close(file)
@@ -178,7 +178,7 @@ class _Loop:
     def _kill_the_silent(self) -> None:
         now = time.monotonic()
         for stage in self._stages.values():
-            if not stage.silent and stage.status is None and now >= stage.beaten_at + stage.silence_s:
+            if not stage.silent and stage.status is None and now >= stage.last_beat_at + stage.silence_s:
                 stage.silent = True
                 signal_stage(stage.pid, signal.SIGKILL)
 

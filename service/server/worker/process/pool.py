@@ -60,7 +60,7 @@ class StageProcesses:
         """Run one stage to its end; when this returns no process of it lives.
 
         order : a dataclass or mapping of plain values; log : what the stage prints is added to this file
-        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. The stage is beaten only after it
+        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. A beat is passed on only after it
                 has answered: as long as it hangs, so does the worker's claim, and the stage ends itself at 0.6 lease
         """
         with _Files(order, log) as files:

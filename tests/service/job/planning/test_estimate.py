@@ -12,8 +12,7 @@ from PIL import Image
 
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
-from service.job.picture import decoding
-from service.job.picture import reading as pictures
+from service.job.picture import decoding, reading
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import read_picture
 from service.job.planning import estimate as estimating
@@ -118,7 +117,7 @@ def test_the_picture_is_decoded_once_for_all_that_is_asked_of_it(monkeypatch: py
         seen.append(path)
         return decoding.decode_picture(path, limits, name)
 
-    for module in (estimating, pictures):
+    for module in (estimating, reading):
         monkeypatch.setattr(module, "decode_picture", counted)
     estimated(small())
     assert len(seen) == 1

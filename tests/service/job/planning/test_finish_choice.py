@@ -8,7 +8,7 @@ import pytest
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from service.errors import SpecError
-from service.job.planning import planner as planning
+from service.job.planning import planner
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_picture
@@ -55,7 +55,7 @@ def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
 ) -> None:
     process, *others = asked
     quick = planned(f"finish.process={process}", *others, whole=target_of(128))
-    monkeypatch.setattr(planning, "is_surely_worth_it", lambda *_: False)
+    monkeypatch.setattr(planner, "is_surely_worth_it", lambda *_: False)
     slow = planned(f"finish.process={process}", *others, whole=target_of(128))
     assert quick.finish_table() == slow.finish_table()
     assert quick.rows() == slow.rows()

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from service.errors import InputError
 from service.job.report.finishing import make_finishing_card
 from service.job.report.setup_sheet import render_report
-from service.job.spec import finish_library as finishing
+from service.job.spec import finish_library
 from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
 from service.job.spec.loading import resolve_job
 from service.job.stages.table import facts_of
 
-SHIPPED = load_processes(finishing.BUILT_IN)
+SHIPPED = load_processes(finish_library.BUILT_IN)
 BY_HAND = [process for name, process in SHIPPED.items() if name != "none"]
 GOOD = '[buffing]\ntitle = "Buffing"\norder = 1\nk0_rad_per_mm = 5\ndefault_minutes = 20\n'
 AREA = st.floats(100.0, 40_000.0)

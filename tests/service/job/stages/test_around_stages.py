@@ -14,8 +14,7 @@ import pytest
 from cam.reading.gcode import read_program
 from machines.profiles import load_profile
 from service.errors import ServiceError, SpecError
-from service.job.files import is_program, programs_in_order
-from service.job.files import run_order as running_order
+from service.job.files import is_program, program_order, programs_in_order
 from service.job.report.around import around_sentences
 from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_job, resolve_spec
@@ -37,7 +36,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
 
 
 def programs(job: StagedJob) -> list[str]:
-    return sorted((name for name in job.outputs if is_program(name)), key=running_order)
+    return sorted((name for name in job.outputs if is_program(name)), key=program_order)
 
 
 def test_they_are_stages_where_they_are_asked_for_and_nowhere_else() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.cli.summary import summary_lines
-from service.job.files import files_of_pass, is_known, is_program, program_name, run_order
+from service.job.files import files_of_pass, is_known, is_program, program_name, program_order
 from service.server.api.answers.job_views import programs
 from service.server.fleet.programs import programs_of, set_up
 
@@ -29,7 +29,7 @@ class Job:
 def test_names_tell_the_order() -> None:
     assert NAMES[1] == "pass-2-finish-3-01.nc" and NAMES[-2] == "pass-2-finish-3-100.nc"
     assert all(is_program(name) and is_known(name) for name in NAMES)
-    assert sorted(NAMES, key=run_order) == NAMES
+    assert sorted(NAMES, key=program_order) == NAMES
 
 
 def test_programs_are_numbered_in_the_order_in_which_they_are_run() -> None:

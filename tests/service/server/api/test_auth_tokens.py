@@ -38,11 +38,11 @@ def own(tmp_path: Path) -> Iterator[ApiServer]:
 def test_a_token_opens_until_it_expires_or_is_revoked(database: sa.Engine) -> None:
     clock = Clock()
     book = TokenBook(database, clock=clock)
-    assert not book.any_ever() and not book.any_live()
+    assert not book.has_ever_had_any() and not book.has_live()
     token, secret = book.create("Ada laptop", ["jobs:read", "admin"], expires_at=clock.now + 10)
     assert book.find(secret) == token and token.scopes == {"jobs:read", "admin"}
     clock.now += 10
-    assert book.find(secret) is None and book.any_ever() and not book.any_live()
+    assert book.find(secret) is None and book.has_ever_had_any() and not book.has_live()
     other, secret = book.create("other", ["machine:run"])
     assert book.find(secret) == other
     book.revoke(other.id)

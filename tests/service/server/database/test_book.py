@@ -80,8 +80,8 @@ def test_events_have_no_gaps_whoever_writes_them(book: JobBook) -> None:
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(stir, range(24)))
-    assert [event.seq for event in book.events(job.id)] == list(range(1, len(book.events(job.id)) + 1))
-    retried = sum(event.kind == "retried" for event in book.events(job.id))
+    assert [event.seq for event in book.list_events(job.id)] == list(range(1, len(book.list_events(job.id)) + 1))
+    retried = sum(event.kind == "retried" for event in book.list_events(job.id))
     assert book.get(job.id).attempt == 1 + retried
 
 
@@ -90,7 +90,7 @@ def test_a_queued_job_is_cancelled_at_once_and_cancelling_again_changes_nothing(
     first = book.request_cancel(job.id, "me")
     assert (first.state, first.version) == (JobState.CANCELLED, 2)
     assert book.request_cancel(job.id, "me").version == 2
-    assert [event.kind for event in book.events(job.id)] == ["queued", "cancel.requested", "ended"]
+    assert [event.kind for event in book.list_events(job.id)] == ["queued", "cancel.requested", "ended"]
 
 
 def test_what_the_table_of_states_forbids_is_refused(book: JobBook, work: WorkBook) -> None:
@@ -126,24 +126,24 @@ def test_the_list_goes_from_new_to_old_in_pages(book: JobBook) -> None:
     rest = book.list_rows(limit=5, before=first[-1].id)
     assert [job.id for job in first + rest] == ids[::-1]
     assert book.list_rows(states=[JobState.RUNNING]) == []
-    assert book.counts()[JobState.QUEUED] == 5
+    assert book.count_states()[JobState.QUEUED] == 5
 
 
 def test_the_queue_goes_by_priority_then_by_age(book: JobBook) -> None:
     slow, first, second = (book.create(replace(NEW, priority=p))[0].id for p in (1000, 10, 10))
-    assert book.queue_positions() == {first: 1, second: 2, slow: 3}
+    assert book.read_queue_positions() == {first: 1, second: 2, slow: 3}
 
 
 def test_programs_are_offered_once_checked_and_internal_files_never(book: JobBook, work: WorkBook) -> None:
     claim = claimed(book, work)
     commit(work, claim, "pass-1", "k1", result(pass_nc=FILE, _stock=FILE))
-    assert book.artifacts(claim.job.id) == []
+    assert book.list_artifacts(claim.job.id) == []
     with pytest.raises(UnknownArtifactError):
-        book.artifact(claim.job.id, "pass.nc")
+        book.find_artifact(claim.job.id, "pass.nc")
     commit(work, claim, "check", "k2", result(toolpath_png=FILE))
-    assert [one.name for one in book.artifacts(claim.job.id)] == ["pass.nc", "toolpath.png"]
+    assert [one.name for one in book.list_artifacts(claim.job.id)] == ["pass.nc", "toolpath.png"]
     with pytest.raises(UnknownArtifactError):
-        book.artifact(claim.job.id, ".stock")
+        book.find_artifact(claim.job.id, ".stock")
 
 
 def test_a_retried_job_offers_no_program_before_it_is_checked_again(book: JobBook, work: WorkBook) -> None:
@@ -151,14 +151,14 @@ def test_a_retried_job_offers_no_program_before_it_is_checked_again(book: JobBoo
     commit(work, claim, "pass-1", "k1", result(pass_nc=FILE))
     commit(work, claim, "check", "k2", result())
     work.finish(claim, JobState.FAILED)
-    assert book.artifact(claim.job.id, "pass.nc")
+    assert book.find_artifact(claim.job.id, "pass.nc")
     book.retry(claim.job.id, "me")
     again = work.claim(Ticket(claim.job.id, 2), "here")
     assert again is not None
     assert work.reuse_stage(again, "pass-1", "k1", whole=0.1) is not None
-    assert book.artifacts(claim.job.id) == []
+    assert book.list_artifacts(claim.job.id) == []
     assert work.reuse_stage(again, "check", "k2", whole=0.2) is not None
-    assert book.artifact(claim.job.id, "pass.nc")
+    assert book.find_artifact(claim.job.id, "pass.nc")
 
 
 def test_a_check_is_worth_nothing_for_programs_made_after_it(book: JobBook, work: WorkBook) -> None:
@@ -168,12 +168,12 @@ def test_a_check_is_worth_nothing_for_programs_made_after_it(book: JobBook, work
     commit(work, first, "check", "k", result(toolpath_png=FILE))
     again = work.claim(Ticket(first.job.id, 1), "here")
     assert again is not None
-    assert book.artifact(first.job.id, "pass.nc")
+    assert book.find_artifact(first.job.id, "pass.nc")
     commit(work, again, "pass-1", "new", result(pass_nc=replace(FILE, sha256="b" * 64)))
     with pytest.raises(UnknownArtifactError):
-        book.artifact(first.job.id, "pass.nc")
+        book.find_artifact(first.job.id, "pass.nc")
     assert work.reuse_stage(again, "check", "k", whole=0.5) is not None  # the same programs after all
-    assert book.artifact(first.job.id, "pass.nc").sha256 == "b" * 64
+    assert book.find_artifact(first.job.id, "pass.nc").sha256 == "b" * 64
 
 
 def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, database: sa.Engine) -> None:
@@ -182,7 +182,7 @@ def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, da
     begun = work.begin_stage(old, "map", "k")
     new = work.claim(Ticket(old.job.id, 1), "there")  # "here" has no live lease
     assert new is not None
-    before = book.get(old.job.id), book.events(old.job.id), book.stages(old.job.id)
+    before = book.get(old.job.id), book.list_events(old.job.id), book.list_stages(old.job.id)
     late = (
         lambda: work.begin_stage(old, "map", "k"),
         lambda: work.commit_stage(old, begun, result(map_npz=FILE), log=None, whole=1.0),
@@ -193,8 +193,8 @@ def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, da
         with pytest.raises(Fenced):
             write()
     work.note_progress(old, "map", 0.9, whole=0.9)
-    assert (book.get(old.job.id), book.events(old.job.id), book.stages(old.job.id)) == before
-    assert [run.state for run in book.stages(old.job.id)] == [StageState.INTERRUPTED]
+    assert (book.get(old.job.id), book.list_events(old.job.id), book.list_stages(old.job.id)) == before
+    assert [run.state for run in book.list_stages(old.job.id)] == [StageState.INTERRUPTED]
     assert work.read_wishes([old])[old.job.id] == "fenced"
     assert work.read_wishes([new])[old.job.id] == "go"
     with begin_writing(database) as connection:
@@ -206,9 +206,9 @@ def test_a_commit_whose_answer_was_lost_can_be_sent_again(book: JobBook, work: W
     begun = work.begin_stage(claim, "map", "k")
     for _ in range(2):
         work.commit_stage(claim, begun, result(map_npz=FILE), log=FILE, whole=0.5)
-    kinds = [event.kind for event in book.events(claim.job.id)]
+    kinds = [event.kind for event in book.list_events(claim.job.id)]
     assert kinds == ["queued", "started", "stage.started", "stage.committed"]
-    assert [one.name for one in book.artifacts(claim.job.id)] == ["map.log", "map.npz"]
+    assert [one.name for one in book.list_artifacts(claim.job.id)] == ["map.log", "map.npz"]
 
 
 def test_equal_work_is_taken_from_another_job_and_own_work_without_a_word(book: JobBook, work: WorkBook) -> None:
@@ -217,13 +217,13 @@ def test_equal_work_is_taken_from_another_job_and_own_work_without_a_word(book: 
     second = claimed(book, work)
     assert work.reuse_stage(second, "map", "k", whole=0.4) == result(map_npz=FILE)
     assert work.reuse_stage(second, "map", "other", whole=0.4) is None
-    assert [run.state for run in book.stages(second.job.id)] == [StageState.REUSED]
-    assert book.events(second.job.id)[-1].data == {"stage": "map", "from": first.job.id}
+    assert [run.state for run in book.list_stages(second.job.id)] == [StageState.REUSED]
+    assert book.list_events(second.job.id)[-1].data == {"stage": "map", "from": first.job.id}
     resumed = work.claim(Ticket(first.job.id, 1), "here")
     assert resumed is not None
-    seen = book.events(first.job.id)
+    seen = book.list_events(first.job.id)
     assert work.reuse_stage(resumed, "map", "k", whole=0.4) == result(map_npz=FILE)
-    assert book.events(first.job.id) == seen
+    assert book.list_events(first.job.id) == seen
 
 
 def test_cancelled_in_the_last_moment_is_cancelled(book: JobBook, work: WorkBook) -> None:
@@ -238,7 +238,7 @@ def test_news_of_many_jobs_come_together(book: JobBook, work: WorkBook) -> None:
     claim, (other, _) = claimed(book, work), book.create(NEW)
     work.begin_stage(claim, "map", "k")
     work.note_progress(claim, "map", 0.5, whole=0.25)
-    news = book.latest({claim.job.id: 2, other.id: 0})
+    news = book.read_news({claim.job.id: 2, other.id: 0})
     assert {(event.job_id, event.seq) for event in news.events} == {(claim.job.id, 3), (other.id, 1)}
     assert (news.progress[claim.job.id].share, news.progress[claim.job.id].progress) == (0.5, 0.25)
     assert set(news.progress) == {claim.job.id}

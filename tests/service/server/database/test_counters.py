@@ -86,7 +86,9 @@ def test_counters_are_what_a_count_gives(database: sa.Engine) -> None:
         expected = {key: value for key, value in count_rows(connection).items() if value}
         compared = {key: counted.get(key) for key in counted if key.name in ("jobs", "stage_runs", "stage_results")}
         assert compared == expected
-    assert JobBook(database).counts() == {state: expected.get(Counter("jobs", state=state), 0) for state in JobState}
+    assert JobBook(database).count_states() == {
+        state: expected.get(Counter("jobs", state=state), 0) for state in JobState
+    }
 
 
 def test_a_change_that_is_not_made_is_not_counted(database: sa.Engine) -> None:
@@ -96,7 +98,7 @@ def test_a_change_that_is_not_made_is_not_counted(database: sa.Engine) -> None:
     with suppress(RuntimeError), begin_writing(database) as connection:
         end_job(connection, job, JobState.FAILED, at=1.0)
         raise RuntimeError
-    assert book.counts()[JobState.QUEUED] == 1 and book.counts()[JobState.FAILED] == 0
+    assert book.count_states()[JobState.QUEUED] == 1 and book.count_states()[JobState.FAILED] == 0
 
 
 def test_a_deleted_job_is_counted_no_more(database: sa.Engine) -> None:
@@ -104,7 +106,7 @@ def test_a_deleted_job_is_counted_no_more(database: sa.Engine) -> None:
     for _ in range(2):
         job, _ = book.create(NEW)
     book.delete(job.id)
-    assert book.counts()[JobState.QUEUED] == 1
+    assert book.count_states()[JobState.QUEUED] == 1
 
 
 def test_a_claim_beyond_the_first_is_a_recovery(database: sa.Engine) -> None:

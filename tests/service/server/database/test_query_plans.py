@@ -180,7 +180,7 @@ def test_no_route_reads_a_table_from_end_to_end(many: sa.Engine, farm: ServerSet
             assert server.client.post(f"/v1/jobs/{job}/photos", files={"photo": png()}).status_code < 500
             body = {"job": job, "program": 1}
             server.client.post("/v1/machines/alpha/runs", json=body)
-            server.services.book.latest({job_id(number): 3 for number in range(20)})
+            server.services.book.read_news({job_id(number): 3 for number in range(20)})
         by_hand = [("POST", "/v1/jobs"), ("GET", f"/v1/jobs/{job}/events"), ("POST", f"/v1/jobs/{job}/photos")]
         assert_all_routes(server, [*calls, *by_hand])
         assert len(queries) > 100
@@ -242,7 +242,7 @@ def test_no_step_of_a_worker_reads_a_table_from_end_to_end(many: sa.Engine) -> N
         work.note_progress(claim, "map", 0.5, whole=0.2)
         work.count_crashes(claim, "map")
         work.read_wishes([claim])
-        work.result("new")
+        work.find_result("new")
         work.forget_result("new")
         work.finish(claim, JobState.FAILED)
         book.delete(claim.job.id)

@@ -42,7 +42,7 @@ def view(state: str, **more: Any) -> dict[str, Any]:
 def made(book: RunBook, new: NewRun, state: str = "parked") -> RunRow:
     run, _ = book.create(new)
     assert book.confirm_parked(run.id, view("parked"))
-    return book.told(book.get(run.id), view(state))
+    return book.record_report(book.get(run.id), view(state))
 
 
 def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_there_is_none(
@@ -50,8 +50,8 @@ def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_th
 ) -> None:
     run = made(book, new, "running")
     lost = view("interrupted", words="alarm: ALARM:3", code="alarm", values={"alarm": 3})
-    assert book.told(run, lost).reason == book.get(run.id).reason == {"code": "alarm", "values": {"alarm": 3}}
-    of_before = book.told(book.get(run.id), view("held", words="by hand"))
+    assert book.record_report(run, lost).reason == book.get(run.id).reason == {"code": "alarm", "values": {"alarm": 3}}
+    of_before = book.record_report(book.get(run.id), view("held", words="by hand"))
     assert (of_before.words, of_before.reason) == ("by hand", None)
     book.close(run.id, "aborted", "given up", {"code": "run_given_up", "values": {"state": "held"}})
     assert make_live_run(Seen(book.get(run.id))).code == "run_given_up"
@@ -77,7 +77,7 @@ def test_one_key_makes_one_run(book: RunBook, new: NewRun) -> None:
     assert first and book.create(keyed) == (run, False)
     with pytest.raises(KeyReusedError):
         book.create(replace(keyed, request_sha256="other"))
-    assert book.made_before(ClientKey("another token", "k"), "r") is None
+    assert book.find_made_before(ClientKey("another token", "k"), "r") is None
     book.close(run.id, "refused", "no", forget_key=True)
     assert book.create(keyed)[0].id != run.id
 
@@ -87,19 +87,19 @@ def test_the_mill_is_free_when_the_agent_says_so(book: RunBook, new: NewRun, end
     run = made(book, new, ended)
     assert (run.state, run.open) == (ended, is_open)
     assert (book.open_on("m") is None) is not is_open
-    assert book.finished(new.job_id, "m") == ({new.sha256} if ended == "finished" else frozenset())
+    assert book.list_finished(new.job_id, "m") == ({new.sha256} if ended == "finished" else frozenset())
 
 
 def test_a_run_that_goes_on_again_takes_the_mill_again(book: RunBook, new: NewRun) -> None:
     run = made(book, new, "aborted")
-    assert book.told(run, view("recovering")).open
-    assert book.told(book.get(run.id), view("aborted")).open is False
+    assert book.record_report(run, view("recovering")).open
+    assert book.record_report(book.get(run.id), view("aborted")).open is False
 
 
 def test_it_does_not_where_another_has_the_mill(book: RunBook, new: NewRun) -> None:
     run = made(book, new, "aborted")
     other = made(book, new)
-    told = book.told(run, view("recovering"))
+    told = book.record_report(run, view("recovering"))
     assert (told.state, told.open) == ("recovering", False)
     with pytest.raises(MachineTakenError, match=other.id):
         book.reopen(run)
@@ -108,17 +108,17 @@ def test_it_does_not_where_another_has_the_mill(book: RunBook, new: NewRun) -> N
 def test_what_was_given_up_stays_so(book: RunBook, new: NewRun) -> None:
     run = made(book, new, "interrupted")
     book.close(run.id, "aborted", "given up")
-    assert book.told(book.get(run.id), view("interrupted")).open is False
+    assert book.record_report(book.get(run.id), view("interrupted")).open is False
     assert not book.confirm_parked(run.id, view("parked"))
 
 
 def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
     """How far it is changes all the time: it is told, as the agent has it now, and not written down."""
     run = made(book, new, "running")
-    seen = book.told(run, view("running", executed_line=5, share=0.5))
+    seen = book.record_report(run, view("running", executed_line=5, share=0.5))
     assert seen.view is not None and (seen.view["executed_line"], seen.view["share"]) == (5, 0.5)
     assert book.get(run.id) == run
-    assert book.told(run, view("held")).state == "held"
+    assert book.record_report(run, view("held")).state == "held"
 
 
 @pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
@@ -135,7 +135,7 @@ def test_an_open_run_is_known_by_its_job(book: RunBook, new: NewRun, database: s
     run = made(book, new)
     with begin_reading(database) as connection:
         assert open_run_of(connection, new.job_id) == run.id
-    book.told(run, view("finished"))
+    book.record_report(run, view("finished"))
     with begin_reading(database) as connection:
         assert open_run_of(connection, new.job_id) is None
 
@@ -158,8 +158,8 @@ def test_what_cannot_be_written_down_is_told_all_the_same(book: RunBook, new: Ne
         raise sa.exc.OperationalError("UPDATE", {}, Exception("database or disk is full"))
 
     sa.event.listen(database, "before_cursor_execute", refuse)
-    told = book.told(run, view("held", words="by hand"))
+    told = book.record_report(run, view("held", words="by hand"))
     sa.event.remove(database, "before_cursor_execute", refuse)
     assert (told.state, told.words, told.open) == ("held", "by hand", True)
     assert book.get(run.id).state == "running"
-    assert book.told(run, view("held")).state == book.get(run.id).state == "held"
+    assert book.record_report(run, view("held")).state == book.get(run.id).state == "held"

@@ -140,7 +140,7 @@ def test_what_cannot_be_handed_over_is_told_and_leaves_the_mill_free(floor: Shop
 
 def test_a_program_whose_content_is_not_what_its_hash_says_never_reaches_the_mill(floor: Shop) -> None:
     job = floor.job()
-    sha256 = next(a.sha256 for a in floor.server.services.book.artifacts(job) if a.name == "pass-1-rough.nc")
+    sha256 = next(a.sha256 for a in floor.server.services.book.list_artifacts(job) if a.name == "pass-1-rough.nc")
     path = floor.server.services.store.path(sha256)
     assert path is not None
     content = path.read_bytes()

@@ -113,7 +113,7 @@ def test_a_restored_backup_revives_no_revoked_token(tmp_path: Path, keep: bool) 
     assert not (again.data / "causticmill.sqlite-wal").exists()
     database = open_database(again)
     book = TokenBook(database)
-    assert (book.find(secret) is not None) is keep and book.any_ever(), "nobody becomes anonymous by it"
+    assert (book.find(secret) is not None) is keep and book.has_ever_had_any(), "nobody becomes anonymous by it"
     assert PairingBook(database, book).is_live(offer) is keep
     database.dispose()
     assert f"token {'list' if keep else 'create NAME --scope ...'} --data {again.data}" in words

@@ -149,7 +149,7 @@ class Storm:
         return lines
 
     def _broken_job(self, job_id: str) -> list[str]:
-        job, runs, events = self.book.get(job_id), self.book.stages(job_id), self.book.events(job_id)
+        job, runs, events = self.book.get(job_id), self.book.list_stages(job_id), self.book.list_events(job_id)
         lines = [] if job.state == JobState.SUCCEEDED else [f"lost: {job_id} is {job.state}: {job.error}"]
         for stage in plan(resolve_spec(preset="draft", overrides=TINY)):
             states = [run.state for run in runs if run.stage == stage]
@@ -159,7 +159,7 @@ class Storm:
                 lines.append(f"begun after its end: {job_id} {stage}: {states}")
         if [event.seq for event in events] != list(range(1, len(events) + 1)) or events[-1].kind != "ended":
             lines.append(f"events: {job_id}: {[(event.seq, event.kind) for event in events]}")
-        for artifact in self.book.artifacts(job_id):
+        for artifact in self.book.list_artifacts(job_id):
             content = b"".join(self.store.open_range(artifact.sha256))
             if hashlib.sha256(content).hexdigest() != artifact.sha256:
                 lines.append(f"half a file: {job_id} {artifact.name}")

@@ -94,7 +94,7 @@ def test_a_worker_killed_together_with_its_fork_server_leaves_nothing(tmp_path: 
 def test_a_frozen_fork_server_does_not_keep_a_stage_from_being_stopped(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.server.worker.process.supervision._BURIAL_S", 0.5)
+    monkeypatch.setattr("service.server.worker.process.supervision._REAP_S", 0.5)
     told = bench.folder / "pids"
     wanted: list[str] = []
     with ThreadPoolExecutor(1) as pool:

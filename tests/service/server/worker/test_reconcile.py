@@ -100,7 +100,7 @@ def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> No
     assert found.state == JobState.FAILED
     assert found.error is not None
     assert "given it up" in found.error["detail"]
-    assert stand.book.events(job.id)[-1].kind == "ended"
+    assert stand.book.list_events(job.id)[-1].kind == "ended"
 
 
 def test_what_stands_under_my_name_without_being_in_my_hands_is_let_go(stand: Stand) -> None:
@@ -117,7 +117,7 @@ def test_what_stands_under_my_name_without_being_in_my_hands_is_let_go(stand: St
     stand.running = set()
     stand.loop.turn()
     assert stand.work.read_wishes([before])[job.id] == "fenced"
-    assert [run.state for run in stand.book.stages(job.id)] == [StageState.INTERRUPTED]
+    assert [run.state for run in stand.book.list_stages(job.id)] == [StageState.INTERRUPTED]
     assert stand.work.claim(Ticket(job.id, 1), "other") is not None
 
 

@@ -51,7 +51,7 @@ def test_two_live_workers_both_work(tmp_path: Path) -> None:
         jobs = storm.submit(6)
 
         def at_work(since: float) -> set[str]:
-            runs = [run for job in jobs for run in storm.book.stages(job)]
+            runs = [run for job in jobs for run in storm.book.list_stages(job)]
             return {run.executor for run in runs if run.state == "running" and run.started_at > since}
 
         for name in ("one", "two", None):

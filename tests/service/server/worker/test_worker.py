@@ -60,7 +60,7 @@ def test_told_to_stop_it_leaves_its_job_to_its_next_start(make: Callable[[float]
     storm._workers["one"].terminate()
     assert storm._workers["one"].wait(timeout=PATIENCE_S) == 0
     assert storm.kin() == []
-    assert [run.state for run in storm.book.stages(job_id)] == [StageState.INTERRUPTED]
+    assert [run.state for run in storm.book.list_stages(job_id)] == [StageState.INTERRUPTED]
     assert storm.book.get(job_id).state == JobState.RUNNING
     storm.pause_s = 0.05
     storm.start("one")
@@ -81,7 +81,7 @@ def test_cancel_ends_the_stage_and_the_job(make: Callable[[float], Storm]) -> No
     took_s = time.monotonic() - asked
     until(lambda: storm.book.get(job_id).ended, what="the end of the job")
     assert storm.book.get(job_id).state == JobState.CANCELLED
-    assert [run.state for run in storm.book.stages(job_id)] == [StageState.CANCELLED]
+    assert [run.state for run in storm.book.list_stages(job_id)] == [StageState.CANCELLED]
     assert took_s < PROMPT_S
     storm.stop()
     assert storm.left_over() == []
@@ -99,8 +99,8 @@ def test_a_database_that_is_locked_for_long_costs_no_work(tmp_path: Path) -> Non
         until(lambda: len(storm.noted("end")) == 1, what="the end of the stage")
         time.sleep(settings.lease_s)
         other.rollback()
-    until(lambda: storm.book.stages(job_id)[0].ended_at is not None, what="its commit")
-    assert storm.book.stages(job_id)[0].state == StageState.COMMITTED
+    until(lambda: storm.book.list_stages(job_id)[0].ended_at is not None, what="its commit")
+    assert storm.book.list_stages(job_id)[0].state == StageState.COMMITTED
     storm.stop()
 
 
@@ -133,7 +133,7 @@ def test_a_stage_that_crashes_three_times_fails_the_job(make: Callable[[float], 
     assert job.error is not None
     assert job.error["stage"] == "image"
     assert "3 times" in job.error["detail"]
-    states = [run.state for run in storm.book.stages(job_id)]
+    states = [run.state for run in storm.book.list_stages(job_id)]
     assert states == [StageState.INTERRUPTED, StageState.INTERRUPTED, StageState.FAILED]
     storm.book.retry(job_id, "me")
     assert storm.book.get(job_id).state == JobState.QUEUED
