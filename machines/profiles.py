@@ -207,7 +207,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
     try:
         tables = {name: _table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
-        own = {key: PROFILE_VALUES.checked(key, value, "") for key, value in raw.items()}
+        own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
         if own.setdefault("name", name) != name:
             raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
         if extends is None:
@@ -228,7 +228,7 @@ _TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
 def _table(name: str, values: object, rules: Rules) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise BadValueError(name, values, f"a table: [{name}] and below it {', '.join(rules.keys)}")
-    return {key: rules.checked(key, value, f"{name}.") for key, value in values.items()}
+    return {key: rules.check(key, value, f"{name}.") for key, value in values.items()}
 
 
 def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:

@@ -98,7 +98,7 @@ class DripDriver(OneWayDriver):
             return
         super().command(command)
 
-    def _envelope(self) -> tuple[bytes, bytes]:
+    def _make_envelope(self) -> tuple[bytes, bytes]:
         self._ever_open, self._said_quiet, self._tape_ended = self._open, False, False
         self._since_s = self._port.clock()
         return bytes(self._options.leader_nulls) + b"%\r\n", b"%" + bytes(self._options.trailer_nulls)

@@ -67,7 +67,7 @@ class GrblDriver:
             self._write(now_s)
         except PortError as error:
             self.failure = error
-            session.lost(str(error), port.clock())
+            session.lose(str(error), port.clock())
         return self._name_fault(session.take_events())
 
     def _write(self, now_s: float) -> None:
@@ -103,18 +103,18 @@ class GrblDriver:
 
     def hold(self) -> None:
         self._session.hold(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
     def resume(self) -> None:
         """The byte leaves now: none waits in which a stop could overtake it."""
         self._session.resume(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
     def abort(self) -> None:
         self._session.abort(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
-    def _urgent(self) -> None:
+    def _write_urgent(self) -> None:
         """What is for now is written now, not at the next poll."""
         try:
             data = self._session.output(self._port.clock())
@@ -122,7 +122,7 @@ class GrblDriver:
                 self._port.write(data)
         except PortError as error:
             self.failure = error
-            self._session.lost(str(error), self._port.clock())
+            self._session.lose(str(error), self._port.clock())
 
     def command(self, command: Command) -> None:
         self._session.command(command, self._port.clock())

@@ -132,7 +132,7 @@ class GrblLink:
         self.text.clear()
         self.hold_wanted = self.paused = False
         self.tell_restart()
-        self.view.position_lost()
+        self.view.lose_position()
         self.enter(Phase.CLOSED, now_s)
         if cause is not None:
             self.events.append(Faulted(cause, words, line, now_s))

@@ -50,7 +50,7 @@ class ResetSequence:
     def repeats(self) -> bool:
         return self._again_s < inf
 
-    def message_came(self, now_s: float) -> None:
+    def take_message(self, now_s: float) -> None:
         """The controller says that it waits."""
         if self.repeats:
             self.due_s = now_s
@@ -101,7 +101,7 @@ class ResetControl:
         if words != MESSAGE:
             return
         if sequence is not None and sequence.repeats:
-            sequence.message_came(now_s)
+            sequence.take_message(now_s)
         elif link.phase is Phase.HAILING:  # its ALARM: line came before our time
             self.begin(ResetSequence.after_critical_alarm(now_s), now_s)
             self.take_message(words, now_s)

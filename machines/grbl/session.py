@@ -72,7 +72,7 @@ class GrblSession:
         self._splitter.clear()
         self._handshake.begin(now_s)
 
-    def lost(self, words: str, now_s: float) -> None:
+    def lose(self, words: str, now_s: float) -> None:
         """The port is gone."""
         self._close(words, words, now_s, FaultCause.PORT_LOST)
 

@@ -140,7 +140,7 @@ class StopControl:
     def _reset_homing(self, now_s: float) -> None:
         """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
         self.commands.end("homing was stopped")
-        self.link.view.position_lost()
+        self.link.view.lose_position()
         self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
     # ------------------------------------------------------------------ shown by the controller
@@ -156,7 +156,7 @@ class StopControl:
     def take_alarm(self, number: int, now_s: float) -> None:
         """End what an alarm ends; after a critical one begin the reset that alone is heard then."""
         link, words = self.link, alarm_words(number)
-        link.view.alarmed(number)
+        link.view.take_alarm(number)
         if link.phase is Phase.IDENTIFYING:
             self._greet_again(now_s)  # a banner follows most alarms, not all
         elif self.commands.busy:
@@ -221,7 +221,7 @@ class StopControl:
         """While stopping: is it certain that the mill stands?"""
         stream, position = self.streamer.stream, self.link.view.work_mm
         if stream is not None and position is not None and report.state in ("Run", "Hold"):
-            stream.tracker.reported(position)
+            stream.tracker.take_report(position)
         if not stands(report):
             self._still_reports = 0
             return
@@ -232,7 +232,7 @@ class StopControl:
             self._hold_again(now_s)
         if self._still_reports >= needed:
             if stream is not None and position is not None and report.state in ("Idle", "Hold"):
-                stream.tracker.stands_at(position, exact_mm=self.link.view.exact_mm)
+                stream.tracker.take_standstill(position, exact_mm=self.link.view.exact_mm)
             self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
     def _watch_stop(self, now_s: float) -> None:

@@ -62,8 +62,8 @@ class Stream:
             size = len(line.text) + 1
             if not window.accepts(size) or (step.writes_settings and window.used):
                 break
-            window.sent(size, following)
-            self.tracker.sent(line.number, step)
+            window.note_sent(size, following)
+            self.tracker.note_sent(line.number, step)
             out = out + line.text + b"\n" if out else line.text + b"\n"
             self._next = None
             if line.number:

@@ -93,7 +93,7 @@ class Tracker:
         self._distrusted = False
         self.tolerance_mm = tolerance_mm
 
-    def sent(self, number: int, step: Step) -> None:
+    def note_sent(self, number: int, step: Step) -> None:
         self._steps.append((number, step))
 
     def take_answer(self) -> None:
@@ -104,7 +104,7 @@ class Tracker:
         if number:
             self._answered_line = number
         if step.waits_for_empty_buffer and (step.pause_s > 0.0 or step.ends_program):
-            self.all_executed()
+            self.note_all_executed()
             return
         if not step.moves or not self._makes_block(step):
             return
@@ -133,7 +133,7 @@ class Tracker:
         self._crept_from_mm = None
         return True
 
-    def all_executed(self) -> None:
+    def note_all_executed(self) -> None:
         """The mill has done everything that was answered."""
         self._counted_line = self._answered_line
         self._by_count.clear()
@@ -157,7 +157,7 @@ class Tracker:
             if entry[0]:
                 self.executed_line = entry[0]
 
-    def reported(self, position_mm: Triple) -> Sight:
+    def take_report(self, position_mm: Triple) -> Sight:
         """A position in the work frame of the program was reported while it runs or stands within the program."""
         if self._distrusted:
             return Sight(Place.UNTOLD)
@@ -168,7 +168,7 @@ class Tracker:
                 continue
             away_mm = step.distance_mm(position_mm)
             if away_mm <= tolerance_mm:
-                return self._found(index, number, step, away_mm, position_mm)
+                return self._judge_match(index, number, step, away_mm, position_mm)
             if away_mm < nearest_mm:
                 nearest, nearest_mm = number, away_mm
         before = self._nearest_before(position_mm)
@@ -180,7 +180,7 @@ class Tracker:
             return Sight(Place.OFF_PATH, before.line, before.distance_mm)
         return Sight(Place.OFF_PATH, nearest, nearest_mm)
 
-    def _found(self, index: int, number: int, step: Step, away_mm: float, position_mm: Triple) -> Sight:
+    def _judge_match(self, index: int, number: int, step: Step, away_mm: float, position_mm: Triple) -> Sight:
         if index < self._answered:
             self._drop(index)
             return Sight(Place.ON_PATH, number, away_mm)
@@ -195,7 +195,7 @@ class Tracker:
             return Sight(Place.ON_PATH, number, away_mm)
         return Sight(Place.UNANSWERED, number, away_mm)
 
-    def stands_at(self, position_mm: Triple, *, exact_mm: float) -> None:
+    def take_standstill(self, position_mm: Triple, *, exact_mm: float) -> None:
         """The mill stands and will not go on: exactly at the end of one answered line, and on no other, it has cut it.
 
         Nothing is concluded where another step under way, but for the one that begins there, comes near that place.

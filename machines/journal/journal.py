@@ -198,4 +198,4 @@ class Journal:
             self._failure = f"journal {self.folder}: {os_words(error)}"
             raise JournalError(self._failure) from error
         self._written += len(data)
-        self._syncer.written()
+        self._syncer.note_written()

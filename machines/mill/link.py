@@ -132,7 +132,7 @@ class MillLink:
         except MachineError as error:
             self._say("fault", f"hold: {error}")
 
-    def seen(self) -> None:
+    def note_seen(self) -> None:
         """The mill was heard: what was latched has been carried out."""
         self._tries, self.problem, self.latched = 0, "", ""
 

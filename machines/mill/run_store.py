@@ -118,7 +118,7 @@ class RunFolders:
         except (ValueError, KeyError, TypeError) as error:
             raise JournalError(f"{path}: damaged ({error}); the run cannot go on without it") from error
 
-    def found(self) -> Iterator[tuple[str, JournalContent]]:
+    def list_runs(self) -> Iterator[tuple[str, JournalContent]]:
         """Every run with a readable journal, oldest first."""
         if not self.folder.is_dir():
             return
@@ -213,7 +213,7 @@ class RunStore:
 
     def _find_runs(self) -> None:
         left: Run | None = None
-        for run_id, content in self._folders.found():
+        for run_id, content in self._folders.list_runs():
             run = self._make_run(run_id, dict(content.state))
             self._runs[run_id] = run
             if content.torn:

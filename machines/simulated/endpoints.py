@@ -191,7 +191,7 @@ class _Tcp(Endpoint):
                 client.setblocking(False)
                 self._client, self._waiting = client, b""
                 with self.lock:
-                    self.mill.dtr_pulse()
+                    self.mill.pulse_dtr()
             else:
                 client.close()  # one at a time, as a serial port
         if self._client is not None and self._client.fileno() in ready:

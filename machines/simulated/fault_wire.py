@@ -49,7 +49,7 @@ class FaultWire:
         self._log.append(FaultDone(self._mill.now_s, fault.kind, byte, self._mill.firmware.received, words))
 
     # -- to the mill -----------------------------------------------------------------------------------------------
-    def sent(self, data: bytes, at_s: float) -> None:
+    def carry(self, data: bytes, at_s: float) -> None:
         """Hand data to the UART with the faults that fall into it."""
         serial = self._mill.serial
         first, self._bytes = self._bytes, self._bytes + len(data)

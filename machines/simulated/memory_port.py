@@ -29,7 +29,7 @@ class MemoryPort:
         self._woken = threading.Event()
         self._closed = False
         mill.use_wire(_BITS_PER_BYTE / baud if baud else 0.0)
-        mill.dtr_pulse()
+        mill.pulse_dtr()
 
     def clock(self) -> float:
         return self.mill.now_s

@@ -73,7 +73,7 @@ class SimulatedMill:
             return
         at_s = self.now_s if at_s is None else at_s
         if self._wire.active:
-            self._wire.sent(data, at_s)
+            self._wire.carry(data, at_s)
         else:
             self.serial.receive(data, at_s)
         self._look_for_line()
@@ -193,7 +193,7 @@ class SimulatedMill:
         self._forget_received()
         self._boot(first=False, off_s=off_s)
 
-    def dtr_pulse(self) -> None:
+    def pulse_dtr(self) -> None:
         """What opening the port does to a board that resets on it."""
         if self.traits.resets_on_open and not self._off:
             self.power_cycle(off_s=0.0)

@@ -204,7 +204,7 @@ class Planner:
         self._planned = 0
         self._recalculate(whole=True)
 
-    def overrides_changed(self) -> None:
+    def use_overrides(self) -> None:
         previous = _HUGE
         for b in self.blocks:
             self._set_nominal(b, previous)
