@@ -109,7 +109,7 @@ def _require_address(url: str) -> None:
 
 
 def _descriptor(line: Any) -> int:
-    """The file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
+    """Return the file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
     if os.name != "posix":
         return -1
     try:
@@ -152,7 +152,7 @@ def _make_open_error(name: str, error: Exception) -> PortError:
 
 
 def _reason(text: str) -> str:
-    """What the system said, without what pyserial has wrapped around it."""
+    """Return what the system said, without what pyserial has wrapped around it."""
     said = re.search(r"\[Errno -?\d+\] ([^:]+)", text)
     return said.group(1).strip().lower() if said else text
 
@@ -252,7 +252,7 @@ class SerialPort:
                     os.write(self._cord, b"!")
 
     def unsent_bytes(self) -> int:
-        """Bytes that wait in the operating system; 0 where it does not tell."""
+        """Return bytes that wait in the operating system; 0 where it does not tell."""
         try:
             return int(getattr(self._line, "out_waiting", 0))
         except (serial.SerialException, OSError, TypeError) as error:

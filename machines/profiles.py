@@ -177,7 +177,7 @@ def profile_sources(folders: Sequence[Path] | None = None) -> dict[str, str]:
 
 
 def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
-    """Names of all profiles, sorted."""
+    """Return names of all profiles, sorted."""
     return tuple(profile_sources(folders))
 
 
@@ -201,7 +201,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
 
 
 def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> dict[str, Any]:
-    """Checked values of a profile, those of the profile it extends filled in."""
+    """Return checked values of a profile, those of the profile it extends filled in."""
     file = sources[name]
     raw = _read(file)
     try:

@@ -52,7 +52,7 @@ class DripOptions:
 
 
 def refuse_text(text: bytes) -> str:
-    """Why this block cannot go over a 7-bit line to such a control; empty if it can."""
+    """Return why this block cannot go over a 7-bit line to such a control; empty if it can."""
     for byte in text:
         if not 0x20 <= byte < 0x7F:
             return f"byte 0x{byte:02x} is not printable 7-bit text"

@@ -77,7 +77,7 @@ class ByteFeed:
         return piece
 
     def note_taken(self, count: int) -> None:
-        """The first `count` bytes have left for the far end."""
+        """Note that the first `count` bytes have left for the far end."""
         while self._book and self._book[0][0] <= count:
             end, self.answered_line = self._book.popleft()
             if self.buffer_bytes is not None:

@@ -57,7 +57,7 @@ class OneWayDriver:
         raise NotImplementedError
 
     def _make_envelope(self) -> tuple[bytes, bytes]:
-        """Bytes before the first and after the last block."""
+        """Return bytes before the first and after the last block."""
         return b"", b""
 
     def _may_send(self) -> bool:
@@ -65,10 +65,10 @@ class OneWayDriver:
         return True
 
     def _receive(self, data: bytes, now_s: float) -> None:
-        """Bytes that came from the far end."""
+        """Take bytes that came from the far end."""
 
     def _tick(self, now_s: float) -> None:
-        """Called on every turn of a poll."""
+        """Do what is due on every turn of a poll."""
 
     def _abort_bytes(self) -> bytes:
         return b""
@@ -77,7 +77,7 @@ class OneWayDriver:
         return "bytes go out; what the machine does with them is not visible on this link"
 
     def _word_held(self) -> str:
-        """How much the machine may still execute, in words."""
+        """Return how much the machine may still execute, in words."""
         known = self._buffer_bytes
         return f"up to {known} bytes" if known is not None else "whatever its buffer holds (size not known)"
 
@@ -205,7 +205,7 @@ class OneWayDriver:
             self._last_byte_s = now_s
 
     def _finish(self, now_s: float) -> float:
-        """All bytes are handed over: wait until they have left, then say so."""
+        """Wait until all bytes that were handed over have left, then say so."""
         end_s = self._last_byte_s + self._pace.wait_s(now_s, 0) + _END_GRACE_S
         if now_s < end_s or self._count_unsent(now_s):
             return max(end_s - now_s, 0.01)
@@ -219,7 +219,7 @@ class OneWayDriver:
         return 1e9
 
     def _count_unsent(self, now_s: float) -> int:
-        """Bytes written that have not left the host yet."""
+        """Return bytes written that have not left the host yet."""
         return self._pace.count_queued(now_s)
 
     def _book(self) -> None:

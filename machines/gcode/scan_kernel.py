@@ -43,7 +43,7 @@ def _refuse_sign(c, rules):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _is_name(code, size, rules):  # type: ignore[no-untyped-def]
-    """Whether the whole line is a program's name in this dialect: O and digits, or O and letters and digits."""
+    """Say whether the whole line is a program's name in this dialect: O and digits, or O and letters and digits."""
     named = rules[tally.RULE_NAMED] != 0
     least = 1 if named else rules[tally.RULE_NAME_LEAST]
     most = 16 if named else rules[tally.RULE_NAME_MOST]

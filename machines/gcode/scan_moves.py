@@ -37,7 +37,7 @@ def is_spindle_off(state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def row_of(bounds, state):  # type: ignore[no-untyped-def]
-    """The bounds of the frame that moves are in."""
+    """Return the bounds of the frame that moves are in."""
     shifted = state[language.SHIFTED] > 0.0
     return bounds[tally.SHIFTED_ROW if shifted else min(int(state[language.WCS]) - 54, tally.SHIFTED_ROW)]
 
@@ -67,7 +67,7 @@ def add_entry(n, place, rapid_, feed_, line_, spindle_, pause_, sent_, moves):  
 
 @njit(cache=True, nogil=True)
 def add_straight(n, start, end, cut, feed, line, state, place, totals, events, bounds, rates, moves):  # type: ignore[no-untyped-def]
-    """One straight move: entry, totals, bounds. `place` follows with unknown axes left where they were."""
+    """Add one straight move: entry, totals, bounds. `place` follows with unknown axes left where they were."""
     blind = False
     jumps = False
     moved = False
@@ -126,7 +126,7 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
 
 @njit(cache=True, nogil=True)
 def add_arc(n, out, line, start, end, state, place, totals, events, bounds, rates, moves):  # type: ignore[no-untyped-def]
-    """An arc as chords, cut as GRBL's mc_arc cuts it. Returns n, or -1 when it has too many."""
+    """Add an arc as chords, cut as GRBL's mc_arc cuts it. Returns n, or -1 when it has too many."""
     plane = state[language.PLANE]
     u = 2 if plane == 18.0 else 1 if plane == 19.0 else 0
     v = (u + 1) % 3
@@ -159,7 +159,7 @@ def add_arc(n, out, line, start, end, state, place, totals, events, bounds, rate
 
 @njit(cache=True, nogil=True)
 def add_jump(n, out, kind, line, state, place, totals, events, bounds, moves):  # type: ignore[no-untyped-def]
-    """A move to a place only the controller knows, or in machine coordinates (G28, G30; G53)."""
+    """Add a move to a place only the controller knows, or in machine coordinates (G28, G30; G53)."""
     row = bounds[tally.MACHINE_ROW]
     if kind == language.JUMP:
         row = row_of(bounds, state)
@@ -172,7 +172,7 @@ def add_jump(n, out, kind, line, state, place, totals, events, bounds, moves):  
 
 @njit(cache=True, nogil=True)
 def note_assumed(state, g, n_g, events, line):  # type: ignore[no-untyped-def]
-    """Coordinates before the program has said their unit, or from where they count."""
+    """Note coordinates before the program has said their unit, or from where they count."""
     stated = int(state[language.STATED])
     for k in range(n_g):
         if g[k] == 200 or g[k] == 210:
@@ -187,7 +187,7 @@ def note_assumed(state, g, n_g, events, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def note_block(seen, m, n_m, out, line, state, totals, events):  # type: ignore[no-untyped-def]
-    """Events and spindle speeds of a block that has taken the general way."""
+    """Note events and spindle speeds of a block that has taken the general way."""
     flags = int(out[language.FLAGS])
     if seen & 1 << 13:
         note_event(events, tally.NUMBERED, line)

@@ -233,5 +233,5 @@ def show(text: bytes) -> str:
 
 
 def _as_read(text: bytes) -> bytes:
-    """A block as GRBL's reader keeps it: no blanks, upper case (comments are never sent)."""
+    """Return a block as GRBL's reader keeps it: no blanks, upper case (comments are never sent)."""
     return text.replace(b" ", b"").upper()

@@ -51,12 +51,12 @@ class ResetSequence:
         return self._again_s < inf
 
     def take_message(self, now_s: float) -> None:
-        """The controller says that it waits."""
+        """Note that the controller says that it waits."""
         if self.repeats:
             self.due_s = now_s
 
     def take(self, now_s: float) -> bytes:
-        """The byte if it is due, else nothing."""
+        """Return the byte if it is due, else nothing."""
         if now_s < self.due_s:
             return b""
         self.sent += 1

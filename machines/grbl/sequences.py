@@ -105,7 +105,7 @@ def _ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, t
 
 
 def describe_settings(settings: ControllerSettings) -> dict[str, object]:
-    """Settings as plain data, for CommandDone."""
+    """Return settings as plain data, for CommandDone."""
     return {
         "settings": settings.to_dict(),
         "offsets": {name: list(value) for name, value in settings.offsets.items()},
@@ -162,7 +162,7 @@ def probe(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
 
 
 def _words_to_restore(modal: Answer) -> bytes:
-    """Words that bring back units, distance mode and motion as [GC:] told before."""
+    """Return words that bring back units, distance mode and motion as [GC:] told before."""
     words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
     return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
 

@@ -125,7 +125,7 @@ class StopControl:
             self.commands.give_up(NOT_SENT, now_s)
 
     def _hold_command(self, now_s: float) -> None:
-        """A held controller reads no line: a command ends here, the handshake begins anew when the mill is let go."""
+        """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""
         if self.link.phase is Phase.IDENTIFYING:
             self._greet_again(now_s)
         else:
@@ -138,7 +138,7 @@ class StopControl:
         self.link.greet(now_s, recognised=True)
 
     def _reset_homing(self, now_s: float) -> None:
-        """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
+        """Stop a homing cycle, which obeys no hold; its position means nothing yet, so a reset loses nothing."""
         self.commands.end("homing was stopped")
         self.link.view.lose_position()
         self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
@@ -209,7 +209,7 @@ class StopControl:
         self._hold_at_s = now_s
 
     def _note_running(self, now_s: float) -> None:
-        """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
+        """Note that the mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
         if now_s <= self._hold_at_s + HOLD_AGAIN_S:
             return
         if self._hold_seen:

@@ -42,7 +42,7 @@ class MachineView:
         self._vouched.clear()
 
     def begin_epoch(self, *, position_kept: bool) -> None:
-        """A banner came. position_kept: it answers a reset of ours, sent to a mill that stands."""
+        """Forget what a banner ends. position_kept: it answers a reset of ours, sent to a mill that stands."""
         report = self.report
         sure = report is not None and stands(report) and report.state != "Sleep"
         self._stood_mm = self.machine_mm if sure and self.alarm not in POSITION_LOST_ALARMS else None
@@ -57,7 +57,7 @@ class MachineView:
             self.lose_position()
 
     def judge_place(self) -> bool:
-        """With the first report after a banner: whether machine coordinates still mean what they meant.
+        """Say with the first report after a banner whether machine coordinates still mean what they meant.
 
         The same place as before, not zero, proves it: a controller that lost its power counts from 0,0,0. Another place
         disproves it, whoever sent the reset.
@@ -82,7 +82,7 @@ class MachineView:
             self.spindle_on, self.spindle_stopped = False, True
 
     def take(self, report: Status) -> bool:
-        """A report has come; says whether it shows another place than the one before."""
+        """Take a report; say whether it shows another place than the one before."""
         before = self.report
         moved = before is None or (before.machine, before.work) != (report.machine, report.work)
         self.report = report

@@ -15,7 +15,7 @@ SYNC_EVERY_S = 0.5
 
 
 def os_words(error: OSError) -> str:
-    """An operating system's error in plain words."""
+    """Return an operating system's error in plain words."""
     words = {errno.ENOSPC: "no space left on the disk", errno.EDQUOT: "the disk quota is used up"}
     return words.get(error.errno or 0, (error.strerror or str(error)).lower())
 
@@ -150,7 +150,7 @@ class ThreadSyncer:
             self._lock.notify_all()
 
     def let_go(self) -> None:
-        """The thread does what is left: whoever stops a mill must not wait for a disk."""
+        """Leave what is left to the thread: whoever stops a mill must not wait for a disk."""
         with self._lock:
             if self._file is not None:
                 self._left.append(self._file)
@@ -182,7 +182,7 @@ class ThreadSyncer:
             left.close()
 
     def _next(self) -> tuple[File, Callable[[], None] | None, int] | None:
-        """What to sync next: at once where somebody waits for it, else a while after it was written."""
+        """Return what to sync next: at once where somebody waits for it, else a while after it was written."""
         me = threading.current_thread()
         with self._lock:
             self._lock.wait_for(lambda: self._thread is not me or self._written > self._safe)

@@ -44,7 +44,7 @@ class MillLimits:
 
 
 def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
-    """The profile's figures with those of the controller in their place, as far as it has told them."""
+    """Return the profile's figures with those of the controller in their place, as far as it has told them."""
     told = settings or ControllerSettings()
     fastest = told.number(30)
     slowest = told.number(31)
@@ -68,7 +68,7 @@ def _usable(triple: Triple | None) -> Triple | None:
 
 
 def _reach_mm(settings: ControllerSettings, travel_mm: Triple, axis: int) -> tuple[float, float]:
-    """Least and greatest machine coordinate of an axis."""
+    """Return the least and greatest machine coordinate of an axis."""
     to_low_end = int(settings.number(23) or 0) >> axis & 1
     return (0.0, travel_mm[axis]) if "Z" in settings.options and to_low_end else (-travel_mm[axis], 0.0)
 

@@ -25,7 +25,7 @@ _STEP_MM = 0.01  # where the controller does not tell
 
 
 def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
-    """How far a mill that stands at the end of a line may be reported from it, per axis.
+    """Return how far a mill that stands at the end of a line may be reported from it, per axis.
 
     Half a step of the axis, and half the last digit of the position and of each of G54, G92 and tool length. Larger is
     safer: a line believed too early is cut again.
@@ -51,7 +51,7 @@ def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
 def count_executed_at_rest(
     reader: ProgramReader, record: Mapping[str, Any], machine_mm: Triple, *, last_line: int, tolerance_mm: float
 ) -> int:
-    """The last line that was executed for certain, not below the journal's and not above `last_line`.
+    """Return the last line that was executed for certain, not below the journal's and not above `last_line`.
 
     record : a run's journal. The mill must stand idle where its own blocks have left it: no restart, nothing sent.
     """
@@ -71,7 +71,7 @@ def count_executed_at_rest(
 
 
 def _from_its_start(reader: ProgramReader, record: Mapping[str, Any], offset_mm: Triple, executed: int) -> ModalState:
-    """The state after the first lines of a program, with the axes it has not moved yet where they began."""
+    """Return the state after the first lines of a program, with the axes it has not moved yet where they began."""
     state, began = reader.state_before(1), record.get("began_mm")
     if began is not None:
         x, y, z = (float(m) - o for m, o in zip(began, offset_mm, strict=True))

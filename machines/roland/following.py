@@ -73,7 +73,7 @@ class Follower:
             self.lost = True
 
     def take_position(self, work_mm: Triple) -> None:
-        """The mill reports this position."""
+        """Take a reported position."""
         if self.lost:
             return
         for index, (_, ways) in enumerate(self._pending):
@@ -83,7 +83,7 @@ class Follower:
                 return
 
     def finish(self) -> None:
-        """The mill has executed all it was given."""
+        """Count all as executed that the mill was given."""
         self._pending.clear()
         self._note_done(self._last_line)
         self.lost = False

@@ -178,7 +178,7 @@ class JobControl:
             self._channel.enter(MillState.DOOR, "; ".join(words))
 
     def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: str, now_s: float) -> None:
-        """The stream ends; the mill is told to stop in the one way that is known."""
+        """End the stream, and tell the mill to stop in the one way that is known."""
         feed = self.feed
         line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line
         device.stop_motion()

@@ -35,7 +35,7 @@ class MemoryPort:
         return self.mill.now_s
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at once; else time passes until something comes or the timeout is over (then b"")."""
+        """Return what has come, at once; else time passes until something comes or the timeout is over (then b"")."""
         mill = self.mill
         self._check()
         data = mill.output()

@@ -7,7 +7,7 @@ from machines.simulated.controller import Controller
 
 
 def hold(fw: Controller) -> None:
-    """Feed hold, from `!` or the button."""
+    """Hold, asked for by `!` or the button."""
     if fw.state == "Run":
         fw.state, fw.held = "Hold", False
         fw.stepper.hold()
