@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass
-from dataclasses import fields as dataclass_fields
+from dataclasses import MISSING, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -189,7 +188,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     file = sources[name]
     values = _read_values(name, sources, ())
     link, spindle = LinkSettings(**values.pop("link")), SpindleSettings(**values.pop("spindle"))
-    required = {field.name for field in dataclass_fields(MachineProfile) if field.default is MISSING}
+    required = {field.name for field in fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
     if missing:
         raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')

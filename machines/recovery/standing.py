@@ -17,10 +17,11 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState, Position
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+from machines.preflight.limits import work_zero_mm
+from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
 _LINES_BEFORE_PLACE = 200  # a program has told all axes by then
-_AGREE_MM = 0.0015  # offsets are reported with three decimals
 _STEP_MM = 0.01  # where the controller does not tell
 
 
@@ -37,15 +38,11 @@ def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
 
 def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
     """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
-    offsets = record.get("offsets") or {}
-    if wcs not in offsets:
+    zero_mm, told = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
+    if zero_mm is None or told is None:
         return None
-    parts = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
-    x, y, z = (sum(float(part[axis]) for part in parts) for axis in range(3))
-    told = record.get("work_offset_mm")
-    if told is None or any(abs(a - b) > _AGREE_MM for a, b in zip(told, (x, y, z), strict=True)):
-        return None
-    return x, y, z
+    agree = all(abs(a - b) <= OFFSET_TOLERANCE_MM for a, b in zip(told, zero_mm, strict=True))
+    return zero_mm if agree else None
 
 
 def count_executed_at_rest(
