@@ -26,15 +26,15 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
             "or write port = ... under [link] in a profile of your own"
         )
     if kind == "grbl":
-        return _grbl(profile, url)
+        return _open_grbl(profile, url)
     if kind == "drip":
-        return _drip(profile, url)
+        return _open_drip(profile, url)
     if kind == "roland-serial":
-        return _roland_serial(profile, url)
+        return _open_roland_serial(profile, url)
     raise MachineError(f"machine '{profile.name}': link.driver = '{kind}' is not a driver that exists")
 
 
-def _grbl(profile: MachineProfile, url: str) -> Driver:
+def _open_grbl(profile: MachineProfile, url: str) -> Driver:
     from machines.grbl.driver import GrblDriver
     from machines.grbl.link import GrblOptions
     from machines.port import open_port
@@ -43,7 +43,7 @@ def _grbl(profile: MachineProfile, url: str) -> Driver:
     return GrblDriver(open_port(url, profile.link), options=options)
 
 
-def _drip(profile: MachineProfile, url: str) -> Driver:
+def _open_drip(profile: MachineProfile, url: str) -> Driver:
     from machines.drip.driver import DripDriver
     from machines.port import open_port
 
@@ -55,7 +55,7 @@ def _drip(profile: MachineProfile, url: str) -> Driver:
     return DripDriver(open_port(url, profile.link), profile.link, planner_blocks=profile.planner_blocks)
 
 
-def _roland_serial(profile: MachineProfile, url: str) -> Driver:
+def _open_roland_serial(profile: MachineProfile, url: str) -> Driver:
     from machines.port import open_port
     from machines.roland.serial_driver import RolandSerialDriver
 

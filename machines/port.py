@@ -90,8 +90,8 @@ def open_port(url: str, link: LinkSettings) -> Port:
     try:
         line.open()
     except (serial.SerialException, OSError, ValueError) as error:
-        raise _refusal(name, error) from error
-    _steady(line)
+        raise _make_open_error(name, error) from error
+    _take_off_hupcl(line)
     with contextlib.suppress(Exception):
         line.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; not offered by every driver
     wire = None if "://" in name else link.wire_bytes_per_s
@@ -109,7 +109,7 @@ def _require_address(url: str) -> None:
 
 
 def _descriptor(line: Any) -> int:
-    """The file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
+    """Return the file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
     if os.name != "posix":
         return -1
     try:
@@ -118,7 +118,7 @@ def _descriptor(line: Any) -> int:
         return -1
 
 
-def _steady(line: Any) -> None:
+def _take_off_hupcl(line: Any) -> None:
     """Take HUPCL off: a close must not drop DTR, which would reset the controller at the next opening."""
     if os.name != "posix" or not isinstance(getattr(line, "fd", None), int):
         return
@@ -130,7 +130,7 @@ def _steady(line: Any) -> None:
         termios.tcsetattr(line.fd, termios.TCSANOW, attributes)
 
 
-def _refusal(name: str, error: Exception) -> PortError:
+def _make_open_error(name: str, error: Exception) -> PortError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in text:
@@ -152,7 +152,7 @@ def _refusal(name: str, error: Exception) -> PortError:
 
 
 def _reason(text: str) -> str:
-    """What the system said, without what pyserial has wrapped around it."""
+    """Return what the system said, without what pyserial has wrapped around it."""
     said = re.search(r"\[Errno -?\d+\] ([^:]+)", text)
     return said.group(1).strip().lower() if said else text
 
@@ -206,7 +206,7 @@ class SerialPort:
             return self._await_bytes(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             # pyserial raises TypeError from a port that was closed under it
-            raise self._gone(error) from error
+            raise self._make_lost_error(error) from error
 
     def _await_bytes(self, timeout_s: float) -> bytes:
         ready, _, _ = select.select([self._file, self._bell], [], [], max(timeout_s, 0.0))
@@ -232,7 +232,7 @@ class SerialPort:
         try:
             self._line.write(data)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
-            raise self._gone(error) from error
+            raise self._make_lost_error(error) from error
 
     def write_realtime(self, data: bytes) -> bool:
         with self._ringing:
@@ -252,11 +252,11 @@ class SerialPort:
                     os.write(self._cord, b"!")
 
     def unsent_bytes(self) -> int:
-        """Bytes that wait in the operating system; 0 where it does not tell."""
+        """Return bytes that wait in the operating system; 0 where it does not tell."""
         try:
             return int(getattr(self._line, "out_waiting", 0))
         except (serial.SerialException, OSError, TypeError) as error:
-            raise self._gone(error) from error
+            raise self._make_lost_error(error) from error
 
     def close(self) -> None:
         with self._ringing:
@@ -268,7 +268,7 @@ class SerialPort:
         with contextlib.suppress(serial.SerialException, OSError):
             self._line.close()
 
-    def _gone(self, error: Exception) -> PortLostError:
+    def _make_lost_error(self, error: Exception) -> PortLostError:
         self.close()
         if isinstance(error, serial.SerialTimeoutException):
             return PortLostError(self.url, "takes no bytes any more (2 s): unplugged, or switched off")

@@ -41,7 +41,7 @@ class Rules:
     def keys(self) -> tuple[str, ...]:
         return tuple(self._rules)
 
-    def checked(self, key: str, value: object, prefix: str) -> Any:
+    def check(self, key: str, value: object, prefix: str) -> Any:
         rule = self._rules.get(key)
         if rule is None:
             raise BadValueError(prefix + key, value, f"the keys {', '.join(self._rules)}")

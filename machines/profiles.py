@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass
-from dataclasses import fields as dataclass_fields
+from dataclasses import MISSING, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -177,7 +176,7 @@ def profile_sources(folders: Sequence[Path] | None = None) -> dict[str, str]:
 
 
 def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
-    """Names of all profiles, sorted."""
+    """Return names of all profiles, sorted."""
     return tuple(profile_sources(folders))
 
 
@@ -189,7 +188,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     file = sources[name]
     values = _read_values(name, sources, ())
     link, spindle = LinkSettings(**values.pop("link")), SpindleSettings(**values.pop("spindle"))
-    required = {field.name for field in dataclass_fields(MachineProfile) if field.default is MISSING}
+    required = {field.name for field in fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
     if missing:
         raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')
@@ -201,13 +200,13 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
 
 
 def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> dict[str, Any]:
-    """Checked values of a profile, those of the profile it extends filled in."""
+    """Return checked values of a profile, those of the profile it extends filled in."""
     file = sources[name]
     raw = _read(file)
     try:
         tables = {name: _table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
-        own = {key: PROFILE_VALUES.checked(key, value, "") for key, value in raw.items()}
+        own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
         if own.setdefault("name", name) != name:
             raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
         if extends is None:
@@ -228,7 +227,7 @@ _TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
 def _table(name: str, values: object, rules: Rules) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise BadValueError(name, values, f"a table: [{name}] and below it {', '.join(rules.keys)}")
-    return {key: rules.checked(key, value, f"{name}.") for key, value in values.items()}
+    return {key: rules.check(key, value, f"{name}.") for key, value in values.items()}
 
 
 def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:

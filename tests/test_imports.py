@@ -114,7 +114,7 @@ def test_what_streams_does_without_arrays() -> None:
     """The streaming process stays small: arrays and compiled code belong to pre-flight's child."""
     heavy = {"numpy", "numba", "scipy"}
     users = [path.name for path in modules("machines") if roots(path) & heavy]
-    assert sorted(users) == ["scan.py", "scan_kernel.py", "scan_moves.py", "scan_text.py"]
+    assert sorted(users) == ["scan.py", "scan_kernel.py", "scan_moves.py"]
 
 
 def test_the_protocol_core_has_no_thread_port_or_clock() -> None:

@@ -52,7 +52,7 @@ class DripOptions:
 
 
 def refuse_text(text: bytes) -> str:
-    """Why this block cannot go over a 7-bit line to such a control; empty if it can."""
+    """Return why this block cannot go over a 7-bit line to such a control; empty if it can."""
     for byte in text:
         if not 0x20 <= byte < 0x7F:
             return f"byte 0x{byte:02x} is not printable 7-bit text"
@@ -98,7 +98,7 @@ class DripDriver(OneWayDriver):
             return
         super().command(command)
 
-    def _envelope(self) -> tuple[bytes, bytes]:
+    def _make_envelope(self) -> tuple[bytes, bytes]:
         self._ever_open, self._said_quiet, self._tape_ended = self._open, False, False
         self._since_s = self._port.clock()
         return bytes(self._options.leader_nulls) + b"%\r\n", b"%" + bytes(self._options.trailer_nulls)

@@ -76,8 +76,8 @@ class ByteFeed:
         self.handed_bytes += len(piece)
         return piece
 
-    def taken(self, count: int) -> None:
-        """The first `count` bytes have left for the far end."""
+    def note_taken(self, count: int) -> None:
+        """Note that the first `count` bytes have left for the far end."""
         while self._book and self._book[0][0] <= count:
             end, self.answered_line = self._book.popleft()
             if self.buffer_bytes is not None:
@@ -107,19 +107,19 @@ class Pace:
     _queued: float = 0.0
     _at_s: float = 0.0
 
-    def queued(self, now_s: float) -> int:
+    def count_queued(self, now_s: float) -> int:
         self._queued = max(0.0, self._queued - (now_s - self._at_s) * self.bytes_per_s)
         self._at_s = now_s
         return ceil(self._queued - 1e-9)
 
     def room(self, now_s: float) -> int:
-        return max(0, self.most_queued - self.queued(now_s))
+        return max(0, self.most_queued - self.count_queued(now_s))
 
-    def written(self, count: int, now_s: float) -> None:
-        self.queued(now_s)
+    def note_written(self, count: int, now_s: float) -> None:
+        self.count_queued(now_s)
         self._queued += count
 
     def wait_s(self, now_s: float, queued: int) -> float:
         """Until at most `queued` bytes wait."""
-        self.queued(now_s)
+        self.count_queued(now_s)
         return max(0.0, (self._queued - queued) / self.bytes_per_s)

@@ -56,8 +56,8 @@ class OneWayDriver:
     def _encode(self, line: ProgramLine) -> bytes:
         raise NotImplementedError
 
-    def _envelope(self) -> tuple[bytes, bytes]:
-        """Bytes before the first and after the last block."""
+    def _make_envelope(self) -> tuple[bytes, bytes]:
+        """Return bytes before the first and after the last block."""
         return b"", b""
 
     def _may_send(self) -> bool:
@@ -65,10 +65,10 @@ class OneWayDriver:
         return True
 
     def _receive(self, data: bytes, now_s: float) -> None:
-        """Bytes that came from the far end."""
+        """Take bytes that came from the far end."""
 
     def _tick(self, now_s: float) -> None:
-        """Called on every turn of a poll."""
+        """Do what is due on every turn of a poll."""
 
     def _abort_bytes(self) -> bytes:
         return b""
@@ -76,8 +76,8 @@ class OneWayDriver:
     def _word_running(self) -> str:
         return "bytes go out; what the machine does with them is not visible on this link"
 
-    def _still_held(self) -> str:
-        """How much the machine may still execute, in words."""
+    def _word_held(self) -> str:
+        """Return how much the machine may still execute, in words."""
         known = self._buffer_bytes
         return f"up to {known} bytes" if known is not None else "whatever its buffer holds (size not known)"
 
@@ -108,7 +108,7 @@ class OneWayDriver:
                 if data:
                     self._receive(data, now_s)
             except PortError as error:
-                self._lost(str(error))
+                self._lose(str(error))
                 break
             if self._channel.events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
                 break  # the last case: somebody called wake()
@@ -124,7 +124,7 @@ class OneWayDriver:
     def start(self, lines: Iterator[ProgramLine]) -> None:
         if self.status.state is not MillState.IDLE:
             raise NotAllowedError(f"a program can start only when the link is idle, it is {self.status.state.value}")
-        head, tail = self._envelope()
+        head, tail = self._make_envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
         self._channel.enter(MillState.RUN, self._word_running())
@@ -135,7 +135,7 @@ class OneWayDriver:
         if self._feed is None or self._held:
             return
         self._held = True
-        words = f"sending has stopped; the machine still executes {self._still_held()}: press feed hold at the machine"
+        words = f"sending has stopped; the machine still executes {self._word_held()}: press feed hold at the machine"
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
 
@@ -152,10 +152,10 @@ class OneWayDriver:
             if data := self._abort_bytes():
                 self._port.write(data)
         except PortError as error:
-            self._lost(str(error))
+            self._lose(str(error))
             return
         self._end_stream()
-        words = f"sending has ended; the machine may still execute {self._still_held()}: reset it at its own panel"
+        words = f"sending has ended; the machine may still execute {self._word_held()}: reset it at its own panel"
         self._channel.events += [Notice(words), Stopped(position_kept=False)]
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.IDLE, words)
@@ -201,33 +201,33 @@ class OneWayDriver:
             return
         if piece:
             self._port.write(piece)
-            self._pace.written(len(piece), now_s)
+            self._pace.note_written(len(piece), now_s)
             self._last_byte_s = now_s
 
     def _finish(self, now_s: float) -> float:
-        """All bytes are handed over: wait until they have left, then say so."""
+        """Wait until all bytes that were handed over have left, then say so."""
         end_s = self._last_byte_s + self._pace.wait_s(now_s, 0) + _END_GRACE_S
-        if now_s < end_s or self._unsent(now_s):
+        if now_s < end_s or self._count_unsent(now_s):
             return max(end_s - now_s, 0.01)
         self._book()
         self._end_stream()
         words = (
-            f"every byte has left; the machine may still be cutting {self._still_held()}: wait for its own end signal"
+            f"every byte has left; the machine may still be cutting {self._word_held()}: wait for its own end signal"
         )
         self._channel.events += [Notice(words), ProgramDone()]
         self._channel.enter(MillState.IDLE, words)
         return 1e9
 
-    def _unsent(self, now_s: float) -> int:
-        """Bytes written that have not left the host yet."""
-        return self._pace.queued(now_s)
+    def _count_unsent(self, now_s: float) -> int:
+        """Return bytes written that have not left the host yet."""
+        return self._pace.count_queued(now_s)
 
     def _book(self) -> None:
         feed = self._feed
         if feed is None:
             return
-        taken = max(0, feed.handed_bytes - self._unsent(self._port.clock()))
-        feed.taken(taken)
+        taken = max(0, feed.handed_bytes - self._count_unsent(self._port.clock()))
+        feed.note_taken(taken)
         self._channel.progress = StreamProgress(
             sent_line=feed.sent_line,
             sent_offset=feed.sent_offset,
@@ -244,12 +244,12 @@ class OneWayDriver:
         self._feed, self._held = None, False
         self._channel.end_stream()
 
-    def _lost(self, words: str) -> None:
+    def _lose(self, words: str) -> None:
         now_s = self._port.clock()
         streaming, line = self._feed is not None, self.progress.sent_line
         self._feed = None
         self._channel.end_stream()
         self._channel.update(position_trusted=False, epoch=self.status.epoch + 1)
         self._channel.enter(MillState.DISCONNECTED, words)
-        more = f"; the machine still executes {self._still_held()}" if streaming else ""
+        more = f"; the machine still executes {self._word_held()}" if streaming else ""
         self._channel.events.append(Faulted(FaultCause.PORT_LOST, words + more, line, now_s))

@@ -91,7 +91,7 @@ class Dialect:
         return "F, its seconds" if DWELL_BY_F in actions else "P, its seconds"
 
     def reason_for(self, code: int) -> str:
-        """The sentence of a refusal by this control."""
+        """Return the sentence of a refusal by this control."""
         return refusals.REASONS[code].format(
             limit=self.line_limit,
             n_limit=self.n_limit,

@@ -172,7 +172,7 @@ class Interpreter:
         )
 
     def _sync(self) -> list[float]:
-        """The vector with the position of the short way written back."""
+        """Return the vector with the position of the short way written back."""
         x, y, z = self._position
         self._vector[:3] = (
             math.nan if x is None else x, math.nan if y is None else y, math.nan if z is None else z,

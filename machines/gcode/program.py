@@ -95,7 +95,7 @@ class ProgramReader:
                         yield line
 
     def state_before(self, line: int) -> ModalState:
-        """Modal state when every line before `line` has been executed."""
+        """Return the modal state when every line before `line` has been executed."""
         number = self.index.before(line)
         entry = self.index.entries[number]
         if line <= entry.line:

@@ -173,7 +173,7 @@ class ProgramScan:
 
 
 def _rules(dialect: Dialect) -> np.ndarray:
-    """The dialect as the numbers the kernel reads."""
+    """Return the dialect as the numbers the kernel reads."""
     rules = {
         tally.RULE_LENGTH: dialect.line_limit,
         tally.RULE_N: dialect.n_limit,

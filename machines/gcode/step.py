@@ -43,13 +43,13 @@ class Step:
         return self.kind in ("rapid", "feed", "arc")
 
     def distance_mm(self, point_mm: tuple[float, float, float]) -> float:
-        """How far a point (work frame) is from this move. Axes whose place is not known do not count."""
+        """Return how far a point (work frame) is from this move. Axes whose place is not known do not count."""
         if self.arc is not None:
             return self.arc.distance_mm(point_mm, self.start_mm, self.end_mm)
         return math.sqrt(self._nearest(point_mm)[1])
 
     def fraction(self, point_mm: tuple[float, float, float]) -> float:
-        """How far along this move (0 start, 1 end) its place nearest to the point is."""
+        """Return how far along this move (0 start, 1 end) its place nearest to the point is."""
         if self.arc is not None:
             return self.arc.fraction(point_mm)
         return self._nearest(point_mm)[0]

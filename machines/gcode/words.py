@@ -40,7 +40,7 @@ def _without_comments(text: bytes) -> bytes:
 
 
 def split_words(block: bytes) -> list[tuple[bytes, bytes]]:
-    """Letters and numbers of a stripped block. BadTextError where something is neither."""
+    """Return letters and numbers of a stripped block. BadTextError where something is neither."""
     words: list[tuple[bytes, bytes]] = _WORD.findall(block)
     if sum(len(number) for _, number in words) + len(words) != len(block):
         raise BadTextError(_what_is_wrong(block))
@@ -72,6 +72,6 @@ def strip_ends(text: bytes) -> bytes:
 
 
 def shown(text: bytes) -> str:
-    """A line as a message shows it: printable characters on one line, at most 100 of them."""
+    """Return a line as a message shows it: printable characters on one line, at most 100 of them."""
     plain = "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in text.strip()[:100].replace(b"\t", b" "))
     return plain if len(plain) <= 100 else plain[:97] + "..."

@@ -52,7 +52,7 @@ class GrblDriver:
         self._session.connect(self._port.clock())
 
     def poll(self, timeout_s: float) -> tuple[Event, ...]:
-        """One round: write what is due, wait for input until the next deadline, decide, write."""
+        """Write what is due, wait for input until the next deadline, decide, write."""
         port, session = self._port, self._session
         try:
             now_s = port.clock()
@@ -67,7 +67,7 @@ class GrblDriver:
             self._write(now_s)
         except PortError as error:
             self.failure = error
-            session.lost(str(error), port.clock())
+            session.lose(str(error), port.clock())
         return self._name_fault(session.take_events())
 
     def _write(self, now_s: float) -> None:
@@ -78,7 +78,7 @@ class GrblDriver:
             self._port.write(data)
 
     def _name_fault(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
-        """A link that no controller answers on: the error carries the name of the port."""
+        """Put the name of the port into the error of a link that no controller answers on."""
         for event in events:
             if isinstance(event, Faulted) and event.cause is FaultCause.DEVICE:
                 self.failure = NotAControllerError(self._port.url, event.words)
@@ -90,7 +90,7 @@ class GrblDriver:
         self._port.wake()
 
     def urge(self, stop: str) -> bool:
-        """A realtime byte may stand anywhere in the stream, in the middle of a line too.
+        """Write a realtime byte; it may stand anywhere in the stream, in the middle of a line too.
 
         An abort of a mill that stands idle needs none: '!' would leave it in Hold.
         """
@@ -103,26 +103,26 @@ class GrblDriver:
 
     def hold(self) -> None:
         self._session.hold(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
     def resume(self) -> None:
-        """The byte leaves now: none waits in which a stop could overtake it."""
+        """Go on, with the byte leaving now: none waits in which a stop could overtake it."""
         self._session.resume(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
     def abort(self) -> None:
         self._session.abort(self._port.clock())
-        self._urgent()
+        self._write_urgent()
 
-    def _urgent(self) -> None:
-        """What is for now is written now, not at the next poll."""
+    def _write_urgent(self) -> None:
+        """Write now what is for now, not at the next poll."""
         try:
             data = self._session.output(self._port.clock())
             if data:
                 self._port.write(data)
         except PortError as error:
             self.failure = error
-            self._session.lost(str(error), self._port.clock())
+            self._session.lose(str(error), self._port.clock())
 
     def command(self, command: Command) -> None:
         self._session.command(command, self._port.clock())

@@ -48,15 +48,15 @@ class SendWindow(Generic[Item]):
     def accepts(self, size: int) -> bool:
         return self.used + size <= self.capacity
 
-    def sent(self, size: int, item: Item) -> None:
-        """A line of `size` bytes, its end included, is on its way."""
+    def note_sent(self, size: int, item: Item) -> None:
+        """Count a line of `size` bytes, its end included, as under way."""
         if self.used + size > self.capacity:
             raise AssertionError(f"{size} bytes more than the window of {self.capacity} takes ({self.used} under way)")
         self.used += size
         self._waiting.append((size, item))
 
     def take_answer(self) -> Item:
-        """The oldest line was answered; IndexError if none waits."""
+        """Take the oldest line off: it was answered. IndexError if none waits."""
         size, item = self._waiting.popleft()
         self.used -= size
         return item
@@ -85,13 +85,13 @@ class Pacer:
         return self._rate is not None
 
     def budget(self, now_s: float) -> int:
-        """Bytes that may be written now."""
+        """Return bytes that may be written now."""
         if self._rate is None:
             return 1 << 30
         waiting_s = self._empty_at_s - now_s
         return int((AHEAD_S - waiting_s if waiting_s > 0.0 else AHEAD_S) * self._rate)
 
-    def wrote(self, count: int, now_s: float) -> None:
+    def note_written(self, count: int, now_s: float) -> None:
         if self._rate is not None:
             start_s = self._empty_at_s if self._empty_at_s > now_s else now_s
             self._empty_at_s = start_s + count / self._rate
@@ -128,21 +128,21 @@ class AnswerCount:
         self.closed = True
         self._listen_s = min(LISTEN_S, covered_s / 3.0)
 
-    def empty_window(self, now_s: float) -> None:
-        """Every line under way is answered."""
+    def note_empty_window(self, now_s: float) -> None:
+        """Note that every line under way is answered."""
         if self.closed and self.poll_at_s == inf and not self._reports:
             self.poll_at_s = now_s + self._listen_s
 
-    def asks(self, now_s: float, unanswered: int) -> bool:
-        """Whether a '?' is to be written now whose report ends the count. unanswered: '?' under way already."""
+    def ask(self, now_s: float, unanswered: int) -> bool:
+        """Say whether a '?' is to be written now whose report ends the count. unanswered: '?' under way already."""
         if now_s < self.poll_at_s:
             return False
         self.poll_at_s = inf
         self._reports = min(unanswered, MOST_UNANSWERED) + 1
         return True
 
-    def reported(self, now_s: float) -> None:
-        """A report has come."""
+    def take_report(self, now_s: float) -> None:
+        """Take a report."""
         if self._reports:
             self._reports -= 1
             if not self._reports:

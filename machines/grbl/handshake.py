@@ -41,7 +41,7 @@ class Handshake:
         link.text.clear()
         link.failure = self._banner = self.commands.held_line = ""
         self.streamer.echoes = False
-        view.new_epoch(position_kept=False)
+        view.begin_epoch(position_kept=False)
         view.judge_place()
         view.locked_by = 0
         view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
@@ -66,7 +66,7 @@ class Handshake:
         streamer.echoes = streamer.late_answers = False
         commands.banner_due_s, commands.held_line = 0.0, ""
         commands.override.end("the controller restarted")
-        link.view.new_epoch(position_kept=kept)
+        link.view.begin_epoch(position_kept=kept)
         commands.end("" if checked_off else "the controller restarted")
         streamer.end()
         link.greet(now_s, recognised=known)

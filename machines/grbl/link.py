@@ -52,7 +52,7 @@ class Greeting:
             self._text = line[:60]
 
     def count_unended(self, rest: bytes) -> None:
-        """What came after the last line end."""
+        """Count what came after the last line end."""
         self._rest = rest
 
     @property
@@ -67,7 +67,7 @@ class Greeting:
         return "asking '?'" if not self.recognised else "waiting for a report"
 
     def verdict(self) -> str:
-        """Why this is not a controller, after patience has run out."""
+        """Return why this is not a controller, after patience has run out."""
         heard = self._bytes + len(self._rest)
         noise = self._noise + len(self._rest.translate(None, PLAIN))
         if not heard:
@@ -132,7 +132,7 @@ class GrblLink:
         self.text.clear()
         self.hold_wanted = self.paused = False
         self.tell_restart()
-        self.view.position_lost()
+        self.view.lose_position()
         self.enter(Phase.CLOSED, now_s)
         if cause is not None:
             self.events.append(Faulted(cause, words, line, now_s))

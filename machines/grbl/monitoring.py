@@ -107,7 +107,7 @@ class StreamMonitor:
         if moved or report.state in HELD_STATES:  # waiting for a person is not a stall
             self.note_sign()
         if self.streamer.stream is not None:
-            self.streamer.stream.count.reported(now_s)
+            self.streamer.stream.count.take_report(now_s)
         if report.state not in ("Idle", "Check"):
             self._standing_reports = 0
             return
@@ -131,7 +131,7 @@ class StreamMonitor:
             return
         self._idle_reports += 1
         if self._idle_reports >= DONE_REPORTS:
-            stream.tracker.all_executed()
+            stream.tracker.note_all_executed()
             if stream.drained:
                 self._finish(stream, report, now_s)
 
@@ -139,7 +139,7 @@ class StreamMonitor:
         position = self.link.view.work_mm
         if position is None:
             return
-        sight = stream.tracker.reported(position)
+        sight = stream.tracker.take_report(position)
         if sight.place is Place.ON_PATH:
             stream.compared = True
         elif sight.place is Place.OFF_PATH:
@@ -233,5 +233,5 @@ def show(text: bytes) -> str:
 
 
 def _as_read(text: bytes) -> bytes:
-    """A block as GRBL's reader keeps it: no blanks, upper case (comments are never sent)."""
+    """Return a block as GRBL's reader keeps it: no blanks, upper case (comments are never sent)."""
     return text.replace(b" ", b"").upper()

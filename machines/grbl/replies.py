@@ -122,7 +122,7 @@ _FIELD = re.compile(r"[A-Za-z]+\d*$")
 
 
 def parse(line: bytes) -> Reply:
-    """The reply in one line (without its line end). Never raises."""
+    """Return the reply in one line (without its line end). Never raises."""
     if line == b"ok":
         return OK
     if not line:

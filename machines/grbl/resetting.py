@@ -50,13 +50,13 @@ class ResetSequence:
     def repeats(self) -> bool:
         return self._again_s < inf
 
-    def message_came(self, now_s: float) -> None:
-        """The controller says that it waits."""
+    def take_message(self, now_s: float) -> None:
+        """Note that the controller says that it waits."""
         if self.repeats:
             self.due_s = now_s
 
     def take(self, now_s: float) -> bytes:
-        """The byte if it is due, else nothing."""
+        """Return the byte if it is due, else nothing."""
         if now_s < self.due_s:
             return b""
         self.sent += 1
@@ -101,7 +101,7 @@ class ResetControl:
         if words != MESSAGE:
             return
         if sequence is not None and sequence.repeats:
-            sequence.message_came(now_s)
+            sequence.take_message(now_s)
         elif link.phase is Phase.HAILING:  # its ALARM: line came before our time
             self.begin(ResetSequence.after_critical_alarm(now_s), now_s)
             self.take_message(words, now_s)

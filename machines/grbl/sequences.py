@@ -105,7 +105,7 @@ def _ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, t
 
 
 def describe_settings(settings: ControllerSettings) -> dict[str, object]:
-    """Settings as plain data, for CommandDone."""
+    """Return settings as plain data, for CommandDone."""
     return {
         "settings": settings.to_dict(),
         "offsets": {name: list(value) for name, value in settings.offsets.items()},
@@ -125,8 +125,8 @@ def home(settings: ControllerSettings) -> CommandSequence:
     return Outcome(vouched="XYZ")
 
 
-def unlock() -> CommandSequence:
-    _require_ok((yield Ask(b"$X")))
+def ask_once(text: bytes) -> CommandSequence:
+    _require_ok((yield Ask(text)))
     return Outcome()
 
 
@@ -162,7 +162,7 @@ def probe(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
 
 
 def _words_to_restore(modal: Answer) -> bytes:
-    """Words that bring back units, distance mode and motion as [GC:] told before."""
+    """Return words that bring back units, distance mode and motion as [GC:] told before."""
     words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
     return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
 
@@ -198,12 +198,6 @@ def _ask_offsets(
     return fresh, {name: list(value) for name, value in offsets.items()}
 
 
-def check_mode() -> CommandSequence:
-    """$C is a toggle; off ends in a soft reset of the controller's own, with a banner."""
-    _require_ok((yield Ask(b"$C")))
-    return Outcome()
-
-
 def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSequence:
     text = command.text.strip().encode("ascii")
     answer = _require_ok((yield Ask(text, BLOCK_S)))
@@ -226,7 +220,7 @@ def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequ
         case Home():
             return home(settings)
         case Unlock():
-            return unlock()
+            return ask_once(b"$X")
         case ReadSettings():
             return identify(settings.version)
         case Jog():
@@ -236,7 +230,7 @@ def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequ
         case SetZero():
             return set_zero(command, settings)
         case CheckMode():
-            return check_mode()
+            return ask_once(b"$C")  # a toggle; off ends in a soft reset of the controller's own, with a banner
         case SendBlock():
             return send_block(command, settings)
         case _:

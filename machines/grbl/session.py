@@ -72,8 +72,8 @@ class GrblSession:
         self._splitter.clear()
         self._handshake.begin(now_s)
 
-    def lost(self, words: str, now_s: float) -> None:
-        """The port is gone."""
+    def lose(self, words: str, now_s: float) -> None:
+        """Give the link up: the port is gone."""
         self._close(words, words, now_s, FaultCause.PORT_LOST)
 
     def close(self, now_s: float) -> None:
@@ -89,7 +89,7 @@ class GrblSession:
         self.link.close(words, now_s, cause, line)
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Bytes have come."""
+        """Take bytes that have come."""
         link, streamer = self.link, self.streamer
         if link.phase is Phase.CLOSED:
             return
@@ -153,7 +153,7 @@ class GrblSession:
             self._monitor.compare(report, now_s)
 
     def tick(self, now_s: float) -> None:
-        """Time has passed."""
+        """Do what is due by now."""
         self._transmitter.poll(now_s)
         if now_s >= self.link.watch_at_s:
             self.link.watch_at_s = now_s + WATCH_S
@@ -175,7 +175,7 @@ class GrblSession:
             self.stops.watch(now_s)
 
     def output(self, now_s: float) -> bytes:
-        """Bytes to write now, those that act at once first."""
+        """Return bytes to write now, those that act at once first."""
         return self._transmitter.take_output(now_s)
 
     @property
@@ -186,7 +186,7 @@ class GrblSession:
         return min(self._transmitter.next_deadline_s, self.link.watch_at_s)
 
     def take_events(self) -> tuple[Event, ...]:
-        """What has happened since the last call."""
+        """Return what has happened since the last call."""
         events, state = self.link.events, self.reporter.state
         if state is not self._shown:
             events.insert(0, StateChanged(self._shown, state))

@@ -126,7 +126,7 @@ class ControllerSettings:
 
 
 def read_settings(replies: Iterable[Reply], banner: str = "") -> ControllerSettings:
-    """Settings from the answers to $I, $$, $# and $G, in any order. What cannot be read stays unknown."""
+    """Return settings from the answers to $I, $$, $# and $G, in any order. What cannot be read stays unknown."""
     heard = list(replies)
     values = {reply.number: reply.value for reply in heard if isinstance(reply, Setting)}
     pushes = [reply for reply in heard if isinstance(reply, Push)]

@@ -63,7 +63,7 @@ _DOOR = {
 
 
 def mill_state(report: Status) -> MillState:
-    """The operator's word for a reported state."""
+    """Return the operator's word for a reported state."""
     if report.state == "Hold":
         return MillState.HELD if not report.sub else MillState.HOLDING
     return _STATES[report.state]

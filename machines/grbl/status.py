@@ -138,7 +138,7 @@ class StatusReporter:
         return tuple(words)
 
     def _corridor_words(self) -> str:
-        """What is done, or will be: nothing is said of positions that cannot be compared."""
+        """Word what is done, or will be: nothing is said of positions that cannot be compared."""
         if self.state is MillState.CHECK:
             return ""
         what = (

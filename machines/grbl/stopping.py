@@ -125,7 +125,7 @@ class StopControl:
             self.commands.give_up(NOT_SENT, now_s)
 
     def _hold_command(self, now_s: float) -> None:
-        """A held controller reads no line: a command ends here, the handshake begins anew when the mill is let go."""
+        """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""
         if self.link.phase is Phase.IDENTIFYING:
             self._greet_again(now_s)
         else:
@@ -138,9 +138,9 @@ class StopControl:
         self.link.greet(now_s, recognised=True)
 
     def _reset_homing(self, now_s: float) -> None:
-        """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
+        """Stop a homing cycle, which obeys no hold; its position means nothing yet, so a reset loses nothing."""
         self.commands.end("homing was stopped")
-        self.link.view.position_lost()
+        self.link.view.lose_position()
         self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
     # ------------------------------------------------------------------ shown by the controller
@@ -156,7 +156,7 @@ class StopControl:
     def take_alarm(self, number: int, now_s: float) -> None:
         """End what an alarm ends; after a critical one begin the reset that alone is heard then."""
         link, words = self.link, alarm_words(number)
-        link.view.alarmed(number)
+        link.view.take_alarm(number)
         if link.phase is Phase.IDENTIFYING:
             self._greet_again(now_s)  # a banner follows most alarms, not all
         elif self.commands.busy:
@@ -209,7 +209,7 @@ class StopControl:
         self._hold_at_s = now_s
 
     def _note_running(self, now_s: float) -> None:
-        """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
+        """Note that the mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
         if now_s <= self._hold_at_s + HOLD_AGAIN_S:
             return
         if self._hold_seen:
@@ -221,7 +221,7 @@ class StopControl:
         """While stopping: is it certain that the mill stands?"""
         stream, position = self.streamer.stream, self.link.view.work_mm
         if stream is not None and position is not None and report.state in ("Run", "Hold"):
-            stream.tracker.reported(position)
+            stream.tracker.take_report(position)
         if not stands(report):
             self._still_reports = 0
             return
@@ -232,7 +232,7 @@ class StopControl:
             self._hold_again(now_s)
         if self._still_reports >= needed:
             if stream is not None and position is not None and report.state in ("Idle", "Hold"):
-                stream.tracker.stands_at(position, exact_mm=self.link.view.exact_mm)
+                stream.tracker.take_standstill(position, exact_mm=self.link.view.exact_mm)
             self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
     def _watch_stop(self, now_s: float) -> None:

@@ -49,7 +49,7 @@ class Stream:
         self.count = count
 
     def fill(self, budget: int) -> bytes:
-        """At most `budget` bytes to write now. Raises MachineError where the program cannot go on."""
+        """Return at most `budget` bytes to write now. Raises MachineError where the program cannot go on."""
         out = self._rest
         window = self.window
         while len(out) < budget and not self._alone and not self.count.closed:
@@ -62,8 +62,8 @@ class Stream:
             size = len(line.text) + 1
             if not window.accepts(size) or (step.writes_settings and window.used):
                 break
-            window.sent(size, following)
-            self.tracker.sent(line.number, step)
+            window.note_sent(size, following)
+            self.tracker.note_sent(line.number, step)
             out = out + line.text + b"\n" if out else line.text + b"\n"
             self._next = None
             if line.number:
@@ -97,7 +97,7 @@ class Stream:
         return self._next
 
     def take_answer(self) -> Flight:
-        """The oldest line under way was taken. IndexError if there is none."""
+        """Take the oldest line under way off: it was answered. IndexError if there is none."""
         flight = self.window.take_answer()
         self.tracker.take_answer()
         number = flight[0].number

@@ -117,7 +117,7 @@ def _length_mm(step: Step, settings: ControllerSettings) -> float:
 
 
 def _chords(step: Step, length_mm: float, tolerance_mm: float | None) -> int:
-    """How many blocks the firmware makes of a move ($12): one, or the chords of an arc.
+    """Return how many blocks the firmware makes of a move ($12): one, or the chords of an arc.
 
     A chord with the sagitta e on the radius r is 2 sqrt(e (2 r - e)) long, at least 2 e: with r unknown, the shortest.
     """
@@ -137,7 +137,7 @@ def longest_wait_s(
     *,
     standing: bool = False,
 ) -> float | None:
-    """Longest time without any sign until the answer to `first` is due; None if it waits for a person.
+    """Return the longest time without any sign until the answer to `first` is due; None if it waits for a person.
 
     first    : the oldest unanswered line; None: all are answered, and the mill has still to come to rest
     queued   : moves that were answered and may not be executed yet

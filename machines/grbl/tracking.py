@@ -93,18 +93,18 @@ class Tracker:
         self._distrusted = False
         self.tolerance_mm = tolerance_mm
 
-    def sent(self, number: int, step: Step) -> None:
+    def note_sent(self, number: int, step: Step) -> None:
         self._steps.append((number, step))
 
     def take_answer(self) -> None:
-        """The oldest unanswered line was answered."""
+        """Count the oldest unanswered line as answered."""
         steps = self._steps
         number, step = steps[self._answered]
         self._answered += 1
         if number:
             self._answered_line = number
         if step.waits_for_empty_buffer and (step.pause_s > 0.0 or step.ends_program):
-            self.all_executed()
+            self.note_all_executed()
             return
         if not step.moves or not self._makes_block(step):
             return
@@ -124,7 +124,7 @@ class Tracker:
                 self._drop(place - self._dropped)
 
     def _makes_block(self, step: Step) -> bool:
-        """Whether this move, with the too short ones before it, has brought the axes a step further for certain."""
+        """Say whether this move, with the too short ones before it, has brought the axes a step further for certain."""
         if step.length_mm < self._least_block_mm:
             begin = self._crept_from_mm or step.start_mm
             if _apart_mm(begin, step.end_mm) < self._least_block_mm:
@@ -133,14 +133,14 @@ class Tracker:
         self._crept_from_mm = None
         return True
 
-    def all_executed(self) -> None:
-        """The mill has done everything that was answered."""
+    def note_all_executed(self) -> None:
+        """Count everything that was answered as executed."""
         self._counted_line = self._answered_line
         self._by_count.clear()
         self._drop(self._answered)
 
     def distrust_positions(self) -> None:
-        """A position was off the path: from which line on is not known, so that only counts prove anything now.
+        """Let only counts prove anything from now on: a position was off the path, from which line on is not known.
 
         A damaged block may have crossed later lines by chance, and been taken for them.
         """
@@ -157,8 +157,8 @@ class Tracker:
             if entry[0]:
                 self.executed_line = entry[0]
 
-    def reported(self, position_mm: Triple) -> Sight:
-        """A position in the work frame of the program was reported while it runs or stands within the program."""
+    def take_report(self, position_mm: Triple) -> Sight:
+        """Judge a position reported in the program's work frame while the mill runs or stands within the program."""
         if self._distrusted:
             return Sight(Place.UNTOLD)
         tolerance_mm = self.tolerance_mm
@@ -168,7 +168,7 @@ class Tracker:
                 continue
             away_mm = step.distance_mm(position_mm)
             if away_mm <= tolerance_mm:
-                return self._found(index, number, step, away_mm, position_mm)
+                return self._judge_match(index, number, step, away_mm, position_mm)
             if away_mm < nearest_mm:
                 nearest, nearest_mm = number, away_mm
         before = self._nearest_before(position_mm)
@@ -180,7 +180,7 @@ class Tracker:
             return Sight(Place.OFF_PATH, before.line, before.distance_mm)
         return Sight(Place.OFF_PATH, nearest, nearest_mm)
 
-    def _found(self, index: int, number: int, step: Step, away_mm: float, position_mm: Triple) -> Sight:
+    def _judge_match(self, index: int, number: int, step: Step, away_mm: float, position_mm: Triple) -> Sight:
         if index < self._answered:
             self._drop(index)
             return Sight(Place.ON_PATH, number, away_mm)
@@ -195,8 +195,8 @@ class Tracker:
             return Sight(Place.ON_PATH, number, away_mm)
         return Sight(Place.UNANSWERED, number, away_mm)
 
-    def stands_at(self, position_mm: Triple, *, exact_mm: float) -> None:
-        """The mill stands and will not go on: exactly at the end of one answered line, and on no other, it has cut it.
+    def take_standstill(self, position_mm: Triple, *, exact_mm: float) -> None:
+        """Count the one answered line as cut at whose end, and on no other, the mill stands and will not go on.
 
         Nothing is concluded where another step under way, but for the one that begins there, comes near that place.
         """
@@ -221,7 +221,7 @@ class Tracker:
             self._drop(found + 1)
 
     def _nearest_before(self, position_mm: Triple) -> Sight | None:
-        """The nearest of the last steps already executed; None if none moved."""
+        """Return the nearest of the last steps already executed; None if none moved."""
         found: Sight | None = None
         looked = 0
         for number, step in reversed(self._recent):
@@ -242,7 +242,7 @@ class Tracker:
         return tuple(step for _, step in islice(self._steps, self._answered))
 
     def last_sent_s(self, blocks: int, feed_percent: int) -> float:
-        """Least time the last steps sent, as many as fit into the planner, keep the mill moving."""
+        """Return the least time the last steps sent, as many as fit into the planner, keep the mill moving."""
         total_s = 0.0
         for _, step in islice(reversed(self._steps), blocks):
             feed = step.feed_mm_per_min

@@ -39,8 +39,8 @@ class Transmitter:
         asks = False
         if stream is not None and stream.count.closed:
             if not stream.window.used:
-                stream.count.empty_window(now_s)
-            asks = stream.count.asks(now_s, link.silence.unanswered)
+                stream.count.note_empty_window(now_s)
+            asks = stream.count.ask(now_s, link.silence.unanswered)
         if (asks or now_s >= link.poll_at_s) and link.phase is not Phase.CLOSED:
             link.urgent += b"?"
             link.silence.unanswered += 1
@@ -69,16 +69,16 @@ class Transmitter:
                 return b""
             data = self._fill(stream, budget, now_s)
             if not link.urgent:
-                self.pacer.wrote(len(data), now_s)
+                self.pacer.note_written(len(data), now_s)
                 return data
         data = bytes(link.urgent) + bytes(link.text)
         link.urgent.clear()
         link.text.clear()
-        self.pacer.wrote(len(data), now_s)
+        self.pacer.note_written(len(data), now_s)
         stream = self._stream_to_send
         if stream is not None:
             more = self._fill(stream, self.pacer.budget(now_s), now_s)
-            self.pacer.wrote(len(more), now_s)
+            self.pacer.note_written(len(more), now_s)
             data += more
             if link.urgent:  # a fault: its '!' goes first
                 data, link.urgent = bytes(link.urgent) + data, bytearray()

@@ -38,11 +38,11 @@ class MachineView:
     def vouch(self, axes: str) -> None:
         self._vouched |= set(axes) & _AXES
 
-    def position_lost(self) -> None:
+    def lose_position(self) -> None:
         self._vouched.clear()
 
-    def new_epoch(self, *, position_kept: bool) -> None:
-        """A banner came. position_kept: it answers a reset of ours, sent to a mill that stands."""
+    def begin_epoch(self, *, position_kept: bool) -> None:
+        """Forget what a banner ends. position_kept: it answers a reset of ours, sent to a mill that stands."""
         report = self.report
         sure = report is not None and stands(report) and report.state != "Sleep"
         self._stood_mm = self.machine_mm if sure and self.alarm not in POSITION_LOST_ALARMS else None
@@ -54,10 +54,10 @@ class MachineView:
         self.spindle_on = False
         self.spindle_stopped = False
         if not position_kept and self._stood_mm is None:
-            self.position_lost()
+            self.lose_position()
 
     def judge_place(self) -> bool:
-        """With the first report after a banner: whether machine coordinates still mean what they meant.
+        """Say with the first report after a banner whether machine coordinates still mean what they meant.
 
         The same place as before, not zero, proves it: a controller that lost its power counts from 0,0,0. Another place
         disproves it, whoever sent the reset.
@@ -71,18 +71,18 @@ class MachineView:
             kept = same and (kept or any(abs(a) > s + least for a, s in zip(now, step, strict=True)))
         self._stood_mm = None
         if not kept:
-            self.position_lost()
+            self.lose_position()
         return kept
 
-    def alarmed(self, number: int) -> None:
+    def take_alarm(self, number: int) -> None:
         self.alarm = self.locked_by = number
         if number in POSITION_LOST_ALARMS:
-            self.position_lost()
+            self.lose_position()
         if number not in SPINDLE_ON_ALARMS:
             self.spindle_on, self.spindle_stopped = False, True
 
     def take(self, report: Status) -> bool:
-        """A report has come; says whether it shows another place than the one before."""
+        """Take a report; say whether it shows another place than the one before."""
         before = self.report
         moved = before is None or (before.machine, before.work) != (report.machine, report.work)
         self.report = report

@@ -15,7 +15,7 @@ SYNC_EVERY_S = 0.5
 
 
 def os_words(error: OSError) -> str:
-    """An operating system's error in plain words."""
+    """Return an operating system's error in plain words."""
     words = {errno.ENOSPC: "no space left on the disk", errno.EDQUOT: "the disk quota is used up"}
     return words.get(error.errno or 0, (error.strerror or str(error)).lower())
 
@@ -42,7 +42,7 @@ class Syncer(Protocol):
         """Look after this file from now on; `when_safe` is called after the first good sync."""
         ...
 
-    def written(self) -> None: ...
+    def note_written(self) -> None: ...
     def sync(self) -> None:
         """Wait until everything written is safe, or `failure` says why not."""
         ...
@@ -95,51 +95,6 @@ class RealDisk:
             os.close(descriptor)
 
 
-class InlineSyncer:
-    """Syncs within the call that writes, by the clock it is given: for simulated time."""
-
-    def __init__(self, clock: Callable[[], float], every_s: float = SYNC_EVERY_S) -> None:
-        self._clock = clock
-        self._every_s = every_s
-        self._file: File | None = None
-        self._when_safe: Callable[[], None] | None = None
-        self._synced_s = float("-inf")
-        self._failure = ""
-
-    @property
-    def failure(self) -> str:
-        return self._failure
-
-    def take(self, file: File, when_safe: Callable[[], None]) -> None:
-        self._file, self._when_safe, self._failure = file, when_safe, ""
-        self.written()
-
-    def written(self) -> None:
-        if self._clock() >= self._synced_s + self._every_s:
-            self.sync()
-
-    def sync(self) -> None:
-        if self._file is None:
-            return
-        self._synced_s = self._clock()
-        try:
-            self._file.sync()
-            if self._when_safe is not None:
-                self._when_safe()
-                self._when_safe = None
-        except OSError as error:
-            self._failure = f"not safe on disk: {os_words(error)}"
-
-    def hasten(self) -> None:
-        self.sync()
-
-    def let_go(self) -> None:
-        self.sync()
-        if self._file is not None:
-            self._file.close()
-        self._file = None
-
-
 class ThreadSyncer:
     """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself."""
 
@@ -171,9 +126,9 @@ class ThreadSyncer:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="journal fsync", daemon=True)
                 self._thread.start()
-        self.written()
+        self.note_written()
 
-    def written(self) -> None:
+    def note_written(self) -> None:
         with self._lock:
             self._written += 1
             if self._waiting_since_s is None:
@@ -195,7 +150,7 @@ class ThreadSyncer:
             self._lock.notify_all()
 
     def let_go(self) -> None:
-        """The thread does what is left: whoever stops a mill must not wait for a disk."""
+        """Leave what is left to the thread: whoever stops a mill must not wait for a disk."""
         with self._lock:
             if self._file is not None:
                 self._left.append(self._file)
@@ -227,7 +182,7 @@ class ThreadSyncer:
             left.close()
 
     def _next(self) -> tuple[File, Callable[[], None] | None, int] | None:
-        """What to sync next: at once where somebody waits for it, else a while after it was written."""
+        """Return what to sync next: at once where somebody waits for it, else a while after it was written."""
         me = threading.current_thread()
         with self._lock:
             self._lock.wait_for(lambda: self._thread is not me or self._written > self._safe)

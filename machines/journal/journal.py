@@ -43,7 +43,7 @@ def encode(record: Mapping[str, Any]) -> bytes:
 
 
 def decode(line: bytes) -> dict[str, Any] | None:
-    """The record of one line without its end; None if it is not whole."""
+    """Return the record of one line without its end; None if it is not whole."""
     head, _, text = line.partition(b" ")
     try:
         if len(head) != 8 or int(head, 16) != zlib.crc32(text):
@@ -68,7 +68,7 @@ def records_in(data: bytes) -> Iterator[dict[str, Any]]:
 
 
 def read_journal(folder: Path) -> JournalContent | None:
-    """The newest state that can be read; None if the folder holds no readable journal. Never writes."""
+    """Return the newest state that can be read; None if the folder holds no readable journal. Never writes."""
     torn: list[str] = []
     for path in sorted(folder.glob(_PATTERN), reverse=True):
         try:
@@ -165,7 +165,7 @@ class Journal:
             self._file = None
 
     def _rotate(self) -> None:
-        """A new file with the whole state. The older ones go when the syncer has made the new one safe."""
+        """Begin a new file with the whole state. The older ones go when the syncer has made the new one safe."""
         older = sorted(self.folder.glob(_PATTERN))
         number = int(older[-1].stem.removeprefix("journal-")) + 1 if older else 1
         path = self.folder / f"journal-{number:06d}.log"
@@ -198,4 +198,4 @@ class Journal:
             self._failure = f"journal {self.folder}: {os_words(error)}"
             raise JournalError(self._failure) from error
         self._written += len(data)
-        self._syncer.written()
+        self._syncer.note_written()

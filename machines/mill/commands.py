@@ -130,7 +130,7 @@ class Commands:
 
 
 def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
-    """A line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
+    """Return a line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
     return f"{_word_question(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
 
 

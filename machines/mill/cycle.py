@@ -60,7 +60,7 @@ class MillCycle:
         self._look_at_s = self.context.clock() + LOOK_S
         status = self.context.link.status
         if status.state not in AWAY:
-            self.context.link.seen()
+            self.context.link.note_seen()
         if not status.position_trusted:
             self.context.link.setup.homed = False
         self.control.follow()

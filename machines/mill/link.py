@@ -132,12 +132,12 @@ class MillLink:
         except MachineError as error:
             self._say("fault", f"hold: {error}")
 
-    def seen(self) -> None:
-        """The mill was heard: what was latched has been carried out."""
+    def note_seen(self) -> None:
+        """Note that the mill was heard: what was latched has been carried out."""
         self._tries, self.problem, self.latched = 0, "", ""
 
     def drop(self, words: str) -> None:
-        """The link is lost, or given up."""
+        """Give the link up, or note that it is lost."""
         self.setup = Setup()
         self.close()
         self._fail(words)

@@ -129,7 +129,7 @@ class Mill:
         return answer
 
     def park(self, program: Preflight, path: Path, name: str) -> RunView:
-        """A run that waits for its start. Nothing is sent."""
+        """Add a run that waits for its start. Nothing is sent."""
         self._require_open()
         run = self._runs.park(program, path, name)
         self.publish()
@@ -224,7 +224,7 @@ class Mill:
             self._runs.close()
 
     def note_failure(self, error: BaseException) -> None:
-        """The owner thread ends because of this: hold what moves or may move, and leave the words behind."""
+        """Hold what moves or may move, for the owner thread ends because of this; leave the words behind."""
         reason = f"{type(error).__name__}: {error}"
         self._log.say("fault", f"the agent failed: {reason}", code=MillCode.OWNER_FAILED, values={"reason": reason})
         if self._link.driver is not None and (self._runs.live is not None or self.status.state in _MOVES):

@@ -233,7 +233,7 @@ class OrderGate:
                 break
 
     def _require_own_lease(self, shown: str) -> Lease | None:
-        """The caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
+        """Return the caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
         lease = self._live_lease()
         if lease is not None and not _is_secret_of(lease, shown):
             raise _make_held_error(lease, lost=bool(shown))
@@ -256,11 +256,11 @@ class Permit:
         self._limit_s = GRANT_S
 
     def extend(self) -> None:
-        """The order was begun in time; what it asks of the controller first may take a while."""
+        """Allow more time: the order was begun in time, and what it asks of the controller first may take a while."""
         self._limit_s = CARRY_OUT_S
 
     def require(self) -> None:
-        """The last look before something leaves: is the order still for now? OrderRefusedError."""
+        """Raise OrderRefusedError unless the order is still for now: the last look before something leaves."""
         gate, grant = self._gate, self._grant
         lease = gate.get_lease()
         if gate.stops != grant.stops:

@@ -73,7 +73,7 @@ class Run:
         return self._view
 
     def load(self) -> tuple[Preflight, ProgramReader]:
-        """Facts and reader, from disk where they are not in memory."""
+        """Return facts and reader, from disk where they are not in memory."""
         if self.facts is None or self.reader is None:
             self.facts = self._load_facts()
             self.reader = ProgramReader(self.path, self.facts.index)
@@ -100,7 +100,7 @@ class Run:
         self.write("run", state=after.value, words=words, code=code, values=values or {}, **fields)
 
     def begin_stream(self) -> None:
-        """A driver is about to stream from here."""
+        """Begin to count: a driver is about to stream from here."""
         self._base_line = self.executed_line
         self._looked_s = None
         self._moving_s = 0.0
@@ -140,7 +140,7 @@ class Run:
         self.write("mark", **fields, wall_s=round(wall_s, 3))
 
     def last_mark(self, progress: StreamProgress) -> dict[str, Any]:
-        """What a state change takes with it, so that the end of a run is exact.
+        """Return what a state change takes with it, so that the end of a run is exact.
 
         A fault can take back what positions had seemed to prove, though not beyond where this stream began.
         """
@@ -162,7 +162,7 @@ class Run:
             self._journal = None
 
     def let_go(self) -> None:
-        """A run that is over needs neither an open file nor its index in memory."""
+        """Let go of the open file and the index in memory: a run that is over needs neither."""
         self.close()
         self.facts = self.reader = None
 

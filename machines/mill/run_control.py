@@ -34,7 +34,7 @@ class RunControl:
     _journal_words: str = ""
 
     def note_start(self, run: Run) -> None:
-        """The driver streams this run from now on."""
+        """Note that the driver streams this run from now on."""
         self.context.runs.active = self.streamed = run
         self._hold_asked = self._abort_asked = False
         self._recovering = run.state is RunState.RECOVERING
@@ -89,7 +89,7 @@ class RunControl:
                 self._note_asked(run, RunState.STOPPING)
 
     def _take_back(self, run: Run) -> None:
-        """A run that has not begun."""
+        """Take a run back that has not begun."""
         try:
             ended_s = round(self.context.wall_clock(), 3)
             run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
@@ -98,7 +98,7 @@ class RunControl:
         run.let_go()
 
     def _note_asked(self, run: Run, state: RunState) -> None:
-        """A change that was asked for. A disk that refuses does not stop a stop."""
+        """Change what was asked for. A disk that refuses does not stop a stop."""
         try:
             self._change(run, state)
         except JournalError as error:
@@ -127,7 +127,7 @@ class RunControl:
                 raise JournalError(run.journal.failure)
 
     def _mirror(self, run: Run, state: RunState, status: MillStatus, progress: StreamProgress) -> None:
-        """The run's state follows the mill's: a button on the machine holds a run as well as a call does."""
+        """Let the run's state follow the mill's: a button on the machine holds a run as well as a call does."""
         if self._recovering and progress.answered_line > 0:
             self._recovering = False
         going = RunState.RECOVERING if self._recovering else RunState.RUNNING
@@ -144,7 +144,7 @@ class RunControl:
             self._change(run, wanted, status.detail if wanted is RunState.HELD else "")
 
     def _change(self, run: Run, state: RunState, words: str = "", **more: Any) -> None:
-        """A state change goes to the journal together with how far the run has come."""
+        """Write a state change to the journal together with how far the run has come."""
         status = self.context.link.status
         where: dict[str, Any] = {
             "machine_mm": status.machine_mm,
@@ -177,7 +177,7 @@ class RunControl:
     # ------------------------------------------------------------------ how it ends
 
     def note_fault(self, event: Faulted) -> None:
-        """The live run is interrupted; a link that is lost is dropped."""
+        """Interrupt the live run; drop a link that is lost."""
         run, words = self.streamed, f"{event.cause.value}: {event.words}"
         self.context.log.say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
@@ -198,13 +198,13 @@ class RunControl:
                 self.context.link.drop(event.words)
 
     def note_end(self) -> None:
-        """The streamed program has been executed to its end."""
+        """Finish the run whose program has been executed to its end."""
         if self.streamed is not None and self.streamed.live:
             run = self.streamed
             self._end(run, RunState.FINISHED, "", touch_off=_TOUCH_OFF)
 
     def note_stop(self, event: Stopped) -> None:
-        """The mill stands with empty buffers: a run that was to be aborted is."""
+        """End a run that was to be aborted: the mill stands with empty buffers."""
         run = self.context.runs.active
         kept = "" if event.position_kept else "position lost or never confirmed"
         self.context.log.say("state", f"stopped{f': {kept}' if kept else ''}")

@@ -85,7 +85,7 @@ class RunFolders:
         return [path.name for path in self.folder.iterdir() if _MADE.fullmatch(path.name)]
 
     def remove(self, run_id: str) -> bool:
-        """A run leaves the disk, its journal first; False where something of it stays."""
+        """Remove a run from the disk, its journal first; False where something of it stays."""
         folder = self.path(run_id)
         try:
             for path in (*sorted(folder.glob("journal-*.log")), *sorted(folder.glob("preflight.*"))):
@@ -118,8 +118,8 @@ class RunFolders:
         except (ValueError, KeyError, TypeError) as error:
             raise JournalError(f"{path}: damaged ({error}); the run cannot go on without it") from error
 
-    def found(self) -> Iterator[tuple[str, JournalContent]]:
-        """Every run with a readable journal, oldest first."""
+    def list_runs(self) -> Iterator[tuple[str, JournalContent]]:
+        """Yield every run with a readable journal, oldest first."""
         if not self.folder.is_dir():
             return
         for path in sorted(self.folder.iterdir()):
@@ -213,7 +213,7 @@ class RunStore:
 
     def _find_runs(self) -> None:
         left: Run | None = None
-        for run_id, content in self._folders.found():
+        for run_id, content in self._folders.list_runs():
             run = self._make_run(run_id, dict(content.state))
             self._runs[run_id] = run
             if content.torn:
@@ -233,7 +233,7 @@ class RunStore:
             self.active = left or run
 
     def _forget_old_runs(self) -> None:
-        """Finished runs beyond the newest KEPT_RUNS leave the disk; one that could still be recovered never does."""
+        """Remove finished runs beyond the newest KEPT_RUNS from the disk, but none that could still be recovered."""
         old = [run for run in list(self._runs.values())[:-KEPT_RUNS] if run is not self.active]
         for run in old:
             if run.state is RunState.FINISHED or (run.state is RunState.ABORTED and not run.record.get("started_s")):
@@ -244,13 +244,13 @@ class RunStore:
     # ------------------------------------------------------------------ what is done to the mill between programs
 
     def note_restart(self) -> None:
-        """All runs that could be recovered learn that the controller has forgotten its position."""
+        """Note for all runs that could be recovered that the controller has forgotten its position."""
         for run in self.recoverable():
             run.write("restarted", restarted=True)
             self.rest(run)
 
     def note_zero(self, axes: str) -> None:
-        """The work zero of these axes was set anew by a person."""
+        """Note that a person has set the work zero of these axes anew."""
         for run in self.recoverable():
             vouched = "".join(sorted({*str(run.record.get("zeroed", "")), *axes}))
             run.write("zeroed", zeroed=vouched)

@@ -43,7 +43,7 @@ def check_file(run: Run, facts: Preflight) -> None:
 
 
 def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
-    """A program that takes modes for granted must find them."""
+    """Raise NotAllowedError where the program takes modes for granted that the controller is not in."""
     modes = str((answer or {}).get("parser_state") or "").split()
     if not modes:
         return
@@ -58,7 +58,7 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
 def program_placement(
     facts: Preflight, reader: ProgramReader, settings: ControllerSettings | None, status: MillStatus
 ) -> Placement:
-    """The whole program at the present offsets."""
+    """Check the whole program at the present offsets."""
     if settings is None:
         return Placement()
     problems = placement_problems(facts, settings)
@@ -75,7 +75,7 @@ def recovery_placement(
     settings: ControllerSettings | None,
     status: MillStatus,
 ) -> Placement:
-    """The way in, and the rest of the program as a whole: what is cut already did fit there."""
+    """Check the way in, and the rest of the program as a whole: what is cut already did fit there."""
     whole = program_placement(facts, reader, settings, status)
     way = _way_in_placement(blocks, facts, settings, status)
     return Placement((*whole.problems, *way.problems), whole.certain or way.certain)
@@ -84,7 +84,7 @@ def recovery_placement(
 def _way_in_placement(
     blocks: Sequence[str], facts: Preflight, settings: ControllerSettings | None, status: MillStatus
 ) -> Placement:
-    """The blocks of a recovery, from where the tool stands."""
+    """Check the blocks of a recovery, from where the tool stands."""
     if settings is None or status.work_mm is None:
         return Placement()
     interpreter = Interpreter(ModalState(position_mm=status.work_mm))

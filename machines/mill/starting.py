@@ -65,7 +65,7 @@ class RecoveryPlanner:
         return plan, answer, placement
 
     def _await_place(self, run: Run) -> None:
-        """A mill that went on alone and stands by now: where, is known after two reports."""
+        """Wait for two reports of a mill that went on alone and stands by now: they tell where."""
         until_s = self.context.clock() + 4 * STILL_S
         while run.unattended and self.context.link.status.state is MillState.IDLE and self.context.clock() < until_s:
             self.cycle.step(0.05)
@@ -147,7 +147,7 @@ class RunStarter:
         return driver
 
     def _vouch(self, driver: Driver) -> None:
-        """The operator's word for the zero makes the place where it was given the reference from here on."""
+        """Make the place where the operator's word for the zero was given the reference from here on."""
         if not driver.status.position_trusted:
             try:
                 driver.command(TrustPosition())
@@ -157,7 +157,7 @@ class RunStarter:
     def _baseline(
         self, run: Run, confirmation: Confirmation, answer: dict[str, Any] | None, placement: Placement
     ) -> dict[str, Any]:
-        """What held at the start, for the day it has to be compared."""
+        """Return what held at the start, for the day it has to be compared."""
         status = self.context.link.status
         known = answer or {}
         if placement.problems:
@@ -177,7 +177,7 @@ class RunStarter:
     def _stream(
         self, run: Run, state: RunState, baseline: dict[str, Any], order: Order, start: Callable[[], None]
     ) -> None:
-        """The last step of start and recover: only when the journal is safe on disk does the first byte leave."""
+        """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover."""
         if self.context.runs.active is not None and self.context.runs.active is not run:
             self.context.runs.active.let_go()
         before = {name: run.record.get(name) for name in ("state", "words", "code", "values", *baseline)}

@@ -52,7 +52,7 @@ class MillThread:
         return self._snapshot
 
     def wait_for_change(self, version: int, timeout_s: float) -> MillSnapshot:
-        """The first snapshot that is not `version`, or the present one when the time is over."""
+        """Return the first snapshot that is not `version`, or the present one when the time is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._snapshot.version != version or self._ended, timeout_s)
         return self._snapshot
@@ -169,7 +169,7 @@ def _make_ended_error(how: str, failure: BaseException | None) -> NotAllowedErro
 
 
 def no_answer(timeout_s: float, *, taken_back: bool) -> MachineError:
-    """The error for a caller whose time is over."""
+    """Return the error for a caller whose time is over."""
     fate = "it was taken back" if taken_back else "it is under way and may still be carried out"
     return MachineError(
         f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button",

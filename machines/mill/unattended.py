@@ -31,7 +31,7 @@ class Standstill:
     _since_s: float = 0.0
 
     def reached(self, status: MillStatus, now_s: float) -> Triple | None:
-        """The place in machine coordinates once it is certain that the mill stands there."""
+        """Return the place in machine coordinates once it is certain that the mill stands there."""
         place = status.machine_mm if status.state is MillState.IDLE else None
         if place != self._place or now_s < self._since_s:
             self._place, self._since_s = place, now_s
@@ -85,7 +85,7 @@ class UnattendedRuns:
 
 
 def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Triple) -> int | None:
-    """The last line this run has certainly executed; None where nothing can be said of the position."""
+    """Return the last line this run has certainly executed; None where nothing can be said of the position."""
     settings, record = get_settings(driver), run.record
     if settings is None or reader.index.dialect not in GRBL_DIALECTS:
         return None

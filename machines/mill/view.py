@@ -74,7 +74,7 @@ class MillLog:
         self._entries.append(entry)
 
     def after(self, known: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
-        """All entries; the very tuple that is known already where nothing was added."""
+        """Return all entries; the very tuple that is known already where nothing was added."""
         return known if known and known[-1].number == self.count else tuple(self._entries)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,7 +45,7 @@ class MillLimits:
 
 
 def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
-    """The profile's figures with those of the controller in their place, as far as it has told them."""
+    """Return the profile's figures with those of the controller in their place, as far as it has told them."""
     told = settings or ControllerSettings()
     fastest = told.number(30)
     slowest = told.number(31)
@@ -68,9 +69,18 @@ def _usable(triple: Triple | None) -> Triple | None:
 
 
 def _reach_mm(settings: ControllerSettings, travel_mm: Triple, axis: int) -> tuple[float, float]:
-    """Least and greatest machine coordinate of an axis."""
+    """Return the least and greatest machine coordinate of an axis."""
     to_low_end = int(settings.number(23) or 0) >> axis & 1
     return (0.0, travel_mm[axis]) if "Z" in settings.options and to_low_end else (-travel_mm[axis], 0.0)
+
+
+def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | None:
+    """Return the work zero in machine coordinates, from the controller's offsets; None where it is not told."""
+    if wcs not in offsets:
+        return None
+    told = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
+    x, y, z = (sum(float(one[axis]) for one in told) for axis in range(3))
+    return x, y, z
 
 
 def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
@@ -92,15 +102,14 @@ def placement_problems(program: Preflight, settings: ControllerSettings) -> tupl
         return ()
     problems = []
     for frame, bounds in program.bounds_by_frame.items():
-        if frame != "machine" and frame not in offsets:
+        zero_mm = (0.0, 0.0, 0.0) if frame == "machine" else work_zero_mm(offsets, frame)
+        if zero_mm is None:
             continue
         for axis, name in enumerate(_AXES):
             least, most = bounds.least_mm[axis], bounds.most_mm[axis]
             if least is None or most is None:
                 continue
-            shift = 0.0
-            if frame != "machine":
-                shift = sum(offsets[key][axis] for key in (frame, "G92", "TLO") if key in offsets)
+            shift = zero_mm[axis]
             low, high = _reach_mm(settings, travel, axis)
             if least + shift < low - 1e-6 or most + shift > high + 1e-6:
                 problems.append(

@@ -31,13 +31,13 @@ _WORDS = (
 
 
 def list_assumed_modes(events: Events) -> tuple[str, ...]:
-    """Modes in force at the first coordinates although the program has not said them."""
+    """Return modes in force at the first coordinates although the program has not said them."""
     pairs = ((tally.UNITS_ASSUMED, "G21"), (tally.DISTANCE_ASSUMED, "G90"))
     return tuple(word for slot, word in pairs if events[slot][1])
 
 
 def bounds_by_frame(rows: Sequence[Sequence[float]]) -> dict[str, Bounds]:
-    """Boxes of the frames that were used; infinite ends are axes that never were at a known place."""
+    """Return boxes of the frames that were used; infinite ends are axes that never were at a known place."""
     found = {}
     for name, row in zip(_FRAMES, rows, strict=True):
         ends = [value if isfinite(value) else None for value in map(float, row)]
@@ -94,7 +94,7 @@ def warnings(
 
 
 def require_spindle(dialect: Dialect, limits: MillLimits, spindle: tuple[float, float] | None) -> None:
-    """Controls that fault on a speed out of range get no such program."""
+    """Refuse a program for a control that faults on one of its speeds."""
     low, high = limits.spindle_rpm
     if dialect.spindle_first and spindle is not None and not (low <= spindle[0] and spindle[1] <= high):
         reason = f"S{spindle[0]:g} to S{spindle[1]:g}: {dialect.title} takes {low:g} to {high:g} rpm; change S"

@@ -8,6 +8,7 @@ from math import floor
 from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
+from machines.preflight.limits import work_zero_mm
 from machines.preflight.preflight import Preflight
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan import Present, Reentry
@@ -15,18 +16,10 @@ from machines.recovery.plan import Present, Reentry
 
 def height_mm(present: Present, wcs: str) -> float | None:
     """Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
-    status, zero_mm = present.status, _zero_mm(present, wcs)
+    status, zero_mm = present.status, work_zero_mm(present.offsets or {}, wcs)
     if status.machine_mm is None or zero_mm is None:
         return status.work_mm[2] if status.work_mm is not None else None
-    return status.machine_mm[2] - zero_mm
-
-
-def _zero_mm(present: Present, wcs: str) -> float | None:
-    """Machine Z of the work zero."""
-    offsets = present.offsets
-    if offsets is None or wcs not in offsets:
-        return None
-    return sum(offsets[name][2] for name in (wcs, "G92", "TLO") if name in offsets)
+    return status.machine_mm[2] - zero_mm[2]
 
 
 def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reentry) -> float:
@@ -36,10 +29,10 @@ def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reen
     """
     highest = facts.bounds_mm.most_mm[2] if facts.bounds_mm is not None else None
     wanted_mm = max(reentry.safe_z_mm, highest if highest is not None else reentry.safe_z_mm)
-    zero_mm = _zero_mm(present, wcs)
+    zero_mm = work_zero_mm(present.offsets or {}, wcs)
     if present.top_mm is None or zero_mm is None or highest is None:
         return wanted_mm
-    return max(min(wanted_mm, floor(1000.0 * (present.top_mm - zero_mm)) / 1000.0), highest)
+    return max(min(wanted_mm, floor(1000.0 * (present.top_mm - zero_mm[2])) / 1000.0), highest)
 
 
 def way_in(entry: EntryPoint, tool_z_mm: float, facts: Preflight, safe_mm: float, reentry: Reentry) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ _LOOK_BACK = 2000  # lines
 
 
 def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: ProgramReader) -> str:
-    """Why there is no recovery by position, and how a person restarts at the control's own panel."""
+    """Return why there is no recovery by position, and how a person restarts at the control's own panel."""
     executed, sent = int(record.get("executed_line") or 0), int(record.get("sent_line") or 0)
     return (
         f"dialect {facts.dialect}: this link does not tell where the control stopped, so there is no recovery by "
@@ -27,7 +27,7 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
 
 
 def _name_line(reader: ProgramReader, line: int) -> str:
-    """A line with the sequence number that holds there."""
+    """Return a line with the sequence number that holds there."""
     number = None
     try:
         for one in reader.lines(max(1, line - _LOOK_BACK)) if line else ():

@@ -23,7 +23,7 @@ _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
 
 def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
-    """What keeps a mill from taking any program: at most one need."""
+    """Return what keeps a mill from taking any program: at most one need."""
     state = status.state
     values = {"state": state.value}
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
@@ -94,7 +94,7 @@ def _number(text: str) -> float:
 def offsets_compared(
     record: Mapping[str, Any], present: Present, entry: EntryPoint | None
 ) -> tuple[tuple[str, ...], tuple[Need, ...]]:
-    """Offsets then and now: each difference in words, and whether one of them moves this program."""
+    """Return offsets then and now: each difference in words, and whether one of them moves this program."""
     then: Mapping[str, Sequence[float]] = record.get("offsets") or {}
     if not then or present.offsets is None:
         return (), ()
@@ -123,7 +123,7 @@ def offsets_compared(
 
 
 def zero_back(record: Mapping[str, Any], present: Present, entry: EntryPoint | None) -> str:
-    """The block that puts back the work zero of this program; "" where it has not changed, or is not certain.
+    """Return the block that puts back the work zero of this program; "" where it has not changed, or is not certain.
 
     Machine coordinates mean the same as then only where the mill was homed then and is homed now.
     """

@@ -17,15 +17,16 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState, Position
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+from machines.preflight.limits import work_zero_mm
+from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
 _LINES_BEFORE_PLACE = 200  # a program has told all axes by then
-_AGREE_MM = 0.0015  # offsets are reported with three decimals
 _STEP_MM = 0.01  # where the controller does not tell
 
 
 def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
-    """How far a mill that stands at the end of a line may be reported from it, per axis.
+    """Return how far a mill that stands at the end of a line may be reported from it, per axis.
 
     Half a step of the axis, and half the last digit of the position and of each of G54, G92 and tool length. Larger is
     safer: a line believed too early is cut again.
@@ -37,21 +38,17 @@ def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
 
 def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
     """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
-    offsets = record.get("offsets") or {}
-    if wcs not in offsets:
+    zero_mm, told = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
+    if zero_mm is None or told is None:
         return None
-    parts = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
-    x, y, z = (sum(float(part[axis]) for part in parts) for axis in range(3))
-    told = record.get("work_offset_mm")
-    if told is None or any(abs(a - b) > _AGREE_MM for a, b in zip(told, (x, y, z), strict=True)):
-        return None
-    return x, y, z
+    agree = all(abs(a - b) <= OFFSET_TOLERANCE_MM for a, b in zip(told, zero_mm, strict=True))
+    return zero_mm if agree else None
 
 
 def count_executed_at_rest(
     reader: ProgramReader, record: Mapping[str, Any], machine_mm: Triple, *, last_line: int, tolerance_mm: float
 ) -> int:
-    """The last line that was executed for certain, not below the journal's and not above `last_line`.
+    """Return the last line that was executed for certain, not below the journal's and not above `last_line`.
 
     record : a run's journal. The mill must stand idle where its own blocks have left it: no restart, nothing sent.
     """
@@ -71,7 +68,7 @@ def count_executed_at_rest(
 
 
 def _from_its_start(reader: ProgramReader, record: Mapping[str, Any], offset_mm: Triple, executed: int) -> ModalState:
-    """The state after the first lines of a program, with the axes it has not moved yet where they began."""
+    """Return the state after the first lines of a program, with the axes it has not moved yet where they began."""
     state, began = reader.state_before(1), record.get("began_mm")
     if began is not None:
         x, y, z = (float(m) - o for m, o in zip(began, offset_mm, strict=True))

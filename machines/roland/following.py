@@ -72,21 +72,21 @@ class Follower:
             self._pending.clear()
             self.lost = True
 
-    def at(self, work_mm: Triple) -> None:
-        """The mill reports this position."""
+    def take_position(self, work_mm: Triple) -> None:
+        """Take a reported position."""
         if self.lost:
             return
         for index, (_, ways) in enumerate(self._pending):
             if any(way.distance_mm(work_mm) <= NEAR_MM for way in ways):
                 for _ in range(index):
-                    self._done(self._pending.popleft()[0])
+                    self._note_done(self._pending.popleft()[0])
                 return
 
-    def stands_at_the_end(self) -> None:
-        """The mill has executed all it was given."""
+    def finish(self) -> None:
+        """Count all as executed that the mill was given."""
         self._pending.clear()
-        self._done(self._last_line)
+        self._note_done(self._last_line)
         self.lost = False
 
-    def _done(self, line: int) -> None:
+    def _note_done(self, line: int) -> None:
         self.executed_line = line or self.executed_line

@@ -116,7 +116,7 @@ class JobControl:
         """Compare the job with a report, and end it where the report says so."""
         feed, still = self.feed, now_s - self._still_since_s >= _STILL_S
         if feed is not None and (failed or state.door_open):
-            self._device_fault(device, feed, state, now_s, failed=failed)
+            self._end_by_device_fault(device, feed, state, now_s, failed=failed)
         elif self._aborting:
             if still:
                 self._end(device)
@@ -138,7 +138,7 @@ class JobControl:
         elif self._held:
             channel.enter(MillState.HOLDING, _DRAINS)
         elif feed.ended and still and state.phase == "idle":
-            feed.follower.stands_at_the_end()
+            feed.follower.finish()
             self._end(device)
             channel.events.append(ProgramDone())
             channel.enter(MillState.IDLE, "")
@@ -162,7 +162,7 @@ class JobControl:
         else:
             channel.enter(MillState.IDLE, "")
 
-    def _device_fault(
+    def _end_by_device_fault(
         self, device: Mdx40aDevice, feed: BlockFeed, state: DeviceState, now_s: float, *, failed: bool
     ) -> None:
         words = ["the cover was opened: the mill has made an emergency stop"] if state.door_open else []
@@ -178,7 +178,7 @@ class JobControl:
             self._channel.enter(MillState.DOOR, "; ".join(words))
 
     def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: str, now_s: float) -> None:
-        """The stream ends; the mill is told to stop in the one way that is known."""
+        """End the stream, and tell the mill to stop in the one way that is known."""
         feed = self.feed
         line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line
         device.stop_motion()

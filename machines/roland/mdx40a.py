@@ -57,7 +57,7 @@ class DeviceState:
 
 
 def decode_state(block: bytes) -> DeviceState:
-    """The state block of GET 0x0100; ValueError if it is too short to be one."""
+    """Return the state block of GET 0x0100; ValueError if it is too short to be one."""
     if len(block) < STATE_BYTES:
         raise ValueError(f"state block of {len(block)} bytes, {STATE_BYTES} expected")
     flags, x, y, z, _, rpm = struct.unpack_from(">I4iI", block)
@@ -78,7 +78,7 @@ class Mdx40aDevice(Protocol):
     def ping(self) -> int: ...
     def read_state(self) -> DeviceState: ...
     def read_counter(self) -> int:
-        """Bytes of program taken since power-up, modulo 2^32."""
+        """Return bytes of program taken since power-up, modulo 2^32."""
         ...
 
     def begin_job(self) -> None: ...

@@ -35,7 +35,7 @@ class RmlInterpreter:
     heights_mm: tuple[float, float] = (0.0, 0.0)  # Z1 (down), Z2 (up) of the two-height commands
 
     def take(self, command: Command) -> tuple[Step, ...]:
-        """The moves that `command` makes. RmlFault where they cannot be known to be safe."""
+        """Return the moves that `command` makes. RmlFault where they cannot be known to be safe."""
         name, numbers = command.name, command.numbers
         match name:
             case "DF" | "IN":

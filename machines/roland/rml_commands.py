@@ -68,7 +68,7 @@ class Command:
 
 
 def parse(text: bytes) -> Command | None:
-    """The command in `text` (no `;`); None for an empty one. RmlFault says what is wrong."""
+    """Return the command in `text` (no `;`); None for an empty one. RmlFault says what is wrong."""
     body = text.strip()
     if not body:
         return None
@@ -97,7 +97,7 @@ def parse(text: bytes) -> Command | None:
 
 
 def spindle_rpm(code: float, slowest: float, fastest: float) -> float:
-    """Speed that `!RC code` asks for: 0..15 evenly over the range, more is the speed itself."""
+    """Return the speed that `!RC code` asks for: 0..15 evenly over the range, more is the speed itself."""
     return slowest + code * (fastest - slowest) / SPEED_CODES if code <= SPEED_CODES else code
 
 

@@ -89,8 +89,8 @@ class RolandSerialDriver(OneWayDriver):
     def _abort_bytes(self) -> bytes:
         return ESC_ABORT if self._options.abort_code else b""
 
-    def _unsent(self, now_s: float) -> int:
-        return max(self._pace.queued(now_s), self._unsent_of_port() if self._unsent_of_port else 0)
+    def _count_unsent(self, now_s: float) -> int:
+        return max(self._pace.count_queued(now_s), self._unsent_of_port() if self._unsent_of_port else 0)
 
     def _may_send(self) -> bool:
         """The tty has let go of what it had: while CTS is down nothing more is put on top."""
@@ -108,7 +108,7 @@ class RolandSerialDriver(OneWayDriver):
         if len(self._asked) < 2:
             for query in (ESC_ERROR, ESC_FREE):
                 self._port.write(query)
-                self._pace.written(len(query), now_s)
+                self._pace.note_written(len(query), now_s)
                 self._asked.append(query)
 
     def _receive(self, data: bytes, now_s: float) -> None:
@@ -125,5 +125,5 @@ class RolandSerialDriver(OneWayDriver):
     def _fault(self, words: str, now_s: float) -> None:
         line = self.progress.sent_line if self._feed is not None else 0
         self._end_stream()
-        self._channel.enter(MillState.ALARM, f"{words}; the mill still executes {self._still_held()}")
+        self._channel.enter(MillState.ALARM, f"{words}; the mill still executes {self._word_held()}")
         self._channel.events.append(Faulted(FaultCause.DEVICE, words, line, now_s))

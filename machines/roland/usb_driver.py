@@ -189,7 +189,7 @@ class RolandUsbDriver:
             position_trusted=trusted and not state.error,
         )
         if work_mm is not None and job.feed is not None:
-            job.feed.follower.at(work_mm)
+            job.feed.follower.take_position(work_mm)
         job.follow(device, state, now_s, failed=bool(ping & PING_ERROR) or state.error)
 
     def _lose(self, error: PortError) -> None:

@@ -28,7 +28,7 @@ def stop_spindle(fw: Controller) -> None:
 
 
 def cut_off(fw: Controller, code: int) -> None:
-    """Steppers off in motion: the position is no longer what is counted."""
+    """Switch the steppers off in motion: the position is no longer what is counted."""
     x, y, z, block = fw.stepper.stop_dead(fw.now_s)
     if block is not None:
         slip = fw.traits.reset_slip_mm

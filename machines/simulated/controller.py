@@ -55,7 +55,7 @@ class Controller:
         self.power_on_state()
 
     def power_on_state(self) -> None:
-        """As the processor starts: nothing known but the EEPROM. The tool stays where it physically is."""
+        """Begin as the processor does: nothing known but the EEPROM. The tool stays where it physically is."""
         self.state = "Idle"
         self.stepper = Stepper(
             self.traits.planner_blocks,
@@ -151,7 +151,7 @@ class Controller:
                     then()
 
     def wake_s(self) -> float:
-        """When the waiting task wants to go on by the clock, or an alarm has been said."""
+        """Return when the waiting task wants to go on by the clock, or an alarm has been said."""
         if self.alarm:
             return self.alarm_until_s
         if self.task is None or not isinstance(self.waiting, float) or self.is_suspended():
@@ -159,13 +159,13 @@ class Controller:
         return self.waiting
 
     def auto_start(self) -> None:
-        """Blocks wait and nobody holds them back: cycle start."""
+        """Start the cycle where blocks wait and nobody holds them back."""
         if self.state == "Idle" and self.stepper.planner.blocks and not self.starved:
             self.state = "Run"
             self.stepper.start(self.now_s)
 
     def end_alarm(self) -> None:
-        """The alarm has been said."""
+        """End an alarm that has been said."""
         raise NotImplementedError
 
     def stop_for_limit(self) -> None:
@@ -187,7 +187,7 @@ class Controller:
                 self._run_dry(at_s)
 
     def _run_dry(self, at_s: float) -> None:
-        """The stepper finds its buffer empty although blocks wait: Idle, until something starts it again."""
+        """Let the stepper find its buffer empty although blocks wait: Idle, until something starts it again."""
         self.stepper.starve()
         self.state = "Idle"
         self.starved = True

@@ -56,11 +56,11 @@ class Endpoint:
         raise NotImplementedError
 
     def _send(self, data: bytes) -> int:
-        """How many bytes went out; as many as given if nobody listens."""
+        """Return how many bytes went out; as many as given if nobody listens."""
         raise NotImplementedError
 
     def _plug(self, connected: bool) -> None:
-        """The mill's cable was pulled or put back."""
+        """Note that the mill's cable was pulled or put back."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -191,7 +191,7 @@ class _Tcp(Endpoint):
                 client.setblocking(False)
                 self._client, self._waiting = client, b""
                 with self.lock:
-                    self.mill.dtr_pulse()
+                    self.mill.pulse_dtr()
             else:
                 client.close()  # one at a time, as a serial port
         if self._client is not None and self._client.fileno() in ready:
@@ -234,10 +234,10 @@ class _Tcp(Endpoint):
 
 
 def serve_pty(mill: SimulatedMill, time_factor: float = 1.0, link: Path | None = None) -> Endpoint:
-    """A pseudo terminal; `link` is a symlink to it under a steady name, kept right over replugs."""
+    """Return a pseudo terminal; `link` is a symlink to it under a steady name, kept right over replugs."""
     return _Pty(mill, time_factor, link)
 
 
 def serve_tcp(mill: SimulatedMill, host: str = "127.0.0.1", port: int = 0, time_factor: float = 1.0) -> Endpoint:
-    """A TCP port (0: any free one) for one client at a time."""
+    """Return a TCP port (0: any free one) for one client at a time."""
     return _Tcp(mill, host, port, time_factor)

@@ -49,7 +49,7 @@ class FaultWire:
         self._log.append(FaultDone(self._mill.now_s, fault.kind, byte, self._mill.firmware.received, words))
 
     # -- to the mill -----------------------------------------------------------------------------------------------
-    def sent(self, data: bytes, at_s: float) -> None:
+    def carry(self, data: bytes, at_s: float) -> None:
         """Hand data to the UART with the faults that fall into it."""
         serial = self._mill.serial
         first, self._bytes = self._bytes, self._bytes + len(data)
@@ -65,7 +65,7 @@ class FaultWire:
             serial.receive(data[start:], at_s)
 
     def _due_bytes(self, data: bytes, first: int, at_s: float) -> list[int]:
-        """Offsets in data at which something of the plan falls due."""
+        """Return offsets in data at which something of the plan falls due."""
         self._due = {}
         for fault in [*self._sent, *self._mill_faults]:
             if fault.byte is not None and first <= fault.byte < first + len(data):
@@ -105,7 +105,7 @@ class FaultWire:
 
     # -- from the mill ---------------------------------------------------------------------------------------------
     def reply(self, data: bytes) -> bytes:
-        """The bytes that really go out instead of these."""
+        """Return the bytes that really go out instead of these."""
         first, self._reply_bytes = self._reply_bytes, self._reply_bytes + len(data)
         answer = data.startswith((b"ok", b"error"))
         self._answers += answer

@@ -22,7 +22,7 @@ _COMMENT = re.compile(rb"\([^)]*\)?|;.*")
 class Firmware(Controller):
     """A controller with its program."""
 
-    def line_received(self, raw: bytes) -> None:
+    def take_line(self, raw: bytes) -> None:
         """Carry out one line (without its end). It may leave a task that waits."""
         self.received += 1
         self.line = self.received

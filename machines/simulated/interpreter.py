@@ -65,7 +65,7 @@ class SimulatedInterpreter:
     offset: Triple = ZERO
 
     def reset(self) -> None:
-        """As after Ctrl-X: G92, G43.1 and modal state are gone; what is in the EEPROM stays."""
+        """Begin as after Ctrl-X: G92, G43.1 and modal state are gone; what is in the EEPROM stays."""
         self.modal = dict(_START)
         self.coolant.clear()
         self.feed = self.spindle_rpm = self.tool_length = 0.0
@@ -121,7 +121,7 @@ class SimulatedInterpreter:
         return action
 
     def _feed(self, words: Words, modal: dict[str, str], scale: float, *, jog: bool) -> float:
-        """Feed after the line: mm/min, or 1/min under G93; 0: undefined."""
+        """Return the feed after the line: mm/min, or 1/min under G93; 0: undefined."""
         given = words.values.get("F")
         if jog:
             if given is None:

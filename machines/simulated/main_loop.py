@@ -38,9 +38,9 @@ class MainLoop:
 
     def carry_out_line(self) -> None:
         self.due_s = inf
-        self._firmware.line_received(self._serial.take_line())
+        self._firmware.take_line(self._serial.take_line())
 
     def forget_received(self, now_s: float) -> None:
-        """A reset, or the power: what was received and not carried out is gone."""
+        """Forget what was received and not carried out, as in a reset or without power."""
         self._serial.clear_received(now_s)
         self.due_s = inf

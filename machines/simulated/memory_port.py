@@ -29,13 +29,13 @@ class MemoryPort:
         self._woken = threading.Event()
         self._closed = False
         mill.use_wire(_BITS_PER_BYTE / baud if baud else 0.0)
-        mill.dtr_pulse()
+        mill.pulse_dtr()
 
     def clock(self) -> float:
         return self.mill.now_s
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at once; else time passes until something comes or the timeout is over (then b"")."""
+        """Return what has come, at once; else time passes until something comes or the timeout is over (then b"")."""
         mill = self.mill
         self._check()
         data = mill.output()

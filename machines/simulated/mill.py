@@ -64,22 +64,22 @@ class SimulatedMill:
 
     # -- the wire --------------------------------------------------------------------------------------------------
     def use_wire(self, byte_s: float) -> None:
-        """Seconds per byte both ways; 0: no pacing."""
+        """Set the seconds per byte both ways; 0: no pacing."""
         self.serial.byte_s = byte_s
 
     def receive(self, data: bytes, at_s: float | None = None) -> None:
-        """Bytes that the host hands to the wire at `at_s` (now)."""
+        """Take bytes that the host hands to the wire at `at_s` (now)."""
         if not self.connected or not data:
             return
         at_s = self.now_s if at_s is None else at_s
         if self._wire.active:
-            self._wire.sent(data, at_s)
+            self._wire.carry(data, at_s)
         else:
             self.serial.receive(data, at_s)
         self._look_for_line()
 
     def output(self) -> bytes:
-        """Bytes that have reached the host by now."""
+        """Return bytes that have reached the host by now."""
         out = self.serial.out
         parts = []
         while out and out[0][0] <= self.now_s:
@@ -87,12 +87,12 @@ class SimulatedMill:
         return b"".join(parts)
 
     def output_s(self) -> float:
-        """When the next bytes that are already sent reach the host; inf: none are under way."""
+        """Return when the next bytes that are already sent reach the host; inf: none are under way."""
         return self.serial.out[0][0] if self.serial.out else inf
 
     # -- time ------------------------------------------------------------------------------------------------------
     def next_event_s(self) -> float:
-        """When something happens next."""
+        """Return when something happens next."""
         queues = (self.serial.realtime, self._events)
         waiting = (queue[0][0] for queue in queues if queue)
         return min(self._main_loop.due_s, self.firmware.stepper.next_s, self.firmware.wake_s(), *waiting)
@@ -193,8 +193,8 @@ class SimulatedMill:
         self._forget_received()
         self._boot(first=False, off_s=off_s)
 
-    def dtr_pulse(self) -> None:
-        """What opening the port does to a board that resets on it."""
+    def pulse_dtr(self) -> None:
+        """Do what opening the port does to a board that resets on it."""
         if self.traits.resets_on_open and not self._off:
             self.power_cycle(off_s=0.0)
 
@@ -210,7 +210,7 @@ class SimulatedMill:
         fw.restart(locked=bool(fw.settings[22]))
 
     def press(self, button: str) -> None:
-        """A button or switch at the mill: hold, start, reset, door (opens it), close-door, limit."""
+        """Press a button or switch at the mill: hold, start, reset, door (opens it), close-door, limit."""
         if button not in BUTTONS:
             raise ValueError(f"button '{button}' is unknown; known: {', '.join(BUTTONS)}")
         fw = self.firmware
@@ -233,7 +233,7 @@ class SimulatedMill:
         self._look_for_line()
 
     def unplug(self) -> None:
-        """The cable is pulled: the mill goes on with what it holds."""
+        """Pull the cable: the mill goes on with what it holds."""
         if self.connected:
             self.connected = False
             self.cable += 1
@@ -252,12 +252,12 @@ class SimulatedMill:
 
     # -- faults of the plan ----------------------------------------------------------------------------------------
     def arm(self, faults: Faults) -> None:
-        """A new plan in place of the old one; its bytes, lines and replies are counted from now."""
+        """Put a new plan in place of the old one; its bytes, lines and replies are counted from now."""
         self.faults = faults
         self._wire = FaultWire(faults, self)
 
     def carry_out(self, fault: Fault, byte: int) -> None:
-        """A fault at the mill itself, now."""
+        """Carry out a fault at the mill itself, now."""
         fw = self.firmware
         self._wire.note(fault, byte)
         if fault.kind == "disconnect":

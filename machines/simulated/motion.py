@@ -95,7 +95,7 @@ class Stepper:
         self.next_s = inf
 
     def step(self) -> None:
-        """The segment under way has ended (at `next_s`)."""
+        """End the segment under way (at `next_s`)."""
         at_s = self.next_s
         queue = self.segments.queue
         b, _, left, _, _ = queue.popleft()

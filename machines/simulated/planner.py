@@ -119,7 +119,7 @@ class Planner:
         return b
 
     def _corner(self, ux: float, uy: float, uz: float) -> float:
-        """Greatest speed squared around the corner between the last block and this direction."""
+        """Return the greatest speed squared around the corner between the last block and this direction."""
         px, py, pz = self._ux, self._uy, self._uz
         cos = -(px * ux + py * uy + pz * uz)
         if cos > _STRAIGHT:
@@ -139,7 +139,7 @@ class Planner:
         return accel * self._deviation * sin_half / (1.0 - sin_half)
 
     def _set_nominal(self, b: PlannedBlock, previous_nominal: float) -> None:
-        """Speed with overrides, and what it allows at the entry."""
+        """Set the speed with overrides, and what it allows at the entry."""
         if b.rapid:
             nominal = b.programmed * self.rapid_override
         else:
@@ -193,18 +193,18 @@ class Planner:
         self._planned = planned
 
     def discard(self) -> None:
-        """The oldest block has gone into the segment buffer."""
+        """Drop the oldest block: it has gone into the segment buffer."""
         del self.blocks[0]
         if self._planned:
             self._planned -= 1
 
     def replan(self) -> None:
-        """All entry speeds anew, from the present state of the oldest block (after a hold)."""
+        """Set all entry speeds anew, from the present state of the oldest block (after a hold)."""
         self._tail_changed()
         self._planned = 0
         self._recalculate(whole=True)
 
-    def overrides_changed(self) -> None:
+    def use_overrides(self) -> None:
         previous = _HUGE
         for b in self.blocks:
             self._set_nominal(b, previous)

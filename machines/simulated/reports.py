@@ -16,7 +16,7 @@ INCH_MM = 25.4
 
 
 def xyz(fw: Controller, values: Iterable[float]) -> str:
-    """Lengths as reported: mm with three decimals, with $13 inch with four."""
+    """Return lengths as reported: mm with three decimals, with $13 inch with four."""
     unit_mm, digits = (INCH_MM, 4) if fw.settings[13] else (1.0, 3)
     return ",".join(f"{(0.0 if abs(v) < 0.5 * unit_mm * 10.0**-digits else v / unit_mm):.{digits}f}" for v in values)
 
@@ -26,7 +26,7 @@ def rate(fw: Controller, mm_per_min: float) -> float:
 
 
 def status_report(fw: Controller) -> str:
-    """The answer to `?`."""
+    """Return the answer to `?`."""
     settings, state = int(fw.settings[10]), fw.state_word()
     at = fw.stepper.where(fw.now_s)
     offset = fw.interpreter.offset

@@ -18,7 +18,7 @@ CRITICAL = (1, 2)  # wait for a reset
 
 
 def end_alarm(fw: Controller) -> None:
-    """The half second is over: 1 and 2 forget a reset asked for meanwhile and wait for a new one, the rest go on."""
+    """End the half second: 1 and 2 forget a reset asked for meanwhile and wait for a new one, the rest go on."""
     code, fw.alarm, fw.alarm_until_s = fw.alarm, 0, inf
     if code in CRITICAL:
         fw.critical, fw.reset_pending = True, False
@@ -81,7 +81,7 @@ def _startup_task(fw: Controller, lines: list[str]) -> Task:
 
 
 def home(fw: Controller) -> Task:
-    """The whole cycle: deaf to `?` until it ends."""
+    """Carry out the whole cycle, deaf to `?` until it ends."""
     fw.state = "Home"
     machine = tuple(p + o for p, o in zip(fw.physical(), fw.traits.power_up_machine_mm, strict=True))
     at = fw.physical()

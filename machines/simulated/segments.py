@@ -139,7 +139,7 @@ class SegmentBuffer:
         return took
 
     def _profile(self, b: PlannedBlock, exit2: float) -> None:
-        """Phases of a block longer than a segment: down to or up to its speed, along, and to its exit speed."""
+        """Set the phases of a block longer than a segment: to its speed, along, and to its exit speed."""
         accel, length, entry2, nominal = b.accel, b.remaining, b.entry2, b.nominal
         nominal2, half = nominal * nominal, 0.5 / b.accel
         phases: list[_Phase] = []

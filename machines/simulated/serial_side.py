@@ -40,7 +40,7 @@ class SerialSide:
 
     # -- to the mill -----------------------------------------------------------------------------------------------
     def receive(self, data: bytes, at_s: float) -> None:
-        """Bytes put on the wire at `at_s`, behind those still under way."""
+        """Take bytes put on the wire at `at_s`, behind those still under way."""
         step = self.byte_s
         first = (self.wire_free_s if self.wire_free_s > at_s else at_s) + step
         self.wire_free_s = first + (len(data) - 1) * step
@@ -91,7 +91,7 @@ class SerialSide:
         return min(length, count)
 
     def next_line_s(self) -> float:
-        """When the next line end has arrived: -inf if it is in the ring, inf if none is under way."""
+        """Return when the next line end has arrived: -inf if it is in the ring, inf if none is under way."""
         if NEWLINE in self.ring:
             return -inf
         for first, data in self.incoming:
@@ -122,7 +122,7 @@ class SerialSide:
             return parts + data[:k] if parts else data[:k]
 
     def admit(self, at_s: float) -> None:
-        """Bytes that came while the main loop was busy go into the ring, or nowhere."""
+        """Put bytes that came while the main loop was busy into the ring, or nowhere."""
         incoming, ring = self.incoming, self.ring
         while incoming:
             first, data = incoming[0]
@@ -143,12 +143,12 @@ class SerialSide:
             self.most_used = len(ring)
 
     def used(self, at_s: float) -> int:
-        """Bytes in the ring now, as Bf: reports."""
+        """Return bytes in the ring now, as Bf: reports."""
         waiting = sum(self._count_arrived(first, len(data), at_s) for first, data in self.incoming)
         return min(self.rx_bytes, len(self.ring) + waiting)
 
     def go_deaf(self, from_s: float, until_s: float) -> None:
-        """The receiver interrupt is off: what arrives is lost."""
+        """Switch the receiver interrupt off: what arrives is lost."""
         self.admit(from_s)
         self.deaf_until_s = max(self.deaf_until_s, until_s)
         waiting, self.incoming = self.incoming, deque()
@@ -160,12 +160,12 @@ class SerialSide:
         self.realtime = kept
 
     def clear_received(self, at_s: float) -> None:
-        """A reset empties the ring; what is still on the wire arrives."""
+        """Empty the ring, as a reset does; what is still on the wire arrives."""
         self.admit(at_s)
         self.ring.clear()
 
     def cut_wire(self, at_s: float) -> None:
-        """The cable is gone: nothing arrives any more, nothing goes out."""
+        """Cut the wire: nothing arrives any more, nothing goes out."""
         self.admit(at_s)
         self.incoming.clear()
         self.realtime = [r for r in self.realtime if r[0] <= at_s]

@@ -7,7 +7,7 @@ from machines.simulated.controller import Controller
 
 
 def hold(fw: Controller) -> None:
-    """Feed hold, from `!` or the button."""
+    """Hold, asked for by `!` or the button."""
     if fw.state == "Run":
         fw.state, fw.held = "Hold", False
         fw.stepper.hold()
@@ -80,7 +80,7 @@ def apply_overrides(fw: Controller) -> None:
     feed, rapid = fw.feed_percent / 100.0, fw.rapid_percent / 100.0
     if (feed, rapid) != (planner.feed_override, planner.rapid_override):
         planner.feed_override, planner.rapid_override = feed, rapid
-        planner.overrides_changed()
+        planner.use_overrides()
         if fw.stepper.moving:
             fw.stepper.segments.fill()
 

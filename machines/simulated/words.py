@@ -64,7 +64,7 @@ class Words:
 
 
 def read_words(code: bytes, *, mist: bool) -> Words:
-    """Words of a line without spaces and comments, upper case. Raises GcodeError."""
+    """Return words of a line without spaces and comments, upper case. Raises GcodeError."""
     words = Words()
     at = 0
     while at < len(code):

@@ -10,22 +10,22 @@ from typing import Any
 import pytest
 
 from machines.drip.driver import DripDriver
-from machines.drip.simulated_control import SimulatedControl
 from machines.driver import Driver, MillState
 from machines.errors import PortLostError
 from machines.gcode.program import ProgramReader
-from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.preflight.preflight import Preflight
 from machines.profiles import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
-from machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
-from machines.roland.simulated_serial import SimulatedSerialMill
 from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
 from machines.runs import START_CHECKS, Confirmation, RunState
 from service.milling.preflight import run_preflight
+from tests.machines.drip.simulated_control import SimulatedControl
+from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
+from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
 YES = Confirmation("ann", START_CHECKS)
 MDX = load_profile("roland-mdx-40a", ())

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from machines.driver import Home, MillState, Reset, TrustPosition
 from machines.grbl.driver import GrblDriver
-from machines.journal.disk import InlineSyncer, RealDisk, RealFile
+from machines.journal.disk import RealDisk, RealFile
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.simulated.memory_port import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, GRBLHAL
+from tests.machines.inline_syncer import InlineSyncer
 
 
 class LossyDisk(RealDisk):

@@ -172,7 +172,7 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
     if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
         raise InputError(f"{place}: allowed as a name: small letters, digits and hyphens, at most 40")
     try:
-        values = {key: _VALUES.checked(key, value, "") for key, value in row.items()}
+        values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
     except BadValueError as error:
         raise InputError(f"{place}: {error}") from None
     if missing := [key for key in _NEEDED if key not in values]:

@@ -78,7 +78,7 @@ def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
 def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
     place = f"{path}: tool {index}"
     try:
-        values = {key: _VALUES.checked(key, value, "") for key, value in row.items()}
+        values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
     except BadValueError as error:
         raise InputError(f"{place}: {error}") from None
     needed = ("name", "radius_mm", "flutes", "flute_length_mm", "max_rpm")

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from machines.drip.driver import BYTES_AFTER_STOP, DripDriver, DripOptions
 from machines.drip.feed import ByteFeed, Pace
-from machines.drip.simulated_control import SimulatedControl
 from machines.driver import (
     Event,
     FaultCause,
@@ -26,6 +25,7 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError
 from machines.profiles import LinkSettings
+from tests.machines.drip.simulated_control import SimulatedControl
 
 
 def program(count: int, width: int = 24) -> list[ProgramLine]:
@@ -197,7 +197,7 @@ def test_a_line_is_answered_with_its_last_byte_and_not_before(pieces: list[int],
         ends.append(end)
     for most in pieces:
         text += feed.take(most)
-        feed.taken(len(text))
+        feed.note_taken(len(text))
         assert feed.answered_line == sum(end <= len(text) for end in ends)
         assert feed.finished == (len(text) == ends[-1] + len(tail))
     assert (head + b"".join(line.text + b"\n" for line in lines) + tail).startswith(text)

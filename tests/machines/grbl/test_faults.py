@@ -320,7 +320,7 @@ def test_counting_costs_half_a_per_cent_where_the_planner_never_covers_it() -> N
 def test_a_link_given_up_asks_for_no_more_calls() -> None:
     """A deadline in the past would make whoever polls spin, and simulated time stand still."""
     session = streaming_session()
-    session.lost("cable", 2.0)
+    session.lose("cable", 2.0)
     assert session.next_deadline_s == math.inf and session.output(3.0) == b""
 
 

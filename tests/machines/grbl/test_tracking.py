@@ -23,7 +23,7 @@ def tracker_of(*blocks: bytes, answered: int | None = None) -> Tracker:
         Interpreter(ModalState(position_mm=(0.0, 0.0, 0.0))),
     )
     for number, block in enumerate((START, *blocks), 1):
-        tracker.sent(number, interpreter.take(block))
+        tracker.note_sent(number, interpreter.take(block))
     for _ in range(len(blocks) + 1 if answered is None else answered):
         tracker.take_answer()
     return tracker
@@ -35,33 +35,33 @@ def test_an_answer_alone_proves_nothing() -> None:
 
 def test_a_position_proves_the_lines_before_it() -> None:
     tracker = tracker_of(b"X10", b"X20", b"X30")
-    assert tracker.reported((25.0, 0.0, 0.0)).place is Place.ON_PATH
+    assert tracker.take_report((25.0, 0.0, 0.0)).place is Place.ON_PATH
     assert tracker.executed_line == 3  # the move to 30 is under way
 
 
 def test_where_a_position_fits_two_lines_the_earlier_is_believed() -> None:
     tracker = tracker_of(b"X10", b"X0", b"X10")
-    tracker.reported((5.0, 0.0, 0.0))
+    tracker.take_report((5.0, 0.0, 0.0))
     assert tracker.executed_line == 1
 
 
 def test_a_corner_belongs_to_the_move_that_ends_there() -> None:
     tracker = tracker_of(b"X10", b"Y10")
-    tracker.reported((10.0, 0.0, 0.0))
+    tracker.take_report((10.0, 0.0, 0.0))
     assert tracker.executed_line == 1
 
 
 def test_off_the_path_names_the_distance() -> None:
-    sight = tracker_of(b"X10", b"X20").reported((12.0, 1.5, 0.0))
+    sight = tracker_of(b"X10", b"X20").take_report((12.0, 1.5, 0.0))
     assert (sight.place, sight.line, round(sight.distance_mm, 6)) == (Place.OFF_PATH, 3, 1.5)
 
 
 def test_back_on_what_is_executed_is_off_the_path() -> None:
     """No mill goes back: a damaged block may, along a row that is cut already."""
     tracker = tracker_of(*(b"X%d" % (2 * k) for k in range(1, 31)))
-    assert tracker.reported((41.0, 0.0, 0.0)).place is Place.ON_PATH
-    assert tracker.reported((37.0, 0.0, 0.0)).place is Place.ON_PATH  # a step back may be the end of tiny ones
-    assert tracker.reported((25.0, 0.0, 0.0)).place is Place.OFF_PATH
+    assert tracker.take_report((41.0, 0.0, 0.0)).place is Place.ON_PATH
+    assert tracker.take_report((37.0, 0.0, 0.0)).place is Place.ON_PATH  # a step back may be the end of tiny ones
+    assert tracker.take_report((25.0, 0.0, 0.0)).place is Place.OFF_PATH
 
 
 def test_after_a_place_off_the_path_only_counts_prove_anything() -> None:
@@ -69,21 +69,21 @@ def test_after_a_place_off_the_path_only_counts_prove_anything() -> None:
     tracker = tracker_of(*(b"X%d" % (2 * k) for k in range(1, 31)))
     counted = tracker.executed_line
     assert counted == 31 - 15 - LONG_BLOCKS_BEYOND_PLANNER
-    tracker.reported((55.0, 0.0, 0.0))
+    tracker.take_report((55.0, 0.0, 0.0))
     assert tracker.executed_line > counted
     tracker.distrust_positions()
     assert tracker.executed_line == counted
-    tracker.reported((57.0, 0.0, 0.0))
+    tracker.take_report((57.0, 0.0, 0.0))
     assert tracker.executed_line == counted
 
 
 def test_rounding_of_reports_is_not_off_the_path() -> None:
-    assert tracker_of(b"X10Y3.3333").reported((5.001, 1.666, 0.001)).place is Place.ON_PATH
+    assert tracker_of(b"X10Y3.3333").take_report((5.001, 1.666, 0.001)).place is Place.ON_PATH
 
 
 def test_a_place_on_lines_that_were_never_answered_is_a_lost_reply() -> None:
     tracker = tracker_of(b"X10", b"X20", b"X30", b"X40", answered=3)
-    assert tracker.reported((35.0, 0.0, 0.0)).place is Place.UNANSWERED
+    assert tracker.take_report((35.0, 0.0, 0.0)).place is Place.UNANSWERED
 
 
 def test_standing_before_the_first_move_is_no_lost_reply() -> None:
@@ -93,16 +93,16 @@ def test_standing_before_the_first_move_is_no_lost_reply() -> None:
         Interpreter(ModalState(position_mm=(9.0, 0.0, 5.0))),
     )
     for block in (b"G21G90G94G17", b"M3S1000", b"G4P3", b"G0Z5", b"G0X1"):
-        tracker.sent(0, interpreter.take(block))
+        tracker.note_sent(0, interpreter.take(block))
     tracker.take_answer()
     tracker.take_answer()
-    assert tracker.reported((9.0, 0.0, 5.0)).place is not Place.UNANSWERED
+    assert tracker.take_report((9.0, 0.0, 5.0)).place is not Place.UNANSWERED
 
 
 def test_the_first_unanswered_line_may_be_under_way() -> None:
     """An arc is answered when its last chord is queued, long after its first has begun."""
     tracker = tracker_of(b"X10", b"G2X20I5", answered=2)
-    assert tracker.reported((15.0, 5.0, 0.0)).place is Place.ON_PATH
+    assert tracker.take_report((15.0, 5.0, 0.0)).place is Place.ON_PATH
     assert tracker.executed_line == 2
 
 
@@ -172,7 +172,7 @@ def test_executed_never_passes_what_the_mill_has_done(corners: list[tuple[int, i
         done = data.draw(st.integers(done, len(corners) - 1))
         share = data.draw(st.sampled_from([0.0, 0.25, 0.5, 1.0]))
         (x0, y0), (x1, y1) = places[done], places[done + 1]
-        sight = tracker.reported((x0 + share * (x1 - x0), y0 + share * (y1 - y0), 0.0))
+        sight = tracker.take_report((x0 + share * (x1 - x0), y0 + share * (y1 - y0), 0.0))
         assert sight.place is Place.ON_PATH
         assert tracker.executed_line <= max(1 + done, len(corners) + 1 - 17)
 
@@ -193,5 +193,5 @@ def test_standing_at_the_end_of_one_line_and_no_other_proves_it(
     blocks: tuple[bytes, ...], answered: int, place: tuple[float, float, float], executed: int
 ) -> None:
     tracker = tracker_of(*blocks, answered=answered)
-    tracker.stands_at(place, exact_mm=0.005)
+    tracker.take_standstill(place, exact_mm=0.005)
     assert tracker.executed_line == executed

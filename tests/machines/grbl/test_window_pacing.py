@@ -21,11 +21,11 @@ def test_never_more_than_the_capacity_is_under_way_and_each_line_is_answered_onc
             if len(window):
                 answered.append(window.take_answer())
         elif window.accepts(step):
-            window.sent(step, len(sent))
+            window.note_sent(step, len(sent))
             sent.append(step)
         else:
             with pytest.raises(AssertionError):
-                window.sent(step, -1)
+                window.note_sent(step, -1)
         assert window.used == sum(sent[len(answered) :]) <= capacity
     assert answered == list(range(len(answered)))
 
@@ -46,7 +46,7 @@ def test_less_than_ten_milliseconds_wait_before_the_wire(writes: list[tuple[floa
     for pause_s, wanted in writes:
         now_s += pause_s
         count = min(wanted, max(0, pacer.budget(now_s)))
-        pacer.wrote(count, now_s)
+        pacer.note_written(count, now_s)
         empty_s = max(empty_s, now_s) + count / rate
         assert empty_s - now_s <= AHEAD_S + 1e-9
 
@@ -56,7 +56,7 @@ def test_a_paced_wire_never_falls_idle() -> None:
     pacer, now_s, total = Pacer(11520.0), 0.0, 0
     while now_s < 1.0:
         count = pacer.budget(now_s)
-        pacer.wrote(count, now_s)
+        pacer.note_written(count, now_s)
         total += count
         now_s = max(now_s + 1e-6, pacer.refill_at_s)
     assert total >= 11520 * 0.99

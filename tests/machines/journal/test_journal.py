@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machines.errors import JournalError
-from machines.journal.disk import InlineSyncer, RealDisk, RealFile, ThreadSyncer
+from machines.journal.disk import RealDisk, RealFile, ThreadSyncer
 from machines.journal.journal import Journal, decode, encode, read_journal, records_in
+from tests.machines.inline_syncer import InlineSyncer
 
 
 class Clock:

@@ -12,10 +12,10 @@ import pytest
 
 from machines.driver import Jog, MillState, Override, SendBlock, SetZero, TrustPosition, Unlock
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
-from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal, read_journal
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.runs import START_CHECKS, Confirmation, RunState
+from tests.machines.inline_syncer import InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
 

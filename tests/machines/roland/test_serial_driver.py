@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from machines.driver import Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine, Stopped
 from machines.profiles import LinkSettings
 from machines.roland.serial_driver import OS_QUEUE_BYTES, RolandSerialDriver, RolandSerialOptions
-from machines.roland.simulated_serial import SimulatedSerialMill
+from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
 LINK = LinkSettings(driver="roland-serial", baud=9600, flow="rtscts", rx_bytes=2048)
 

@@ -24,10 +24,10 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError, PortError
 from machines.roland.mdx40a import decode_state
-from machines.roland.simulated_blocks import SimulatedAxes
-from machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
 from machines.roland.usb_device import RollingmillDevice, open_mdx40a
 from machines.roland.usb_driver import RolandUsbDriver
+from tests.machines.roland.simulated_blocks import SimulatedAxes
+from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
 
 machine = pytest.importorskip("rollingmill.machine")
 usb = pytest.importorskip("rollingmill.usb")

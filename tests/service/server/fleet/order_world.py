@@ -28,7 +28,6 @@ import sqlalchemy as sa
 from machines.driver import Driver, MillState, Reset, SetZero, Unlock
 from machines.errors import MachineError
 from machines.grbl.driver import GrblDriver
-from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.mill.orders import NOBODY, Caller, OrderGate, Permit, Stop
@@ -54,6 +53,7 @@ from service.server.fleet.registry import KnownMachine
 from service.server.fleet.run_commands import Controls
 from service.server.fleet.stops import Stops
 from service.settings import ServerSettings
+from tests.machines.inline_syncer import InlineSyncer
 from tests.service.server.fleet.order_network import MessageNetwork
 from tests.service.server.fleet.order_people import CHECKS, MACHINE, People
 

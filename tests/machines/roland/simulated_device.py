@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from math import inf
 
 from machines.driver import Triple
-from machines.roland.simulated_blocks import BlockInterpreter, Cut, SimulatedAxes
+from tests.machines.roland.simulated_blocks import BlockInterpreter, Cut, SimulatedAxes
 
 ERROR_PROGRAM, ERROR_COVER = 0x0F01, 0x0109  # the first is ours: what a refused block reports is not known
 _CONSTANT = 0x0000_081C
