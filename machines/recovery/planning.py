@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from machines.errors import MachineError
+from machines.gcode.dialects import DIALECTS
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
 from machines.recovery.approach import height_mm, travel_height_mm, unreadable, way_in
@@ -22,7 +23,7 @@ from machines.recovery.plan import Need, Present, RecoveryPlan, Reentry
 
 __all__ = ["Need", "Present", "RecoveryPlan", "Reentry", "plan_recovery"]
 
-GRBL_DIALECTS = ("grbl", "grblhal", "fluidnc")
+GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
 
 
 def plan_recovery(

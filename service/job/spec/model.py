@@ -9,11 +9,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from cam.materials import MATERIALS, PMMA
 from service.job.spec.around import CutOutSpec, FaceSpec, cut_out_fault
 from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LightSpec
 from service.job.spec.optics import OpticsSpec
-from service.job.spec.section import Section
+from service.job.spec.section import OneOf, Section
 
 __all__ = [
     "FinishSpec",
@@ -71,7 +72,7 @@ class StockSpec(Section):
     thickness_mm: Annotated[float, Field(gt=0, le=500)] = 40.0
     margin_mm: Annotated[float, Field(ge=0, le=200)] = 8.0  # keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears
     skim_mm: Annotated[float, Field(gt=0, le=10)] = 0.1
-    material: Literal["pmma"] = "pmma"
+    material: Annotated[str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()})] = PMMA.name
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
 
