@@ -35,9 +35,16 @@ class CuttingData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """Cutting data for a few radii, ascending; between them the numbers are interpolated."""
+    """Cutting data for a few radii, ascending; between them the numbers are interpolated.
+
+    name  : as a job says it
+    label : as a person reads it
+    block : what to buy, as the set-up sheet says it
+    """
 
     name: str
+    label: str
+    block: str
     advice: str
     sources: tuple[str, ...]
     cutting: tuple[CuttingData, ...]
@@ -72,6 +79,8 @@ def _between(low: CuttingData, high: CuttingData, radius_mm: float) -> CuttingDa
 
 PMMA = Material(
     name="pmma",
+    label="acrylic (PMMA)",
+    block="clear cast acrylic (PMMA), annealed",
     advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
     sources=(
         "Acrylite, tech brief 'Routing': routers turn at 20 000 rpm or more",
@@ -101,3 +110,6 @@ PMMA = Material(
         ),
     ),
 )
+
+MATERIALS: dict[str, Material] = {material.name: material for material in (PMMA,)}
+"""Every material that a job can be milled in; the form, the spec and the set-up sheet take theirs from here."""

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cam.moves import Array, Motion, Path, cut, rapid
+from cam.posts.dialects import Dialect
 from cam.posts.setup import ProgramSetup
-from cam.posts.writer import Dialect
+from cam.posts.writers import create_writer
 from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
 
 OVERLAP_MM = 1.0
@@ -82,7 +83,7 @@ def programs(
 
 
 def _write_program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
-    writer, meter = post.writer(), _Meter(limits)
+    writer, meter = create_writer(post), _Meter(limits)
     remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
     setup, trace = (frame.setup, frame.trace) if part == 1 else (frame.setup.without_warm_up(), ())
     number = 100 * frame.number + part

@@ -14,9 +14,9 @@ from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
+from cam.posts.dialects import Dialect
 from cam.posts.post import number
 from cam.posts.setup import ProgramSetup
-from cam.posts.writer import Dialect
 from cam.rows.entries import enter, enter_onward, leave
 from cam.rows.layers import Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
 from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows

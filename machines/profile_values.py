@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-DIALECTS = ("grbl", "grblhal", "fluidnc", "linuxcnc", "fanuc", "okuma", "roland-nc", "rml-1")
+from machines.gcode.dialects import DIALECTS as GCODE_DIALECTS
+
+DIALECTS = (*GCODE_DIALECTS, "rml-1")
 DRIVERS = ("grbl", "roland-serial", "roland-usb", "drip", "none")
 FLOWS = ("none", "rtscts", "xonxoff")
 SPINDLE = ("turns", "stops", "unknown")

@@ -72,20 +72,19 @@ class Bench:
         index, face = (1.0, 0.0) if self.mirror else (self.refractive_index, -self.thickness_mm)
         tan_x, tan_y = (math.tan(angle) for angle in light.tilt_rad)
         sign = -1.0 if self.mirror else 1.0
-        if light.kind == "point":
-            radius = light.size_mm / 2
+        radius = light.radius
+        if light.is_point:
             x = centre_x - light.distance_mm * tan_x + radius * aside[0]
             y = centre_y - light.distance_mm * tan_y + radius * aside[1]
             z = face - sign * light.distance_mm
         else:
-            radius = math.radians(light.size_deg) / 2 if light.kind == "sun" else 0.0
             tan_x, tan_y = tan_x + radius * aside[0], tan_y + radius * aside[1]
             in_air = math.sqrt(1.0 + tan_x**2 + tan_y**2)
             x, y = tan_x / in_air / index, tan_y / in_air / index  # the flat face keeps n times the sine
             z = sign * math.sqrt(1.0 - x * x - y * y)
         strength = np.ones((1, 1)) if light.profile is None else np.ascontiguousarray(light.profile, dtype=np.float64)
         beam = Beam(
-            is_point=light.kind == "point",
+            is_point=light.is_point,
             is_mirror=self.mirror,
             x=x,
             y=y,
@@ -121,7 +120,7 @@ class Bench:
     def even_upright_light(self) -> bool:
         """Whether the middle beam is the usual one: even, along the axis, through a rectangular lens, not crossing."""
         light = self.light
-        special = self.mirror or light.kind == "point" or light.profile is not None or light.tilt_rad != (0.0, 0.0)
+        special = self.mirror or light.is_point or light.profile is not None or light.tilt_rad != (0.0, 0.0)
         return not special and self.outline_mm is None and self.branch == "direct"
 
     def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:

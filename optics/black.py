@@ -59,7 +59,7 @@ def valley_leak(bench: Bench, radius_mm: float) -> float:
 
 def _flat_spread(bench: Bench) -> float:
     """Return how many times as large as the aperture its patch of light is behind a flat surface, near the axis."""
-    if bench.light.kind != "point":
+    if not bench.light.is_point:
         return 1.0
     glass_mm = 0.0 if bench.mirror else bench.thickness_mm / bench.refractive_index
     return 1.0 + bench.throw_mm / (bench.light.distance_mm + glass_mm)

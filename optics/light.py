@@ -10,15 +10,15 @@ kernel needs to know how it thins out on the way.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from optics.spline import Array
 
-LightKind = Literal["collimated", "sun", "point"]
 SUN_DEG = 0.53
 _NEWTON_STEPS = 8
 
@@ -27,26 +27,66 @@ _NEWTON_STEPS = 8
 class Light:
     """A light source on the optical axis (through the aperture's centre), or tilted against it.
 
-    kind        : "collimated", one direction; "sun", a disc of directions; "point", a point or disc at a distance
+    kind        : one of LIGHT_KINDS
     size_deg    : angular diameter of the sun
     distance_mm : of the point from the flat face of a lens, or from Z0 of a mirror
     size_mm     : diameter of the lamp, parallel to the face; 0 is a point
     profile     : (my, mx), at least 2 x 2, relative strength on the face, spread from rim to rim of the aperture, row 0
                   at the lowest y, bilinear between; None is even. Of a lamp it multiplies the law of distance.
     tilt_rad    : angles in x and y from the axis to the direction that light travels in (of a lamp: of its middle)
+    middle_only : light from the middle of the source alone, as if it had no size
     """
 
-    kind: LightKind = "collimated"
+    kind: str = "collimated"
     size_deg: float = SUN_DEG
     distance_mm: float = math.inf
     size_mm: float = 0.0
     profile: Array | None = None
     tilt_rad: tuple[float, float] = (0.0, 0.0)
+    middle_only: bool = False
+
+    @property
+    def is_point(self) -> bool:
+        """Whether it comes from distance_mm away, and not from infinity."""
+        return LIGHT_KINDS[self.kind].is_point
+
+    @property
+    def radius(self) -> float:
+        """Of its disc: in mm of a lamp, in radians of a disc of directions."""
+        return 0.0 if self.middle_only else LIGHT_KINDS[self.kind].radius(self)
 
     @property
     def extended(self) -> bool:
         """Whether one beam is not the whole of it."""
-        return (self.kind == "sun" and self.size_deg > 0) or (self.kind == "point" and self.size_mm > 0)
+        return self.radius > 0
+
+    def width_rad(self, *, glass_mm: float) -> float:
+        """Angular diameter seen from behind the face, through as much glass as light needs for glass_mm of air."""
+        return 2 * self.radius / (self.distance_mm + glass_mm) if self.is_point else 2 * self.radius
+
+    def spread_mm(self, throw_mm: float) -> float:
+        """Diameter of the disc that a thin lens makes of a point on the wall."""
+        if self.is_point:
+            return throw_mm * (2 * self.radius) / self.distance_mm
+        return throw_mm * 2 * math.tan(self.radius)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightKind:
+    """What a kind of source is to a lens: a point at a distance or one direction, or a disc of such.
+
+    radius : of the disc [mm] or [rad], 0 where there is none
+    """
+
+    is_point: bool
+    radius: Callable[[Light], float]
+
+
+LIGHT_KINDS: dict[str, LightKind] = {
+    "collimated": LightKind(is_point=False, radius=lambda light: 0.0),
+    "sun": LightKind(is_point=False, radius=lambda light: math.radians(light.size_deg) / 2),
+    "point": LightKind(is_point=True, radius=lambda light: light.size_mm / 2),
+}
 
 
 class Beam(NamedTuple):

@@ -85,7 +85,7 @@ class Tolerances:
 
 def without_size(bench: Bench) -> Bench:
     """Return the same light from the middle of its source alone."""
-    return replace(bench, light=replace(bench.light, size_deg=0.0, size_mm=0.0))
+    return replace(bench, light=replace(bench.light, middle_only=True))
 
 
 def sharp_light(heightfield: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
@@ -135,17 +135,11 @@ def lens_tolerances(
 
 
 def source_rad(heightfield: Heightfield, bench: Bench) -> float:
-    """Return angular diameter of the bench's light, in air, as the lens sees it: glass is as long as thickness / n of
-    air.
+    """Return the angular diameter of the bench's light, in air, as the lens sees it: glass is as long as thickness / n
+    of air.
     """
-    light = bench.light
-    if light.kind == "sun":
-        return math.radians(light.size_deg)
-    if light.kind == "point":
-        before = float(heightfield.z_mm.mean()) + bench.thickness_mm
-        glass = 0.0 if bench.mirror else before / bench.refractive_index
-        return light.size_mm / (light.distance_mm + glass)
-    return 0.0
+    before = float(heightfield.z_mm.mean()) + bench.thickness_mm
+    return bench.light.width_rad(glass_mm=0.0 if bench.mirror else before / bench.refractive_index)
 
 
 def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:

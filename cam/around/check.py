@@ -17,12 +17,14 @@ from cam.around.outline import segment_distances
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.checking.findings import Finding
 from cam.checking.removal import RemovalGrid
+from cam.cutters import CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
 from cam.passes import Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts
 from cam.surface.stock_grid import StockGrid
 
+_FLAT = CUTTERS["flat"]
 _TOUCH_MM = 1e-6
 _RAPID_CLEARANCE_MM = 0.5
 _GOUGE_ALLOWED_MM = 1e-6
@@ -88,7 +90,7 @@ def check_facing(
 ) -> AroundCheck:
     """Cut the programs, run one after the other, into stock_top: nothing below Z0, nothing left above the cusps."""
     reach_mm = stock.margin_mm + facing.radius_mm + BESIDE_MM
-    run = _FlatRun(facing, stock, stock_top, mill, reach_mm=reach_mm, lowest_mm=0.0, ball=facing.shape == "ball")
+    run = _FlatRun(facing, stock, stock_top, mill, reach_mm=reach_mm, lowest_mm=0.0, cutter=facing.cutter)
     for batch in read_parts(parts, mill.language):
         run.add(batch)
     after = run.stock()
@@ -153,15 +155,20 @@ class _FlatRun:
         *,
         reach_mm: float,
         lowest_mm: float,
-        ball: bool = False,
+        cutter: CutterShape = _FLAT,
         lens_mm: Array | None = None,
     ) -> None:
         self.faults: list[str] = []
         self.nearest_mm = np.inf
         self._spec, self._mill, self._lens_mm, self._before = spec, mill, lens_mm, stock_top
         self._lowest_mm, self._highest_mm = lowest_mm, float(stock_top.top_mm.max())
-        self._ball = RemovalGrid(stock_top, radius_mm=spec.radius_mm) if ball else None
-        self._flat = FlatRemoval(stock_top, radius_mm=spec.radius_mm, rim_mm=2 * mill.xy_digit_mm)
+        self._ball = RemovalGrid(stock_top, radius_mm=spec.radius_mm) if cutter.corner_share == 1.0 else None
+        self._flat = FlatRemoval(
+            stock_top,
+            radius_mm=spec.radius_mm,
+            corner_mm=cutter.corner_mm(spec.radius_mm),
+            rim_mm=2 * mill.xy_digit_mm,
+        )
         self._low = np.array([-reach_mm, -reach_mm])
         self._high = np.array([stock.width_mm, stock.height_mm]) + reach_mm
         self._duration = DurationModel(mill.kinematics)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, radians, tan
-from typing import Literal
 
+from cam.cutters import CUTTERS, CutterShape
 from cam.errors import PassValueError
-
-CutterShape = Literal["flat", "ball"]
 
 FLANK_SLOPE = tan(radians(30.0))
 """Of the ways up onto a tab and down from it."""
@@ -22,11 +20,12 @@ class Facing:
     """The stock's raw top taken down to Z0, in rows along X over the whole block.
 
     above_mm : the most that the raw top stands above Z0
+    shape    : of the cutter, one of CUTTERS
     pitch_mm : distance of rows
     """
 
     above_mm: float
-    shape: CutterShape
+    shape: str
     radius_mm: float
     pitch_mm: float
     step_down_mm: float
@@ -38,14 +37,21 @@ class Facing:
         _require_positive(
             self, "above_mm", "radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"
         )
-        most_mm = (2.0 if self.shape == "flat" else 1.0) * self.radius_mm
+        if self.shape not in CUTTERS:
+            raise PassValueError(name="shape", value=self.shape, allowed=", ".join(CUTTERS))
+        most_mm = self.cutter.widest_pitch_mm(self.radius_mm)
         if not 0.01 <= self.pitch_mm <= most_mm:
             raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=f"0.01 to {most_mm:g} mm")
 
     @property
+    def cutter(self) -> CutterShape:
+        """Shape of the cutter."""
+        return CUTTERS[self.shape]
+
+    @property
     def cusp_mm(self) -> float:
         """What stays above Z0 between two rows."""
-        return 0.0 if self.shape == "flat" else self.radius_mm - (self.radius_mm**2 - self.pitch_mm**2 / 4) ** 0.5
+        return self.cutter.cusp_mm(self.radius_mm, self.pitch_mm)
 
     @property
     def levels_mm(self) -> tuple[float, ...]:

@@ -1,11 +1,37 @@
-"""Every dialect that programs can be written in, by the name that machine profiles give it."""
+"""Every dialect that programs can be written in, by the name that machine profiles give it, and what each can do.
+
+Plain data without arrays; `cam.posts.writers` writes.
+"""
 
 from __future__ import annotations
 
-from cam.posts.grbl import FLUIDNC, GRBL, GRBLHAL
-from cam.posts.iso import FANUC, LINUXCNC, OKUMA, ROLAND_NC
-from cam.posts.rml import RML
-from cam.posts.writer import Dialect
+from collections.abc import Iterator
 
-_ALL: tuple[Dialect, ...] = (GRBL, GRBLHAL, FLUIDNC, LINUXCNC, FANUC, OKUMA, ROLAND_NC, RML)
+from cam.posts.grbl import GRBL_FAMILY
+from cam.posts.iso import ISO
+from cam.posts.post import Post
+from cam.posts.rml import RML, RmlPost
+from cam.posts.setup import ProgramSetup
+
+Dialect = Post | RmlPost
+
+_ALL: tuple[Dialect, ...] = (*GRBL_FAMILY, *ISO, RML)
 POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
+
+
+def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, str, str]]:
+    """(field, value in words, what is allowed) of all that a control of this dialect cannot do."""
+    post = POSTS[dialect]
+    if setup.coolant != "none" and setup.coolant not in post.coolant:
+        allowed = " or ".join(f"'{name}'" for name in ("none", *post.coolant))
+        yield "coolant", f"'{setup.coolant}'", f"{allowed} in dialect '{dialect}'"
+    if setup.blend_tolerance_mm is not None and not post.blends:
+        able = " and ".join(other.name for other in _ALL if other.blends)
+        yield (
+            "blend_tolerance_mm",
+            f"{setup.blend_tolerance_mm:g}",
+            f"left out in dialect '{dialect}', which cannot be told a tolerance; {able} can",
+        )
+    if setup.high_precision != "none" and not post.high_precision:
+        able = " and ".join(f"'{other.name}'" for other in _ALL if other.high_precision)
+        yield "high_precision", f"'{setup.high_precision}'", f"'none' in dialect '{dialect}'; {able} has such modes"

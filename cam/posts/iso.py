@@ -2,7 +2,8 @@
 
 None is told a tool's length: Z0 is set with the very tool, and what is active then stays. G40 and G80 end what an
 earlier program may have left on. Where the least input is 0.001 mm, positions have three decimals and always a point:
-without one, 5 means 0.005 mm.
+without one, 5 means 0.005 mm. On machining centres M8 is coolant everywhere; which word opens the air or the mist is
+the builder's choice, so none is guessed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ LINUXCNC = Post(
     start=("G21G90G94G17G40G80G54", "{blend}", "G0Z{safe_z}"),
     spin=("M3S{rpm}", "G4P{dwell_s}"),
     blend=("G64P{tolerance}Q0", "G61.1"),
+    coolant={"air": "M7", "mist": "M7", "flood": "M8"},
     end=("G0Z{safe_z}", "M5", "M2"),
 )
 # The dwell by X, in seconds: P is milliseconds on most of these and seconds on some.
@@ -26,6 +28,8 @@ FANUC = Post(
     tape=("%", "O{number:04d}"),
     start=("G21G90G94G17G40G80G54", "G0Z{safe_z}"),
     spin=("S{rpm}M3", "G4X{dwell_s}"),
+    coolant={"flood": "M8"},
+    high_precision=True,
     end=("G0Z{safe_z}", "M5", "M30", "%"),
     xy_decimals=3,
     z_decimals=3,
@@ -40,6 +44,7 @@ OKUMA = Post(
     tape=("%", "O{number:04d}"),
     start=("G21G90G94G17G40G80", "G15H1", "G0Z{safe_z}"),
     spin=("S{rpm}M3", "G4F{dwell_s}"),
+    coolant={"flood": "M8"},
     end=("G0Z{safe_z}", "M5", "M2", "%"),
     xy_decimals=3,
     z_decimals=3,
@@ -65,3 +70,4 @@ ROLAND_NC = Post(
     feed_decimals=1,
     line_end="\r\n",
 )
+ISO = (LINUXCNC, FANUC, OKUMA, ROLAND_NC)

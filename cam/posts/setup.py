@@ -1,30 +1,17 @@
-"""What a program does beside its cuts, and which control can: coolant, corners, the spindle brought up to speed.
+"""What a program does beside its cuts: coolant, corners, the spindle brought up to speed.
 
 Plain data without arrays, so that a job can be refused where nothing is computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 Coolant = Literal["none", "air", "mist", "flood"]
 HighPrecision = Literal["none", "g05.1", "g08"]
 
-_GRBL_COOLANT = {"air": "M8", "mist": "M7", "flood": "M8"}
-COOLANT_WORDS: Mapping[str, Mapping[str, str]] = {
-    "grbl": _GRBL_COOLANT,
-    "grblhal": _GRBL_COOLANT,
-    "fluidnc": _GRBL_COOLANT,
-    "linuxcnc": {"air": "M7", "mist": "M7", "flood": "M8"},
-    "fanuc": {"flood": "M8"},
-    "okuma": {"flood": "M8"},
-}
-"""By dialect. Stock GRBL has one output, M8, and M7 only where it was built in. On machining centres M8 is coolant
-everywhere; which word opens the air or the mist is the builder's choice, so none is guessed."""
-
-BLENDING = ("linuxcnc",)
 HIGH_PRECISION_WORDS: Mapping[str, tuple[str, str]] = {"g05.1": ("G05.1Q1", "G05.1Q0"), "g08": ("G08P1", "G08P0")}
 """On and off, of Fanuc-like controls that have the option."""
 
@@ -67,19 +54,3 @@ class ProgramSetup:
             else:
                 steps.append((speed, each_s))
         return tuple(steps)
-
-
-def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, str, str]]:
-    """(field, value in words, what is allowed) of all that a control of this dialect cannot do."""
-    words = COOLANT_WORDS.get(dialect, {})
-    if setup.coolant != "none" and setup.coolant not in words:
-        allowed = " or ".join(f"'{name}'" for name in ("none", *words))
-        yield "coolant", f"'{setup.coolant}'", f"{allowed} in dialect '{dialect}'"
-    if setup.blend_tolerance_mm is not None and dialect not in BLENDING:
-        yield (
-            "blend_tolerance_mm",
-            f"{setup.blend_tolerance_mm:g}",
-            f"left out in dialect '{dialect}', which cannot be told a tolerance; {' and '.join(BLENDING)} can",
-        )
-    if setup.high_precision != "none" and dialect != "fanuc":
-        yield "high_precision", f"'{setup.high_precision}'", f"'none' in dialect '{dialect}'; 'fanuc' has such modes"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from typing import Protocol
 
 from cam.moves import Path
-from cam.posts.digits import Digits
 from cam.posts.setup import ProgramSetup
 
 
@@ -36,20 +34,3 @@ class Writer(ABC):
     @abstractmethod
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
         """Everything after the last move: up, all off, end."""
-
-
-class Dialect(Protocol):
-    """A language that programs can be written in."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def suffix(self) -> str:
-        """Of the file's name, with its dot."""
-
-    @property
-    def digits(self) -> Digits:
-        """The raster on which it can write a position."""
-
-    def writer(self) -> Writer: ...

@@ -31,6 +31,8 @@ def _m(action: int, numbers: tuple[float, ...], letters: str = "") -> Own:
 class Dialect:
     """One control.
 
+    title              : what sentences call it
+    is_grbl            : GRBL or one of its kin, whose link tells where the mill stands
     line_limit         : characters of code it holds, comments and blanks not counted
     n_limit            : greatest N word
     percent            : takes a line that is only %
@@ -45,9 +47,13 @@ class Dialect:
     decimals           : most decimals
     spindle_first      : S and M03 must come before the first cutting move
     g53_absolute       : G53 only in G90
+    numbered           : an interrupted program can be entered at an N word
+    mist               : takes M7 as it is sold
     """
 
     name: str
+    title: str
+    is_grbl: bool = False
     line_limit: int = 79
     n_limit: int = 10_000_000
     percent: bool = False
@@ -62,6 +68,8 @@ class Dialect:
     decimals: int = 17
     spindle_first: bool = False
     g53_absolute: bool = False
+    numbered: bool = True
+    mist: bool = True
 
     @property
     def letter_bits(self) -> int:
@@ -101,14 +109,6 @@ class Dialect:
             dwell_rule=self.dwell_rule,
         )
 
-    @property
-    def is_grbl(self) -> bool:
-        return self.name in ("grbl", "grblhal", "fluidnc")
-
-    @property
-    def title(self) -> str:
-        return _TITLES[self.name]
-
 
 _CYCLES = (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)
 _NOT_HERE = (
@@ -134,39 +134,37 @@ _NOT_ON_ISO = _g(-refusals.NOT_HERE, (28.1, 30.1, 38.2, 38.3, 38.4, 38.5, 43.1, 
 DIALECTS: dict[str, Dialect] = {
     dialect.name: dialect
     for dialect in (
-        Dialect(name="grbl", own=(*_NOT_HERE, *_NO_CHANGER)),
-        Dialect(name="grblhal", line_limit=255, percent=True, own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS)),
-        Dialect(name="fluidnc", line_limit=254, percent=True, own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS)),
+        Dialect(name="grbl", title="GRBL", is_grbl=True, mist=False, own=(*_NOT_HERE, *_NO_CHANGER)),
         Dialect(
-            name="linuxcnc", line_limit=254, n_limit=99_999_999, percent=True,
+            name="grblhal", title="grblHAL", is_grbl=True, line_limit=255, percent=True,
+            own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS),
+        ),
+        Dialect(
+            name="fluidnc", title="FluidNC", is_grbl=True, line_limit=254, percent=True,
+            own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS),
+        ),
+        Dialect(
+            name="linuxcnc", title="LinuxCNC", line_limit=254, n_limit=99_999_999, percent=True,
             own=(*_CNC_OWN, *_LENGTHS, *_MORE_OFFSETS),
         ),
         Dialect(
-            name="fanuc", line_limit=128, n_limit=99_999_999, percent=True, name_digits=(1, 4),
-            needs_point="XYZIJKR",  # F in mm/min is a whole number on these
+            name="fanuc", title="a Fanuc-like control", line_limit=128, n_limit=99_999_999, percent=True,
+            name_digits=(1, 4), needs_point="XYZIJKR",  # F in mm/min is a whole number on these
             own=(*_CNC_OWN, *_LENGTHS, *_NOT_ON_ISO, *_g(MOVES_FRAME, (54.1,), "P"), *_g(DWELL_MS, (4,), "PX"),
                  *_g(ACCEPT, (30,), "P"), *_PRECISE),
         ),
         Dialect(
-            name="okuma", line_limit=157, n_limit=99_999_999, percent=True, named=True, needs_point="XYZIJKRF",
+            name="okuma", title="Okuma OSP", line_limit=157, n_limit=99_999_999, percent=True, named=True,
+            needs_point="XYZIJKRF",
             own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(MOVES_FRAME, (15, 16, 56), "H"), *_g(DWELL_BY_F, (4,), "F"),
                  *_g(ACCEPT, (30,), "P"), *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
         ),
         Dialect(
-            name="roland-nc", line_limit=254, n_limit=99_999_999, percent=True, name_digits=(8, 8), two_digits=True,
-            needs_point="XYZIJKRF", bare_zero=False, arcs_by_r=False, decimals=3, spindle_first=True, g53_absolute=True,
+            name="roland-nc", title="Roland NC", line_limit=254, n_limit=99_999_999, percent=True, name_digits=(8, 8),
+            two_digits=True, numbered=False, needs_point="XYZIJKRF", bare_zero=False, arcs_by_r=False, decimals=3,
+            spindle_first=True, g53_absolute=True,
             own=(*_NOT_HERE, *_NO_CHANGER, *_NOT_ON_ISO, *_g(-refusals.NOT_HERE, (10, 30, 61, 93)),
                  *_m(-refusals.NOT_HERE, (4, 7, 8, 9))),
         ),
     )
 }  # fmt: skip
-
-_TITLES = {
-    "grbl": "GRBL",
-    "grblhal": "grblHAL",
-    "fluidnc": "FluidNC",
-    "linuxcnc": "LinuxCNC",
-    "fanuc": "a Fanuc-like control",
-    "okuma": "Okuma OSP",
-    "roland-nc": "Roland NC",
-}

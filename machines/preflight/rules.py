@@ -80,14 +80,14 @@ def warnings(
             yield _at(events, slot, words)
     if events[tally.OVER_RATE][1]:
         yield _at(events, tally.OVER_RATE, "asks for more feed than an axis can go; the controller cuts slower there")
-    if events[tally.MIST][1] and dialect.name == "grbl":
+    if events[tally.MIST][1] and not dialect.mist:
         yield _at(events, tally.MIST, "M7 is error:20 on stock GRBL 1.1 (built without ENABLE_M7)")
     low, high = limits.spindle_rpm
     if spindle is not None and spindle[1] > high:
         yield f"S goes up to {spindle[1]:g} rpm, the spindle of {limits.profile} to {high:g}: it will turn slower"
     if spindle is not None and 0 < spindle[0] < low:
         yield f"S goes down to {spindle[0]:g} rpm, the spindle of {limits.profile} to {low:g}: it will turn faster"
-    if dialect.tapes and dialect.name != "roland-nc" and not events[tally.NUMBERED][1]:
+    if dialect.tapes and dialect.numbered and not events[tally.NUMBERED][1]:
         yield "the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle"
     if not ends:
         yield "the program has no end (M2 or M30): the spindle stays as the last line leaves it"

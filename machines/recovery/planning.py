@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from machines.errors import MachineError
+from machines.gcode.dialects import DIALECTS
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
 from machines.recovery.approach import height_mm, travel_height_mm, unreadable, way_in
@@ -20,7 +21,7 @@ from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
 from machines.recovery.plan import Present, RecoveryPlan, Reentry
 
-GRBL_DIALECTS = ("grbl", "grblhal", "fluidnc")
+GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
 
 
 def plan_recovery(

@@ -183,7 +183,7 @@ def _slope_misfit(mesh: TriangleMesh, h: Array, normal: Array) -> float:
 def _refuse_what_the_paper_has_not(bench: Bench) -> None:
     light = bench.light
     others = {
-        "a lamp at a finite distance": light.kind == "point",
+        "a lamp at a finite distance": light.is_point,
         "light of uneven strength": light.profile is not None,
         "tilted light": light.tilt_rad != (0.0, 0.0),
         "a mirror": bench.mirror,

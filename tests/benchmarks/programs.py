@@ -14,6 +14,7 @@ import numpy as np
 from cam.moves import cut
 from cam.passes import PAPER_PASSES, Stock
 from cam.posts.grbl import GRBL
+from cam.posts.writers import create_writer
 from cam.program import generate_program
 from cam.reading.gcode import read_program
 from cam.surface.stock_grid import StockGrid
@@ -33,14 +34,14 @@ def _written() -> Iterator[Figure]:
     angle = np.linspace(0, 900, FORMATTED)
     points = 50 + np.column_stack([40 * np.cos(angle), 40 * np.sin(angle), np.sin(3 * angle) - 55])
     path = cut(points, 600.0)
-    wall, cpu = seconds(lambda: [len(piece) for piece in GRBL.writer().write(path)])
-    pieces = list(GRBL.writer().write(path))
+    wall, cpu = seconds(lambda: [len(piece) for piece in create_writer(GRBL).write(path)])
+    pieces = list(create_writer(GRBL).write(path))
     size = sum(map(len, pieces))
     lines = sum(piece.count(b"\n") for piece in pieces)
     note = f"X, Y and Z on each, {size / lines:.0f} bytes a line, {size / wall / 1e6:.0f} MB/s; asked: 2, or the disk's"
     yield Figure("lines formatted", lines / cpu / 1e6, "M lines/s/thread", note)
     with tempfile.TemporaryDirectory(dir=".") as folder:
-        formatted_s = _to_disk(Path(folder) / "path.nc", GRBL.writer().write(path))
+        formatted_s = _to_disk(Path(folder) / "path.nc", create_writer(GRBL).write(path))
         plain_s = _to_disk(Path(folder) / "plain", pieces)
     yield Figure("lines formatted and on the disk", lines / formatted_s / 1e6, "M lines/s", "flushed and synced")
     yield Figure(

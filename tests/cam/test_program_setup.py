@@ -15,8 +15,9 @@ from cam.around.outline import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock
-from cam.posts.dialects import POSTS
-from cam.posts.setup import COOLANT_WORDS, ProgramSetup, find_unsupported
+from cam.posts.dialects import POSTS, find_unsupported
+from cam.posts.setup import ProgramSetup
+from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.gcode.interpreter import Interpreter
 from machines.preflight.limits import limits_of
@@ -31,8 +32,8 @@ WAY = [rapid((0, 0, SAFE_Z), (0, 0, 1)), cut([(0, 0, -0.5), (4, 0, -0.5), (4, 3,
 TRACE = trace_paths(STOCK, (), safe_z_mm=SAFE_Z, feed_mm_per_min=1200)
 SETUPS = [
     (dialect, ProgramSetup(coolant=coolant))
-    for dialect, words in COOLANT_WORDS.items()
-    for coolant in words
+    for dialect, post in POSTS.items()
+    for coolant in post.coolant
 ] + [
     ("linuxcnc", ProgramSetup(blend_tolerance_mm=0.002)),
     ("linuxcnc", ProgramSetup(blend_tolerance_mm=0.0)),
@@ -66,7 +67,7 @@ def moves_of(dialect: str, text: bytes) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_a_setup_that_asks_for_nothing_changes_no_byte(dialect: str) -> None:
-    writer = POSTS[dialect].writer()
+    writer = create_writer(POSTS[dialect])
     pieces = [writer.start(("pass tiny",), rpm=12000, safe_z_mm=SAFE_Z, program=101)]
     pieces += [piece for path in WAY for piece in writer.write(path)]
     assert program(dialect, ProgramSetup()) == b"".join([*pieces, writer.end(safe_z_mm=SAFE_Z)])
@@ -100,7 +101,7 @@ def test_the_mill_s_pre_flight_takes_it(dialect: str, setup: ProgramSetup, tmp_p
 @pytest.mark.parametrize(("dialect", "setup"), [row for row in SETUPS if row[1].coolant != "none"])
 def test_coolant_runs_in_every_cut_and_is_off_before_the_end_of_the_program(dialect: str, setup: ProgramSetup) -> None:
     """As a control's modal state has it, block by block, and so also after M2, which is not what switches it off."""
-    word = COOLANT_WORDS[dialect][setup.coolant]
+    word = POSTS[dialect].coolant[setup.coolant]
     mill = Interpreter(dialect=dialect)
     for line in program(dialect, setup).splitlines():
         if line.startswith((b"M2", b"M30")):
@@ -173,7 +174,7 @@ def test_what_a_control_cannot_do_is_named_with_what_it_can() -> None:
     for dialect in DIALECTS:
         for coolant in ("air", "mist", "flood"):
             told = list(find_unsupported(dialect, ProgramSetup(coolant=coolant)))
-            assert bool(told) != (coolant in COOLANT_WORDS.get(dialect, {}))
+            assert bool(told) != (coolant in POSTS[dialect].coolant)
             assert all(coolant in value and "'none'" in allowed for _, value, allowed in told)
         blends = not list(find_unsupported(dialect, ProgramSetup(blend_tolerance_mm=0.01)))
         precise = not list(find_unsupported(dialect, ProgramSetup(high_precision="g08")))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-from cam.materials import PMMA
+from cam.materials import MATERIALS
 from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
@@ -85,7 +85,7 @@ def shop_of(job: ResolvedJob) -> Shop:
     digit_mm = POSTS[machine.dialect].digits.z_mm
     return Shop(
         tools=job.figures.tools,
-        material=PMMA,
+        material=MATERIALS[job.spec.stock.material],
         mill=kinematics_of(machine),
         spindle_rpm=machine.spindle_rpm,
         step_mm=max(machine.step_mm, digit_mm),

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from cam.posts.setup import COOLANT_WORDS, HIGH_PRECISION_WORDS
+from cam.posts.dialects import POSTS
+from cam.posts.setup import HIGH_PRECISION_WORDS
 from service.job.finite_json import table
 from service.wording import duration, number
 
@@ -49,7 +50,8 @@ def _of_facing(face: Mapping[str, Any]) -> Iterator[str]:
 
 def _of_begin(machine: Mapping[str, Any]) -> Iterator[str]:
     if machine.get("trace_outline"):
-        turning = machine.get("dialect") == "roland-nc"
+        post = POSTS.get(str(machine.get("dialect")))
+        turning = post is not None and post.traces_with_spindle_on
         yield (
             f"Before its first cut the first program goes once around the block and once around the lens at "
             f"Z {number(machine.get('safe_z_mm'))} mm, {'the spindle turning' if turning else 'the spindle off'}: look "
@@ -63,8 +65,8 @@ def _of_begin(machine: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _of_every_program(machine: Mapping[str, Any]) -> Iterator[str]:
-    coolant, dialect = machine.get("coolant", "none"), str(machine.get("dialect", ""))
-    word = COOLANT_WORDS.get(dialect, {}).get(str(coolant))
+    coolant, post = machine.get("coolant", "none"), POSTS.get(str(machine.get("dialect")))
+    word = post.coolant.get(str(coolant)) if post else None
     if word:
         yield (
             f"Every program switches the {_COOLANTS[str(coolant)]} on by {word} before its first cut and off by M9 "

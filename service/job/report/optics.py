@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.job.finite_json import table
+from service.job.spec.light import describe_light
 from service.wording import ball, number, psnr_in_words, word_misplaced
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
@@ -152,21 +153,7 @@ def light_sentences(spec: Mapping[str, Any]) -> list[str]:
     optics = table(spec.get("optics"))
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
-    face = "the stock top (Z0), on the side of the wall" if is_mirror else "the flat back"
-    sentences = []
-    match light.get("kind", "collimated"):
-        case "point":
-            size = f"a lamp of {number(light.get('size_mm'))} mm diameter" if light.get("size_mm") else "a small lamp"
-            sentences.append(
-                f"The light is {size}, {number(light.get('distance_mm'))} mm from {face}, on the axis through the "
-                f"middle of the lens. Another distance changes size and sharpness of the picture."
-            )
-        case "sun":
-            sentences.append(f"The light is the sun's, square to {face}: turn the lens until it is.")
-        case _ if is_mirror:
-            sentences.append("The light is parallel and comes straight onto the milled face.")
-        case _:
-            sentences.append("The light is parallel and square to the flat back, and leaves through the milled face.")
+    sentences = [describe_light(light, is_mirror=is_mirror)]
     if light.get("gaussian_mm") is not None:
         sentences.append(f"The beam is brightest in the middle and {number(light['gaussian_mm'])} mm wide (1/e²).")
     elif light.get("profile"):

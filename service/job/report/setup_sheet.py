@@ -14,6 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
 
+from cam.materials import MATERIALS
 from service.job.files import CUT_OUT, FACE
 from service.job.finite_json import table
 from service.job.report.around import around_sentences, explain_zero_before_facing
@@ -77,6 +78,7 @@ def render_report(
         warnings=warnings,
         notes=[note for note in _notes(programs) if note not in warnings],
         around=around_sentences(spec, report),
+        material=_describe_block(table(spec.get("stock")).get("material")),
         facing_zero=explain_zero_before_facing(spec),
         edge_z_mm=_edge_z_mm(programs, job),
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
@@ -97,6 +99,12 @@ def render_report(
         pictures=[one for one in PICTURES if one.name in files and one.shown != "wall"],
         files=frozenset(files),
     )
+
+
+def _describe_block(material: Any) -> str:
+    """What the block is made of, as one buys it; of a material that is not known any more its name."""
+    name = str(material or "")
+    return MATERIALS[name].block if name in MATERIALS else name
 
 
 def _job_name(report: Mapping[str, Any]) -> str:

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import dist
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
+from cam.cutters import CUTTERS
+from service.job.spec.section import OneOf, Radius, Rate, Section, Speed, StepDown
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
@@ -28,7 +29,7 @@ class FaceSpec(Section):
     """
 
     above_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
-    tool: Literal["flat", "ball"] = "flat"
+    tool: Annotated[str, OneOf({name: {} for name in CUTTERS})] = "flat"
     radius_mm: Radius = 3.0
     pitch_mm: Pitch | None = None
     step_down_mm: StepDown | None = None
@@ -38,7 +39,7 @@ class FaceSpec(Section):
 
     @model_validator(mode="after")
     def _rows_overlap(self) -> Self:
-        most_mm = self.radius_mm * (2 if self.tool == "flat" else 1)
+        most_mm = CUTTERS[self.tool].widest_pitch_mm(self.radius_mm)
         if self.pitch_mm is not None and self.pitch_mm > most_mm:
             raise ValueError(
                 f"pitch_mm = {self.pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}"

@@ -24,7 +24,7 @@ class Look(TypedDict, total=False):
     usual  : in words, what counts where the key is left out and has no default
     filled : the default stands in the field
     start  : what the field holds when the row appears
-    when   : the row is there only while these keys have these values
+    when   : the row is there only while each of these keys has this value, or one of these
     names  : of the numbers of a list
     wide   : it has a line of its own
     look   : choices with words about each

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from math import radians, tan
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,10 @@ from optics.black import choose_branch
 from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
-from optics.light import SUN_DEG, Light
+from optics.light import Light
 from optics.settings import LensSettings
 from service.job.finite_json import table
+from service.job.spec.light import LIGHT_WORDS
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
@@ -47,13 +47,7 @@ def bench_of(spec: JobSpec) -> Bench:
 def light_of(optics: OpticsSpec) -> Light:
     """The source, its profile turned into the work frame."""
     given = optics.light
-    return Light(
-        kind=given.kind,
-        size_deg=SUN_DEG if given.size_deg is None else given.size_deg,
-        size_mm=given.size_mm or 0.0,
-        distance_mm=math.inf if given.distance_mm is None else given.distance_mm,
-        profile=_profile(optics),
-    )
+    return Light(kind=given.kind, profile=_profile(optics), **given.figures)
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:
@@ -123,13 +117,10 @@ def explain_blocked_light(spec: JobSpec) -> str | None:
 
 
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
-    """Diameter that the disc of the source becomes on the wall, of a thin lens; None where it has no size.
-
-    The sun's angle is kept; a lamp of size s at distance d gives s throw / d.
-    """
+    """Diameter that the disc of the source becomes on the wall, of a thin lens; None where it has no size."""
     light = table(table(spec.get("optics")).get("light"))
-    if light.get("kind") == "sun":
-        return throw_mm * 2 * tan(radians(float(light.get("size_deg") or 0.0)) / 2)
-    if light.get("kind") == "point" and light.get("size_mm") and light.get("distance_mm"):
-        return throw_mm * float(light["size_mm"]) / float(light["distance_mm"])
-    return None
+    kind = light.get("kind") or "collimated"
+    figures: dict[str, Any] = {
+        name: float(light[name]) for name in LIGHT_WORDS[kind].figures if light.get(name) is not None
+    }
+    return Light(kind=kind, **figures).spread_mm(throw_mm) or None

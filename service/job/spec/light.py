@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from service.job.spec.form import shown
-from service.job.spec.section import Section
+from service.job.spec.section import OneOf, Section
+from service.wording import number
 
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
-_KIND_OF = {"size_deg": "sun", "distance_mm": "point", "size_mm": "point"}
-_KINDS = {
-    "collimated": ("Parallel", "a spotlight far away, or a collimated lamp"),
-    "sun": ("Sun", "half a degree wide: about 1 mm of blur for every 110 mm to the wall"),
-    "point": ("Lamp", "a small bright lamp close by"),
-}
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
 _RANGE = {
     "size_deg": "a number more than 0 and at most 10 degrees",
@@ -25,10 +22,78 @@ _RANGE = {
 }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightWords:
+    """What a person sets and reads of a kind of source; what it does to light is in `optics.light.LIGHT_KINDS`.
+
+    label, hint : in the form
+    figures     : that are its own
+    describe    : sentence of the set-up sheet, of the light as plain data and whether it falls on a mirror
+    """
+
+    label: str
+    hint: str
+    describe: Callable[[Mapping[str, Any], bool], str]
+    figures: tuple[str, ...] = ()
+
+
+def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> str:
+    """What the light must be like, for the person who sets it up; light as plain data."""
+    return LIGHT_WORDS[light.get("kind") or "collimated"].describe(light, is_mirror)
+
+
+def _describe_parallel(_light: Mapping[str, Any], is_mirror: bool) -> str:
+    if is_mirror:
+        return "The light is parallel and comes straight onto the milled face."
+    return "The light is parallel and square to the flat back, and leaves through the milled face."
+
+
+def _describe_sun(_light: Mapping[str, Any], is_mirror: bool) -> str:
+    return f"The light is the sun's, square to {_face(is_mirror)}: turn the lens until it is."
+
+
+def _describe_lamp(light: Mapping[str, Any], is_mirror: bool) -> str:
+    size = f"a lamp of {number(light.get('size_mm'))} mm diameter" if light.get("size_mm") else "a small lamp"
+    return (
+        f"The light is {size}, {number(light.get('distance_mm'))} mm from {_face(is_mirror)}, on the axis through the "
+        f"middle of the lens. Another distance changes size and sharpness of the picture."
+    )
+
+
+def _face(is_mirror: bool) -> str:
+    return "the stock top (Z0), on the side of the wall" if is_mirror else "the flat back"
+
+
+LIGHT_WORDS: dict[str, LightWords] = {
+    "collimated": LightWords(
+        label="Parallel",
+        hint="a spotlight far away, or a collimated lamp",
+        describe=_describe_parallel,
+    ),
+    "sun": LightWords(
+        label="Sun",
+        hint="half a degree wide: about 1 mm of blur for every 110 mm to the wall",
+        describe=_describe_sun,
+        figures=("size_deg",),
+    ),
+    "point": LightWords(
+        label="Lamp",
+        hint="a small bright lamp close by",
+        describe=_describe_lamp,
+        figures=("distance_mm", "size_mm"),
+    ),
+}
+_CHOICES = {kind: {"title": one.label, "description": one.hint} for kind, one in LIGHT_WORDS.items()}
+
+
+def _when(figure: str) -> dict[str, Any]:
+    return {"optics.light.kind": [kind for kind, one in LIGHT_WORDS.items() if figure in one.figures]}
+
+
 class LightSpec(Section):
     """The light that enters the flat face of a lens, or falls on a mirror from above.
 
-    kind        : "collimated"; "sun", a disc of directions; "point", a lamp at a distance
+    kind        : one of LIGHT_WORDS
     size_deg    : angular diameter of the sun
     distance_mm : of the lamp from the flat face (of a mirror: from the stock top), on the axis through the aperture
     size_mm     : diameter of the lamp
@@ -36,27 +101,18 @@ class LightSpec(Section):
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 
-    kind: Annotated[
-        Literal["collimated", "sun", "point"],
-        shown("What shines on the lens", choices=_KINDS, card="light", look="cards"),
-    ] = "collimated"
+    kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = "collimated"
     size_deg: Annotated[
         Annotated[float, Field(gt=0, le=10)] | None,
-        shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when={"optics.light.kind": "sun"}),
+        shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when=_when("size_deg")),
     ] = Field(default=None, validate_default=True)
     distance_mm: Annotated[
         Annotated[float, Field(ge=10, le=100_000)] | None,
-        shown("Lamp to the lens", card="light", usual="needed", start="1000", when={"optics.light.kind": "point"}),
+        shown("Lamp to the lens", card="light", usual="needed", start="1000", when=_when("distance_mm")),
     ] = Field(default=None, validate_default=True)
     size_mm: Annotated[
         Annotated[float, Field(ge=0, le=1000)] | None,
-        shown(
-            "Size of the lamp",
-            "Its diameter; 0 is a point.",
-            card="light",
-            usual="0",
-            when={"optics.light.kind": "point"},
-        ),
+        shown("Size of the lamp", "Its diameter; 0 is a point.", card="light", usual="0", when=_when("size_mm")),
     ] = Field(default=None, validate_default=True)
     profile: list[list[float]] | None = None
     gaussian_mm: Annotated[
@@ -65,19 +121,25 @@ class LightSpec(Section):
     ] = None
 
     @property
+    def figures(self) -> dict[str, Any]:
+        """Those of its kind."""
+        return {name: getattr(self, name) for name in LIGHT_WORDS[self.kind].figures}
+
+    @property
     def even(self) -> bool:
         """Whether nothing is said of where on the aperture it is stronger."""
         return self.profile is None and self.gaussian_mm is None
 
-    @field_validator("size_deg", "distance_mm", "size_mm")
+    @field_validator(*_RANGE)
     @classmethod
     def _of_its_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
         key, kind = str(info.field_name), info.data.get("kind")
         if kind is None:  # it is wrong itself, and said so
             return value
-        if kind != _KIND_OF[key]:
+        if key not in LIGHT_WORDS[kind].figures:
             if value is not None:
-                raise ValueError(f"{value:g} is not allowed with kind = '{kind}'; it belongs to '{_KIND_OF[key]}'")
+                owners = " or ".join(f"'{name}'" for name, one in LIGHT_WORDS.items() if key in one.figures)
+                raise ValueError(f"{value:g} is not allowed with kind = '{kind}'; it belongs to {owners}")
             return None
         value = _LEFT_OUT.get(key) if value is None else value
         if value is None:
@@ -105,12 +167,12 @@ class LightSpec(Section):
 def _profile_fault(rows: Any) -> str | None:
     if not isinstance(rows, list | tuple) or not 2 <= len(rows) <= MOST_PROFILE:
         return f"{len(rows)} rows" if isinstance(rows, list | tuple) else "it is no list of rows"
-    for number, row in enumerate(rows):
+    for at, row in enumerate(rows):
         if not isinstance(row, list | tuple):
-            return f"row {number} is no list of numbers"
+            return f"row {at} is no list of numbers"
         if len(row) != len(rows[0]) or not 2 <= len(row) <= MOST_PROFILE:
-            return f"row {number} has {len(row)} values, row 0 has {len(rows[0])}"
+            return f"row {at} has {len(row)} values, row 0 has {len(rows[0])}"
         for value in row:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e12:
-                return f"row {number} holds {' '.join(repr(value)[:40].split())}"
+                return f"row {at} holds {' '.join(repr(value)[:40].split())}"
     return None if any(value > 0 for row in rows for value in row) else "it is dark everywhere"

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from cam.materials import MATERIALS, PMMA
 from service.job.spec.around import CutOutSpec, FaceSpec, cut_out_fault
 from service.job.spec.finish import FinishSpec
 from service.job.spec.form import shown
@@ -16,7 +17,7 @@ from service.job.spec.light import LightSpec
 from service.job.spec.machine import MachineSpec
 from service.job.spec.optics import OpticsSpec
 from service.job.spec.passes import PassRow
-from service.job.spec.section import Section
+from service.job.spec.section import OneOf, Section
 from service.wording import psnr_in_words
 
 __all__ = [
@@ -122,7 +123,9 @@ class StockSpec(Section):
     # The default keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears.
     margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 8.0
     skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
-    material: Annotated[Literal["pmma"], shown("Material", choices={"pmma": "acrylic (PMMA)"})] = "pmma"
+    material: Annotated[
+        str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")
+    ] = PMMA.name
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
 

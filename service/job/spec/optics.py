@@ -144,7 +144,7 @@ class OpticsSpec(Section):
     @field_validator("light")
     @classmethod
     def _suits_the_lens(cls, light: LightSpec, info: ValidationInfo) -> LightSpec:
-        if info.data.get("method") == "paper" and (light.kind == "point" or not light.even):
+        if info.data.get("method") == "paper" and (light.distance_mm is not None or not light.even):
             raise ValueError(f"only parallel, even light is possible with {_PAPER}; 'transport' knows all")
         least = _LEAST_GAUSSIAN * max(info.data.get("width_mm", 0.0), info.data.get("height_mm", 0.0))
         if light.gaussian_mm is not None and light.gaussian_mm < least:

@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from cam.around.specs import BESIDE_MM, CutOut, Facing
-from cam.materials import PMMA, SLOT_FEED, Material
+from cam.cutters import CUTTERS
+from cam.materials import MATERIALS, SLOT_FEED, Material
 from cam.passes import PRESETS, PassSpec, Stock
 from machines.profiles import MachineProfile
 from service.errors import SpecError
@@ -17,10 +18,8 @@ from service.job.spec.model import JobSpec, PassRow, StockSpec
 from service.job.spec.resolved import ResolvedJob
 
 _Cutter = PassRow | FaceSpec | CutOutSpec
-_MATERIALS: dict[str, Material] = {"pmma": PMMA}
 _AROUND = ("face", "cut_out")
 _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
-_FLAT_PITCH_SHARE, _BALL_PITCH_SHARE = 1.2, 1 / 6  # of the radius: 60 % of the diameter; cusps of R / 288
 
 
 def preset_rows(preset: str) -> list[dict[str, Any]]:
@@ -46,7 +45,7 @@ def with_feeds(job: ResolvedJob) -> ResolvedJob:
     rows, problems = [], []
     for number, row in enumerate(spec.passes):
         problems += _beyond_the_mill(row, machine, f"passes.{number}")
-        rows.append(_fill_row(row, machine, _MATERIALS[spec.stock.material]))
+        rows.append(_fill_row(row, machine, MATERIALS[spec.stock.material]))
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += _beyond_the_mill(tool, machine, f"stock.{name}")
@@ -72,7 +71,7 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
     What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
     or another ball.
     """
-    spec, machine, material = job.spec, job.machine, _MATERIALS[job.spec.stock.material]
+    spec, machine, material = job.spec, job.machine, MATERIALS[job.spec.stock.material]
     rows = []
     for row in spec.passes:
         for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
@@ -173,10 +172,10 @@ def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str
 
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
     """Facing and cutting out with their pitch, steps, feeds and speeds. The whole slot is cut at half the feed."""
-    material = _MATERIALS[stock.material]
+    material = MATERIALS[stock.material]
     filled: dict[str, Any] = {}
     if stock.face is not None:
-        share = _FLAT_PITCH_SHARE if stock.face.tool == "flat" else _BALL_PITCH_SHARE
+        share = CUTTERS[stock.face.tool].pitch_share
         pitch_mm = stock.face.pitch_mm or round(share * stock.face.radius_mm, 3)
         filled["face"] = stock.face.model_copy(update={"pitch_mm": pitch_mm, **_speeds(stock.face, machine, material)})
     if stock.cut_out is not None:

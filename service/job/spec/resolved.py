@@ -14,7 +14,8 @@ from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
+from cam.posts.dialects import find_unsupported
+from cam.posts.setup import Coolant, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from service.errors import FailedError, SpecError

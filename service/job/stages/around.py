@@ -125,8 +125,7 @@ def _write(
 
 def _remarks(task: Facing | CutOut, stock: Stock) -> Iterator[str]:
     if isinstance(task, Facing):
-        kind = "flat end mill" if task.shape == "flat" else "ball end mill"
-        yield f"face: {kind} radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0"
+        yield f"face: {task.shape} end mill radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0"
         yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the faced block, mm"
         return
     yield f"cut-out: flat end mill radius {task.radius_mm:g} mm, {task.tabs} tabs {task.tab_height_mm:g} mm high"

@@ -87,7 +87,7 @@ function rowOf(key, told, inner) {
     limits: limitsOf(inner, told.unit),
     usual: standard ?? (["choice", "numbers"].includes(kind) ? null : (usual ?? "needed")),
     choices: choicesOf(told, inner),
-    when: when && ((spec) => Object.entries(when).every(([other, value]) => (valueAt(spec, other) ?? usualOf(other)) === value)),
+    when: when && ((spec) => Object.entries(when).every(([other, values]) => [values].flat().includes(valueAt(spec, other) ?? usualOf(other)))),
   };
 }
 

@@ -112,7 +112,7 @@ def _shape(row: Mapping[str, Any]) -> str:
 
 def _tool(row: Mapping[str, Any]) -> str:
     size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
-    return f"flat end mill {size}" if row.get("tool") == "flat" else size
+    return size if row.get("tool", "ball") == "ball" else f"{_shape(row)} {size}"
 
 
 def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -17,6 +17,7 @@ from cam.around.facing import make_facing_paths
 from cam.around.flat_removal import FlatRemoval
 from cam.around.outline import aperture_corners, offset_loop, segment_distances
 from cam.around.specs import CutOut, Facing
+from cam.cutters import CUTTERS, CutterShape
 from cam.errors import OutlineError, PassValueError, SafeHeightError
 from cam.moves import Path, cut, rapid
 from cam.parts import PartLimits, PassFrame, programs
@@ -89,15 +90,18 @@ def cut_free(
     )  # fmt: skip
 
 
-def slow_flat(top: StockGrid, points: np.ndarray, radius_mm: float) -> np.ndarray:
+def slow_flat(top: StockGrid, points: np.ndarray, radius_mm: float, corner_mm: float = 0.0) -> np.ndarray:
     """The end at many places of its way, one after the other."""
     left = top.top_mm.copy()
     x, y = top.x_mm[None, :], top.y_mm[:, None]
     for a, b in pairwise(points):
         for t in np.linspace(0, 1, 400):
             p = a + t * (b - a)
-            under = (x - p[0]) ** 2 + (y - p[1]) ** 2 <= radius_mm**2
-            left[under] = np.minimum(left[under], p[2])
+            away = np.hypot(x - p[0], y - p[1])
+            beyond = np.maximum(away - (radius_mm - corner_mm), 0.0)
+            end = p[2] + corner_mm - np.sqrt(np.maximum(corner_mm**2 - beyond**2, 0.0))
+            under = away <= radius_mm
+            left[under] = np.minimum(left, end)[under]
     return left
 
 
@@ -105,16 +109,16 @@ POINT = st.tuples(st.floats(-3, 9), st.floats(-3, 9), st.floats(-3, 0.5))
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(POINT, min_size=2, max_size=4), st.floats(0.5, 2))
-def test_a_flat_end_leaves_what_it_would_at_every_place_of_its_way(points, radius_mm) -> None:
+@given(st.lists(POINT, min_size=2, max_size=4), st.floats(0.5, 2), st.sampled_from([0.0, 0.5, 1.0]))
+def test_a_flat_or_rounded_end_leaves_what_it_would_at_every_place_of_its_way(points, radius_mm, share) -> None:
     """The slow one stands still at 400 places of a move, so it takes off less, by a four-hundredth of the slope."""
-    way = np.array(points)
+    way, corner_mm = np.array(points), share * radius_mm
     top = StockGrid(x0_mm=0, y0_mm=0, cell_mm=0.25, top_mm=np.zeros((24, 24)))
-    fast = FlatRemoval(top, radius_mm=radius_mm)
+    fast = FlatRemoval(top, radius_mm=radius_mm, corner_mm=corner_mm)
     drops, places = fast.cut(way)
-    slow = slow_flat(top, way, radius_mm)
-    assert (fast.top_mm <= slow + 1e-12).all()
-    sure = slow_flat(top, way, radius_mm + 0.05)  # places that are touched by the rim between two of the 400
+    slow = slow_flat(top, way, radius_mm, corner_mm)
+    assert (fast.top_mm <= slow + (1e-6 if share else 1e-12)).all()  # the lowest place of a rounded end is searched for
+    sure = slow_flat(top, way, radius_mm + 0.05, corner_mm)  # places touched by the rim between two of the 400
     assert (fast.top_mm >= sure - 0.05).all()
     assert drops.max() <= -fast.top_mm.min() + 1e-12 <= drops.sum() + 2e-12
     assert ((places >= 0) == (drops > 0)).all()
@@ -135,6 +139,17 @@ def test_a_ball_leaves_no_more_than_its_cusps() -> None:
     assert check.ok, check.faults
     assert 0.9 * ball.cusp_mm < check.stock_top.top_mm.max() <= ball.cusp_mm
     assert check.stock_top.top_mm.min() >= 0
+
+
+def test_a_shape_lies_between_the_flat_end_mill_and_the_ball() -> None:
+    """Its cusps are the ball's between rows that its flat part does not reach."""
+    flat, ball, bull = CUTTERS["flat"], CUTTERS["ball"], CutterShape(name="bull", corner_share=0.25, pitch_share=1.0)
+    assert [shape.widest_pitch_mm(2.0) for shape in (flat, bull, ball)] == [4.0, 3.5, 2.0]
+    assert flat.cusp_mm(2.0, 4.0) == bull.cusp_mm(2.0, 3.0) == 0.0
+    assert ball.cusp_mm(2.0, 0.4) == pytest.approx(2.0 - (4.0 - 0.04) ** 0.5, rel=1e-12)
+    assert bull.cusp_mm(2.0, 3.2) == pytest.approx(ball.cusp_mm(0.5, 0.2), rel=1e-12)
+    with pytest.raises(PassValueError, match="flat, ball"):
+        replace(FACING, shape="cone")
 
 
 @settings(max_examples=20, deadline=None)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from cam.moves import Path as ToolPath
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
+from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.preflight.limits import limits_of
 from machines.profiles import load_profile
@@ -37,7 +38,7 @@ TINY = [
 
 
 def program(dialect: str, paths: list[ToolPath], number: int = 7) -> bytes:
-    writer = POSTS[dialect].writer()
+    writer = create_writer(POSTS[dialect])
     pieces = [writer.start(("pass tiny: (ball)",), rpm=12000, safe_z_mm=SAFE_Z, program=number)]
     pieces += [piece for path in paths for piece in writer.write(path)]
     return b"".join([*pieces, writer.end(safe_z_mm=SAFE_Z)])

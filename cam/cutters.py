@@ -1,0 +1,50 @@
+"""Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
+
+The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
+A shape says where stock is taken off; the passes of the lens are milled with balls alone (`cam.surface.contact`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CutterShape:
+    """The shape of an end mill, whatever its radius.
+
+    name         : as a job says it, and "... end mill" in what a person reads
+    corner_share : of the radius that is the corner's: 0 for a flat end mill, 1 for a ball
+    pitch_share  : of the radius that rows stand apart where a job does not say
+    """
+
+    name: str
+    corner_share: float
+    pitch_share: float
+
+    def corner_mm(self, radius_mm: float) -> float:
+        """Return the radius of the corner."""
+        return self.corner_share * radius_mm
+
+    def flat_mm(self, radius_mm: float) -> float:
+        """Return the radius of the flat part."""
+        return radius_mm - self.corner_mm(radius_mm)
+
+    def widest_pitch_mm(self, radius_mm: float) -> float:
+        """Return the distance at which rows still overlap: of a ball half its width."""
+        return 2 * self.flat_mm(radius_mm) + self.corner_mm(radius_mm)
+
+    def cusp_mm(self, radius_mm: float, pitch_mm: float) -> float:
+        """Return the height of the ridge that stays between two rows on a plane."""
+        corner_mm, gap_mm = self.corner_mm(radius_mm), pitch_mm - 2 * self.flat_mm(radius_mm)
+        return 0.0 if gap_mm <= 0 else corner_mm - (corner_mm**2 - gap_mm**2 / 4) ** 0.5
+
+
+CUTTERS: dict[str, CutterShape] = {
+    shape.name: shape
+    for shape in (
+        CutterShape(name="flat", corner_share=0.0, pitch_share=1.2),  # 60 % of the diameter
+        CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6),  # cusps of R / 288
+    )
+}
+"""Every shape that a job can name."""
