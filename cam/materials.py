@@ -50,7 +50,7 @@ class Material:
     cutting: tuple[CuttingData, ...]
 
     def start_values(self, radius_mm: float) -> CuttingData:
-        """Cutting data for a ball of this radius: log-log between two entries, the nearest entry beyond them."""
+        """Return cutting data for a ball of this radius: log-log between two entries, the nearest entry beyond them."""
         if not radius_mm > 0:
             raise PassValueError(name="radius_mm", value=radius_mm, allowed="above 0 mm")
         if radius_mm <= self.cutting[0].radius_mm:

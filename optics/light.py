@@ -61,11 +61,11 @@ class Light:
         return self.radius > 0
 
     def width_rad(self, *, glass_mm: float) -> float:
-        """Angular diameter seen from behind the face, through as much glass as light needs for glass_mm of air."""
+        """Return the angular diameter behind the face, through as much glass as light needs for glass_mm of air."""
         return 2 * self.radius / (self.distance_mm + glass_mm) if self.is_point else 2 * self.radius
 
     def spread_mm(self, throw_mm: float) -> float:
-        """Diameter of the disc that a thin lens makes of a point on the wall."""
+        """Return the diameter of the disc that a thin lens makes of a point on the wall."""
         if self.is_point:
             return throw_mm * (2 * self.radius) / self.distance_mm
         return throw_mm * 2 * math.tan(self.radius)

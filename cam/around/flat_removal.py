@@ -64,7 +64,7 @@ def carve(top, x0, y0, cell, points, radius, rim, drops, places):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def carve_rounded(top, x0, y0, cell, points, radius, corner, rim, drops, places):  # type: ignore[no-untyped-def]
-    """`carve` for an end mill with a corner of that radius. What it leaves at a cell is convex along a move, so that
+    """Carve with an end mill that has a corner of that radius. What it leaves at a cell is convex along a move, so that
     where the move climbs the lowest is searched for by thirds."""
     ny, nx = top.shape
     for k in range(drops.size):
@@ -108,7 +108,7 @@ def carve_rounded(top, x0, y0, cell, points, radius, corner, rim, drops, places)
 
 @njit(cache=True, nogil=True)
 def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-untyped-def]
-    """Where between `first` and `last` on its way the end leaves least at a place that lies at u along the way and at a
+    """Find where from `first` to `last` on its way the end leaves least at a place lying at u along the way and at a
     distance of square w2 beside it."""
     if slope == 0.0:
         return min(max(u, first), last)
@@ -125,7 +125,7 @@ def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _measure_rise(square, radius, corner):  # type: ignore[no-untyped-def]
-    """Height of the underside over the tip, at a distance of that square from the axis."""
+    """Return the height of the underside over the tip, at a distance of that square from the axis."""
     beyond = math.sqrt(square) - (radius - corner)
     return 0.0 if beyond <= 0.0 else corner - math.sqrt(max(0.0, corner * corner - beyond * beyond))
 
@@ -135,7 +135,7 @@ class FlatRemoval:
     with every batch of moves."""
 
     def __init__(self, stock: StockGrid, *, radius_mm: float, corner_mm: float = 0.0, rim_mm: float = 0.0) -> None:
-        """rim_mm: by how much a way that is gone along once more may lie beside itself, by its digits."""
+        """Begin with stock. rim_mm: how far a repeated way may lie beside itself, by its digits."""
         self._stock, self._radius_mm, self._corner_mm, self._rim_mm = stock, radius_mm, corner_mm, rim_mm
         self.top_mm = stock.top_mm.copy()
 

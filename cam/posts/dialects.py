@@ -20,7 +20,7 @@ POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
 
 
 def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, str, str]]:
-    """(field, value in words, what is allowed) of all that a control of this dialect cannot do."""
+    """Yield (field, value in words, what is allowed) of all that a control of this dialect cannot do."""
     post = POSTS[dialect]
     if setup.coolant != "none" and setup.coolant not in post.coolant:
         allowed = " or ".join(f"'{name}'" for name in ("none", *post.coolant))

@@ -38,7 +38,7 @@ class ProgramWriter(Writer):
         setup: ProgramSetup | None = None,
         trace: Iterable[Path] = (),
     ) -> bytes:
-        """Tape mark and name, remarks, then the first blocks: modes, safe height, trace, spindle, coolant."""
+        """Write tape mark, name and remarks, then the first blocks: modes, safe height, trace, spindle, coolant."""
         post, setup = self.post, setup or ProgramSetup()
         first, *further = setup.spindle_steps(rpm, dwell_s=post.spindle_dwell_s)
         values: dict[str, object] = {"number": program, "safe_z": self._number(safe_z_mm), "blend": self._blend(setup)}
@@ -56,7 +56,7 @@ class ProgramWriter(Writer):
         )
 
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
-        """Up, what the start has switched on off again, spindle off, end."""
+        """Write the way up, what the start switched on off again, spindle off, end."""
         values: dict[str, object] = {"safe_z": self._number(safe_z_mm)}
         lift, rest = self.post.end[:1], self.post.end[1:]
         return self._blocks((*lift, *_off(setup or ProgramSetup()), *rest), values)
@@ -78,7 +78,7 @@ class ProgramWriter(Writer):
         return b"".join(self.post.block(t.format(**values)) for t in templates)
 
     def write(self, path: Path) -> Iterator[bytes]:
-        """Blocks of one path in pieces; a point that rounds to where the tool stands makes no block."""
+        """Yield blocks of one path in pieces; a point that rounds to where the tool stands makes no block."""
         motion = self.post.rapid if path.motion is Motion.RAPID else self.post.cut
         for first in range(0, len(path.points_mm), POINTS_AT_ONCE):
             opening = motion if motion != self._motion else ""

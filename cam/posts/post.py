@@ -69,19 +69,19 @@ class Post:
         return any("M03" in block or "M3" in block for block in self.start)
 
     def block(self, text: str) -> bytes:
-        """One block of plain ASCII; refused if the controller's line buffer cannot hold it."""
+        """Return one block of plain ASCII; refused if the controller's line buffer cannot hold it."""
         if len(text) > self.most_characters:
             raise LineTooLongError(line=text, allowed=self.most_characters)
         return (text + self.line_end).encode("ascii")
 
     def remark(self, text: str) -> bytes:
-        """A comment, cut to the line length; what would end or break it is replaced."""
+        """Return a comment, cut to the line length; what would end or break it is replaced."""
         opening, closing = self.comment
         plain = "".join(c if c.isascii() and c.isprintable() and c not in opening + closing else "_" for c in text)
         return self.block(opening + plain[: self.most_characters - len(opening) - len(closing)] + closing)
 
 
 def number(value: float, least_decimals: int = 0) -> str:
-    """Plain decimal, at most four places, no trailing zeros beyond the least."""
+    """Return a plain decimal, at most four places, no trailing zeros beyond the least."""
     text = f"{value:.4f}".rstrip("0").rstrip(".")
     return text if "." in text or not least_decimals else text + "." + "0" * least_decimals

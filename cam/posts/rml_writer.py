@@ -42,7 +42,7 @@ class RmlWriter(Writer):
         setup: ProgramSetup | None = None,
         trace: Iterable[Path] = (),
     ) -> bytes:
-        """Defaults, up, trace, spindle on and up to speed. The language has no remarks, program names or coolant."""
+        """Write defaults, up, trace, spindle up to speed. The language has no remarks, program names or coolant."""
         self._speed, self._place[:] = _speed_word(FASTEST_MM_PER_S), UNKNOWN
         begin = self._lines(";;^DF;", "!MC0;", f"{self._speed};", _TOP)
         traced = b"".join(piece for path in trace for piece in self.write(path))
@@ -61,7 +61,7 @@ class RmlWriter(Writer):
         return "".join(command + self._post.line_end for command in commands).encode("ascii")
 
     def write(self, path: Path) -> Iterator[bytes]:
-        """Commands of one path in pieces; a point that rounds to where the tool stands makes none."""
+        """Yield commands of one path in pieces; a point that rounds to where the tool stands makes none."""
         if path.motion is Motion.RAPID:
             speed = _speed_word(FASTEST_MM_PER_S)
         else:
@@ -80,7 +80,7 @@ class RmlWriter(Writer):
 
 
 def _waits(dwell_s: float) -> list[str]:
-    """Commands that stand still for a time, none of them longer than the language can say."""
+    """Return commands that stand still for a time, none of them longer than the language can say."""
     whole, rest = divmod(round(1000 * dwell_s), _LONGEST_WAIT_MS)
     return [f"W{milliseconds};" for milliseconds in [_LONGEST_WAIT_MS] * whole + [rest] * (rest > 0)]
 
@@ -91,7 +91,7 @@ def _speed_word(mm_per_s: float) -> str:
 
 @njit(cache=True, nogil=True)
 def _write_triples(points, place, per_mm, line_end, out):  # type: ignore[no-untyped-def]
-    """Points (n, 3) as Z commands into out; place (3,) int64 is updated. Returns the bytes written."""
+    """Write points (n, 3) as Z commands into out; place (3,) int64 is updated. Returns the bytes written."""
     at = 0
     for k in range(points.shape[0]):
         moved = False

@@ -35,11 +35,11 @@ class ProgramSetup:
     slowest_rpm: float = 0.0
 
     def without_warm_up(self) -> ProgramSetup:
-        """The same for a program that another one has gone before."""
+        """Return the same for a program that another one has gone before."""
         return replace(self, warm_up_s=0.0)
 
     def spindle_steps(self, rpm: float, *, dwell_s: float) -> tuple[tuple[float, float], ...]:
-        """(speed [rpm], dwell [s]) one after the other; the last speed is rpm.
+        """Return (speed [rpm], dwell [s]) one after the other; the last speed is rpm.
 
         dwell_s : that a spindle needs to come up to speed at all
         """

@@ -23,14 +23,14 @@ class Writer(ABC):
         setup: ProgramSetup | None = None,
         trace: Iterable[Path] = (),
     ) -> bytes:
-        """Everything before the first cut: modes, safe height, the trace in the air, spindle up to speed, what `setup`
+        """Write all before the first cut: modes, safe height, the trace in the air, spindle up to speed, what `setup`
         switches on. program: number, from 1; trace: paths run before the spindle turns, where the control allows that.
         """
 
     @abstractmethod
     def write(self, path: Path) -> Iterator[bytes]:
-        """Blocks of one path, in pieces."""
+        """Yield blocks of one path, in pieces."""
 
     @abstractmethod
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
-        """Everything after the last move: up, all off, end."""
+        """Write everything after the last move: up, all off, end."""

@@ -14,7 +14,7 @@ _COOLANTS = {"air": "air blast", "mist": "mist", "flood": "coolant"}
 
 
 def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[str]:
-    """One sentence each, in the order in which it happens; none for a job without all that.
+    """Return one sentence each, in the order in which it happens; none for a job without all that.
 
     spec : with the whole figures of the mill under `machine`
     """
@@ -29,7 +29,7 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
 
 
 def explain_zero_before_facing(spec: Mapping[str, Any]) -> str | None:
-    """How Z0 is found while the raw top still stands above it; None where nothing is faced."""
+    """Return how Z0 is found while the raw top still stands above it; None where nothing is faced."""
     above_mm = table(table(spec.get("stock")).get("face")).get("above_mm")
     if above_mm is None:
         return None

@@ -23,7 +23,7 @@ _NOTHING_DB = 0.1
 
 
 def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(what, figure, in words), first for the perfect surface, then as milled and as finished."""
+    """Return (what, figure, in words), first for the perfect surface, then as milled and as finished."""
     rows = []
     for key, prefix in (("optics", "Lens itself"), ("as_milled", "As milled"), ("as_finished", "As finished")):
         scores = table(report.get(key))
@@ -58,7 +58,7 @@ def _leak_in_words(scores: Mapping[str, Any]) -> str:
 
 
 def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(what, figure) of the surface and how it came about."""
+    """Return (what, figure) of the surface and how it came about."""
     optics, wanted = table(report.get("optics")), table(spec.get("optics"))
     rows = [*_surface_rows(optics), *_rows_of_closing(table(optics.get("closing"))), *_polish_rows(optics)]
     if wanted.get("surface") == "mirror":
@@ -149,7 +149,7 @@ def _scores_in_words(report: Mapping[str, Any]) -> list[str]:
 
 
 def light_sentences(spec: Mapping[str, Any]) -> list[str]:
-    """What the light must be like, for the person who sets up the lamp."""
+    """Return what the light must be like, for the person who sets up the lamp."""
     optics = table(spec.get("optics"))
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
@@ -164,7 +164,7 @@ def light_sentences(spec: Mapping[str, Any]) -> list[str]:
 
 
 def screen_sentence(spec: Mapping[str, Any]) -> str | None:
-    """Where the picture is, if not straight before the lens."""
+    """Return where the picture is, if not straight before the lens."""
     optics = table(spec.get("optics"))
     aside, up = float(optics.get("screen_shift_x_mm") or 0.0), float(optics.get("screen_shift_y_mm") or 0.0)
     ways = []
@@ -181,7 +181,7 @@ def screen_sentence(spec: Mapping[str, Any]) -> str | None:
 
 
 def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> list[str]:
-    """Distance, tilt and size of the source; empty where nothing was simulated."""
+    """Return sentences on distance, tilt and size of the source; empty where nothing was simulated."""
     if not tolerances:
         return []
     return [_distance(tolerances, throw_mm), _tilt(tolerances), *_source(tolerances)]

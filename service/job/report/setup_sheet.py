@@ -52,7 +52,7 @@ def render_report(
     files: Collection[str] = (),
     title: str | None = None,
 ) -> str:
-    """The page as HTML text.
+    """Return the page as HTML text.
 
     report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
     """
@@ -102,13 +102,13 @@ def render_report(
 
 
 def _describe_block(material: Any) -> str:
-    """What the block is made of, as one buys it; of a material that is not known any more its name."""
+    """Say what the block is made of, as one buys it; of a material that is not known any more its name."""
     name = str(material or "")
     return MATERIALS[name].block if name in MATERIALS else name
 
 
 def _job_name(report: Mapping[str, Any]) -> str:
-    """As the operator page says it: without the kind of file."""
+    """Return the name as the operator page says it: without the kind of file."""
     return PurePath(str(table(report.get("source")).get("file") or "")).stem
 
 
@@ -126,7 +126,7 @@ def _sentences(value: Any) -> list[str]:
 
 
 def _edge_z_mm(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> float:
-    """The lowest Z of those programs whose cutters reach the edge of the block."""
+    """Return the lowest Z of those programs whose cutters reach the edge of the block."""
     lowest = [0.0]
     for row in programs:
         swept = _swept([row])
@@ -140,7 +140,7 @@ def _edge_z_mm(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> floa
 
 
 def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
-    """The sizes to draw; None where the spec does not give them."""
+    """Return the sizes to draw; None where the spec does not give them."""
     optics, stock = table(spec.get("optics")), table(spec.get("stock"))
     relief_mm = table(report.get("optics")).get("relief_mm")
     try:
@@ -161,7 +161,7 @@ def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence
 
 
 def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
-    """Corners of a lens that is no rectangle."""
+    """Return the corners of a lens that is no rectangle."""
     outline = optics.get("outline", "rectangle")
     if outline == "ellipse":
         return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))
@@ -169,7 +169,7 @@ def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
 
 
 def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:
-    """Left, right, front and back of what the balls of all programs go over, their radius included."""
+    """Return left, right, front and back of what the balls of all programs go over, their radius included."""
     sides = []
     for row in passes:
         bounds, radius_mm = table(row.get("cut_bounds")) or table(row.get("bounds")), row.get("radius_mm")
@@ -184,8 +184,8 @@ def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, fl
 
 
 def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row per program, in the order in which they are run: the spec's values, the report's over them, and what
-    follows for the tool. number: of the pass; is_around: not one of the lens.
+    """Return one row per program, in the order in which they are run: the spec's values, the report's over them, and
+    what follows for the tool. number: of the pass; is_around: not one of the lens.
     """
     wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
     around = table(report.get("around"))
@@ -206,7 +206,7 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
 
 
 def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
-    """When Z0 is to be set again: after another tool was put in, and only then."""
+    """Say when Z0 is to be set again: after another tool was put in, and only then."""
     radii = [row.get("radius_mm") and (row.get("tool", "ball"), row["radius_mm"]) for row in passes]
     changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
     if len(radii) < 2:
@@ -223,7 +223,9 @@ def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones take."""
+    """Return where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones
+    take.
+    """
     places = (passes[-1].get("unreached") or ()) if passes else ()
     return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]
 
@@ -240,13 +242,13 @@ def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
 
 
 def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """(lowest, highest) Z of a program; empty where the report has none."""
+    """Return (lowest, highest) Z of a program; empty where the report has none."""
     bounds = table(row.get("bounds")).get("z") or ()
     return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
 
 
 def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
-    """(kind, sentence) of the box at the top."""
+    """Return (kind, sentence) of the box at the top."""
     if not passes:
         return "none", "No programs yet: this folder holds the lens only."
     failed = [str(row.get("file", "?")) for row in passes if row["checked"] == "FAILED"]
@@ -259,7 +261,7 @@ def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
 
 
 def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Cutters that have to reach deeper than a plain end mill of their diameter can."""
+    """Return warnings on cutters that have to reach deeper than a plain end mill of their diameter can."""
     sentences = []
     for row in passes:
         radius_mm, stick_out_mm = row.get("radius_mm"), row.get("stick_out_mm")
@@ -277,7 +279,7 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
 def _throw(
     job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Figures for the paragraph on the distance to the wall and the lamp."""
+    """Return figures for the paragraph on the distance to the wall and the lamp."""
     if job is None:
         return None
     optics, image, stock = table(spec.get("optics")), table(spec.get("image")), table(spec.get("stock"))

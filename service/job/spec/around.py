@@ -73,7 +73,7 @@ def cut_out_fault(
     margin_mm: float,
     thickness_mm: float,
 ) -> str | None:
-    """Why the lens cannot be cut out so, with the numbers; None where it can.
+    """Return why the lens cannot be cut out so, with the numbers; None where it can.
 
     corners : of the lens in the work frame; size_mm: width and height of the aperture
     """

@@ -21,7 +21,7 @@ _KEY_CHARS = 60
 
 
 def as_spec_error(error: ValidationError) -> SpecError:
-    """One (key, sentence) pair for each thing pydantic found, in the order of the spec, of the first 50."""
+    """Return one (key, sentence) pair for each thing pydantic found, in the order of the spec, of the first 50."""
     details = error.errors(include_url=False, include_context=False)
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
@@ -33,7 +33,7 @@ def as_spec_error(error: ValidationError) -> SpecError:
 
 
 def unknown_key(key: str, known: Sequence[str]) -> str:
-    """What to say about a key nobody knows: the nearest known one, or all of them."""
+    """Return what to say about a key nobody knows: the nearest known one, or all of them."""
     near = difflib.get_close_matches(key[:_KEY_CHARS], known, n=1, cutoff=0.6)
     if near:
         return f"there is no such key; did you mean '{near[0]}'?"
@@ -41,18 +41,18 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
 
 
 def join_place(place: Place) -> str:
-    """('passes', 0, 'pitch_mm') -> 'passes.0.pitch_mm'."""
+    """Join ('passes', 0, 'pitch_mm') into 'passes.0.pitch_mm'."""
     return ".".join(str(step)[:_KEY_CHARS] for step in place) or "spec"
 
 
 def word_allowed(place: Place) -> str:
-    """The allowed values of a key, in words: 'a number more than 0 and at most 2000 (mm)'."""
+    """Return the allowed values of a key, in words: 'a number more than 0 and at most 2000 (mm)'."""
     schema = _schema_at(place)
     return _words(schema, str(place[-1]) if place else "") if schema else "see the documentation"
 
 
 def known_keys(place: Place) -> list[str]:
-    """Keys of the table at a place of the spec."""
+    """Return keys of the table at a place of the spec."""
     return list((_schema_at(place) or {}).get("properties", {}))
 
 
@@ -70,7 +70,7 @@ def _sentence(detail: ErrorDetails) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as the person wrote it, cut to a length that keeps the message on one line."""
+    """Return a value as the person wrote it, cut to a length that keeps the message on one line."""
     text = f"'{value}'" if isinstance(value, str) else repr(value)
     if isinstance(value, bool):
         text = "true" if value else "false"
@@ -84,7 +84,7 @@ def _spec_schema() -> dict[str, Any]:
 
 
 def _schema_at(place: Place) -> dict[str, Any] | None:
-    """The JSON schema of one key; None where the place does not exist."""
+    """Return the JSON schema of one key; None where the place does not exist."""
     here: dict[str, Any] = _spec_schema()
     for step in place:
         here = _resolve_schema(here)

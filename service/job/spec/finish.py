@@ -78,7 +78,7 @@ class FinishSpec(Section):
 
 
 def find_processes(name: str) -> dict[str, Process]:
-    """Those of the library that may come of a spec that names this one; none where it is not there any more."""
+    """Find those of the library that may come of a spec that names this one; none where it is not there any more."""
     if name == NONE:
         return {}
     processes = load_processes()
@@ -115,7 +115,9 @@ def resolve_finish(
 
 
 def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> FinishSpec:
-    """The transfer function, depth and tool after the minutes, or the minutes after which the transfer is reached."""
+    """Fill in transfer function, depth and tool after the minutes, or the minutes after which the transfer is
+    reached.
+    """
     minutes, k0 = finish.minutes, finish.k0_rad_per_mm
     if minutes is None:
         assert k0 is not None
@@ -133,12 +135,12 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
 
 
 def _round_minutes(minutes: float) -> float:
-    """To tenths; a lens of a few millimetres keeps its seconds."""
+    """Round to tenths; a lens of a few millimetres keeps its seconds."""
     return round(minutes, 1) if minutes >= 1.0 else float(f"{minutes:.3g}")
 
 
 def _require_own_figures(finish: FinishSpec) -> None:
-    """Without a process k0 and order go together, and nothing else says anything alone."""
+    """Require k0 and order together where there is no process, and nothing else by itself."""
     if (finish.k0_rad_per_mm is None) != (finish.order is None):
         missing = "order" if finish.order is None else "k0_rad_per_mm"
         raise SpecError([(f"finish.{missing}", "is missing; allowed: k0_rad_per_mm and order together, or a process")])

@@ -26,7 +26,7 @@ _GAUSSIAN_NODES = 129  # from rim to rim: bilinear between them is within 2e-4 o
 
 
 def bench_of(spec: JobSpec) -> Bench:
-    """The set-up. Where light crosses the block straight, its thickness is nobody's business and left out."""
+    """Return the set-up. Where light crosses the block straight, its thickness does not matter and is left out."""
     optics = spec.optics
     corners = optics.outline_mm
     block = {"thickness_mm": spec.stock.thickness_mm} if optics.light_crosses_block else {}
@@ -45,13 +45,13 @@ def bench_of(spec: JobSpec) -> Bench:
 
 
 def light_of(optics: OpticsSpec) -> Light:
-    """The source, its profile turned into the work frame."""
+    """Return the source, its profile turned into the work frame."""
     given = optics.light
     return Light(kind=given.kind, profile=_profile(optics), **given.figures)
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:
-    """Whether rays cross: as the person wants it, or as the picture and the thickness of the block suggest."""
+    """Return whether rays cross: as the person wants it, or as the picture and the thickness of the block suggest."""
     if spec.optics.method == "paper":
         return "direct"
     if spec.optics.branch == "auto":
@@ -61,7 +61,7 @@ def branch_of(spec: JobSpec, target: Array) -> Branch:
 
 
 def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
-    """The optical task of a job."""
+    """Return the optical task of a job."""
     optics = spec.optics
     return LensSettings(
         bench=replace(bench_of(spec), branch=branch),
@@ -77,7 +77,7 @@ def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
 
 
 def finish_of(spec: JobSpec) -> Finish | None:
-    """The finish after milling; None where nothing is levelled, or where it is still to be planned."""
+    """Return the finish after milling; None where nothing is levelled, or where it is still to be planned."""
     given = spec.finish
     if given.k0_rad_per_mm is None or given.order is None:
         return None
@@ -86,7 +86,7 @@ def finish_of(spec: JobSpec) -> Finish | None:
 
 
 def _profile(optics: OpticsSpec) -> Array | None:
-    """Strength on the face, row 0 at the lowest y, mean 1; None where it is even."""
+    """Return strength on the face, row 0 at the lowest y, mean 1; None where it is even."""
     light = optics.light
     if light.profile is not None:
         seen = np.array(light.profile, dtype=np.float64)
@@ -100,7 +100,7 @@ def _profile(optics: OpticsSpec) -> Array | None:
 
 
 def explain_blocked_light(spec: JobSpec) -> str | None:
-    """A mirror is lit past its screen; a sentence where the screen, as it stands, keeps the light from the mirror."""
+    """Explain where the screen, as it stands, keeps the light from a mirror, which is lit past its screen."""
     optics, light = spec.optics, spec.optics.light
     if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:
         return None
@@ -117,7 +117,7 @@ def explain_blocked_light(spec: JobSpec) -> str | None:
 
 
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
-    """Diameter that the disc of the source becomes on the wall, of a thin lens; None where it has no size."""
+    """Return the diameter of the source's disc on the wall, of a thin lens; None where it has no size."""
     light = table(table(spec.get("optics")).get("light"))
     kind = light.get("kind") or "collimated"
     figures: dict[str, Any] = {

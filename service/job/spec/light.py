@@ -38,7 +38,7 @@ class LightWords:
 
 
 def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> str:
-    """What the light must be like, for the person who sets it up; light as plain data."""
+    """Say what the light must be like, for the person who sets it up; light as plain data."""
     return LIGHT_WORDS[light.get("kind") or "collimated"].describe(light, is_mirror)
 
 

@@ -20,7 +20,7 @@ _SOME_PROFILE = [[1.0, 1.0], [1.0, 1.0]]
 
 
 def reduce_spec(resolved: Mapping[str, Any]) -> Json:
-    """The smallest part of `resolved` (JSON-able) that resolves to the same; all of it where it does not resolve."""
+    """Return the smallest part of `resolved` (JSON-able) that resolves to the same; all where it does not resolve."""
     asked = _without_nulls(resolved)
     light = asked.get("optics", {}).get("light", {})
     profile = light.get("profile")
@@ -41,7 +41,7 @@ def reduce_spec(resolved: Mapping[str, Any]) -> Json:
 
 
 def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
-    """Tables before what they hold."""
+    """Yield tables before what they hold."""
     for key in spec:
         yield (key,)
         held = enumerate(spec[key]) if isinstance(spec[key], list) else [(None, spec[key])]
@@ -52,7 +52,7 @@ def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
 
 
 def _remove(spec: Json, place: Place) -> Json | None:
-    """A copy that lacks what lies at a place; None where that has gone with its table."""
+    """Return a copy that lacks what lies at a place; None where that has gone with its table."""
     found: Any = spec
     for step in place:
         if isinstance(found, Mapping) and step not in found:

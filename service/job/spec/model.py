@@ -253,7 +253,7 @@ class JobSpec(Section):
         return self
 
     def plain(self) -> dict[str, Any]:
-        """The spec as JSON-able data, without the keys that are not set."""
+        """Return the spec as JSON-able data, without the keys that are not set."""
         return self.model_dump(mode="json", exclude_none=True)
 
 

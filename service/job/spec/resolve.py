@@ -23,7 +23,7 @@ _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "
 
 
 def preset_rows(preset: str) -> list[dict[str, Any]]:
-    """A preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish.
+    """Return a preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish.
 
     Those of "recommended" are none: they are planned once the picture is known.
     """
@@ -35,8 +35,8 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
 
 
 def with_feeds(job: ResolvedJob) -> ResolvedJob:
-    """The same job with every speed, feed and step-down filled in from the material's start values, and the ball that
-    the lens is shaped for.
+    """Return the same job with every speed, feed and step-down filled in from the material's start values, and the ball
+    that the lens is shaped for.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
@@ -66,7 +66,8 @@ def with_feeds(job: ResolvedJob) -> ResolvedJob:
 
 
 def without_derived(job: ResolvedJob) -> dict[str, Any]:
-    """The spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they are.
+    """Return the spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they
+    are.
 
     What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
     or another ball.
@@ -91,7 +92,9 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
 
 
 def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
-    """The spec with the passes that its stage `passes` has planned; itself where they stand already, or not yet."""
+    """Return the spec with the passes that its stage `passes` has planned; itself where they stand already, or not
+    yet.
+    """
     if not spec.to_be_planned or "plan" not in report:
         return spec
     planned = report["plan"]
@@ -109,12 +112,12 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
 
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
-    """The passes as the CAM package takes them."""
+    """Return the passes as the CAM package takes them."""
     return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
 
 
 def cam_stock_of(spec: JobSpec) -> Stock:
-    """The block as the CAM package takes it."""
+    """Return the block as the CAM package takes it."""
     return Stock(
         width_mm=spec.optics.width_mm,
         height_mm=spec.optics.height_mm,
@@ -124,7 +127,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
 
 
 def facing_task_of(spec: JobSpec) -> Facing | None:
-    """How the stock's top is faced, as the CAM package takes it; None where it is not."""
+    """Return how the stock's top is faced, as the CAM package takes it; None where it is not."""
     face = spec.stock.face
     if face is None:
         return None
@@ -143,12 +146,12 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
 
 
 def cut_out_of(spec: JobSpec) -> CutOut | None:
-    """How the lens is cut out, as the CAM package takes it; None where it is not."""
+    """Return how the lens is cut out, as the CAM package takes it; None where it is not."""
     return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump())
 
 
 def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, str]]:
-    """Where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
+    """Return where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
     stock, width_mm, height_mm = spec.stock, spec.optics.width_mm, spec.optics.height_mm
     if not machine.trace_outline and stock.face is None and stock.cut_out is None:
         return []
@@ -171,7 +174,7 @@ def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str
 
 
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
-    """Facing and cutting out with their pitch, steps, feeds and speeds. The whole slot is cut at half the feed."""
+    """Fill in facing and cutting out with pitch, steps, feeds and speeds. The whole slot is cut at half the feed."""
     material = MATERIALS[stock.material]
     filled: dict[str, Any] = {}
     if stock.face is not None:

@@ -43,12 +43,12 @@ class Figures:
     processes: Mapping[str, Process]
 
     def to_text(self) -> str:
-        """JSON, with Infinity where a figure is that."""
+        """Return JSON, with Infinity where a figure is that."""
         return json.dumps(asdict(self), separators=(",", ":"))
 
     @classmethod
     def from_text(cls, text: str) -> Figures:
-        """FailedError where another version has written it."""
+        """Parse the text; FailedError where another version has written it."""
         try:
             return _FIGURES.validate_python(json.loads(text))
         except ValidationError as error:
@@ -87,12 +87,12 @@ class ResolvedJob:
         return machine
 
     def with_spec(self, spec: JobSpec) -> ResolvedJob:
-        """The same figures for another spec that names the same mill, tools and processes."""
+        """Return the same figures for another spec that names the same mill, tools and processes."""
         return replace(self, spec=spec)
 
 
 def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
-    """The job of a spec with the figures that the files of this computer give now.
+    """Return the job of a spec with the figures that the files of this computer give now.
 
     load : reads a mill's profile
     SpecError names what the spec names and is not there; InputError what is wrong in a file of tools or processes.
@@ -111,7 +111,7 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
 
 
 def setup_of(machine: MachineProfile) -> ProgramSetup:
-    """What programs for this mill switch on before they cut, and off afterwards."""
+    """Return what programs for this mill switch on before they cut, and off afterwards."""
     return ProgramSetup(
         coolant=cast(Coolant, machine.coolant),
         blend_tolerance_mm=machine.blend_tolerance_mm,

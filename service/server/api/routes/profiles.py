@@ -110,8 +110,8 @@ def _read_profiles(settings: ServerSettings) -> list[ProfileView]:
 def mills_by_profile(
     mills: Iterable[KnownMachine], profiles: Sequence[MachineProfile]
 ) -> dict[str, list[KnownMachine]]:
-    """A mill's own profile has its name; one that has none among them is served by the first that a job is made alike
-    with.
+    """List mills by profile. A mill's own has its name; one that has none among them is served by
+    the first that a job is made alike with.
     """
     found: dict[str, list[KnownMachine]] = {}
     names = {profile.name for profile in profiles}
