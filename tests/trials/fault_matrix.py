@@ -181,8 +181,8 @@ def _recover(owner: Mill, mill: SimulatedMill, run_id: str) -> None:
 
 
 def _until(owner: Mill, is_so: Callable[[], bool], timeout_s: float) -> None:
-    end_s = owner._cycle._clock() + timeout_s
-    while owner._cycle._clock() < end_s and not is_so():
+    end_s = owner._cycle.context.clock() + timeout_s
+    while owner._cycle.context.clock() < end_s and not is_so():
         owner.step(0.05)
 
 
