@@ -16,7 +16,7 @@ _UNITS = (
 )  # fmt: skip
 
 
-class Look(TypedDict, total=False):
+class FieldLook(TypedDict, total=False):
     """How a row looks, where it is not like all others.
 
     card   : the card that it stands on; left out: in the part for experts, under the title of its table
@@ -42,7 +42,7 @@ class Look(TypedDict, total=False):
 
 
 def shown(
-    label: str, hint: str = "", *, choices: Mapping[Any, str | tuple[str, str]] | None = None, **look: Unpack[Look]
+    label: str, hint: str = "", *, choices: Mapping[Any, str | tuple[str, str]] | None = None, **look: Unpack[FieldLook]
 ) -> Any:
     """Return the metadata of a key: its label, a hint below it, and words for its values or for some of them.
 

@@ -5,7 +5,7 @@
  * A row is {key, label, kind, usual} and more. kind: "number", "whole" (number), "choice", "tick", "text", or "numbers"
  * (one for each of `names`). usual: what counts where the field is empty; a text where the server works it out. hint,
  * unit, limits: words. choices: [value, words, sentence]. when(spec): the row is there only then. The others are those
- * of `Look` in that file.
+ * of `FieldLook` in that file.
  */
 
 import { SCHEMA } from "./spec_schema.js";
