@@ -59,10 +59,10 @@ def test_a_closer_look_fetches_what_it_shows_and_shows_every_move(view: Drawn) -
     """How close that is depends on how fast the browser draws."""
     view.zoom(9)
     view.at_rest()
-    for _ in range(4):
+    for _ in range(12):
         if view.page.locator(".path-note").text_content() == "Every move is drawn.":
             break
-        view.zoom(2)
+        view.zoom(1)
         view.at_rest()
     expect(view.page.locator(".path-note")).to_have_text("Every move is drawn.")
     whole = split_header(view.served.path.read_bytes())[0]["levels"][-1]
