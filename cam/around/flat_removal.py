@@ -16,9 +16,10 @@ _SEARCHED_MM = 1e-8
 
 
 @njit(cache=True, nogil=True)
-def carve(top, x0, y0, cell, points, radius, rim, drops, places):  # type: ignore[no-untyped-def]
-    """Move a flat end of this radius along points (n + 1, 3) through the stock's heights top (ny, nx), lowering them.
+def carve(top, x0, y0, cell, points, radius, corner, rim, drops, places):  # type: ignore[no-untyped-def]
+    """Move an end mill along points (n + 1, 3) through the stock's heights top (ny, nx), lowering them.
 
+    corner             : radius of its rounded corner, 0 of a flat end
     drops, places (n,) : greatest drop of each move and its flat cell, -1 where there is none; cells nearer to the rim
                          of the end than `rim` are cut, but do not count
     At a cell the end leaves the lowest height that it has while its centre is within the radius.
@@ -44,60 +45,20 @@ def carve(top, x0, y0, cell, points, radius, rim, drops, places):  # type: ignor
                     continue
                 dx = x0 + (i + 0.5) * cell - ax
                 u = dx * ex + dy * ey
-                half2 = radius * radius - (dx * dx + dy * dy - u * u)
-                if half2 < 0.0:
-                    continue
-                height = lowest
-                if along:
-                    half = math.sqrt(half2)
-                    first, last = max(0.0, u - half), min(length, u + half)
-                    if first > last:
-                        continue
-                    height = az + slope * (first if slope > 0.0 else last)
-                drop = top[j, i] - height
-                if drop > 0.0:
-                    top[j, i] = height
-                    if drop > drops[k] and half2 > rim * (2.0 * radius - rim):
-                        drops[k] = drop
-                        places[k] = j * nx + i
-
-
-@njit(cache=True, nogil=True)
-def carve_rounded(top, x0, y0, cell, points, radius, corner, rim, drops, places):  # type: ignore[no-untyped-def]
-    """Carve with an end mill that has a corner of that radius. What it leaves at a cell is convex along a move, so that
-    where the move climbs the lowest is searched for by thirds."""
-    ny, nx = top.shape
-    for k in range(drops.size):
-        ax, ay, az = points[k, 0], points[k, 1], points[k, 2]
-        bx, by, bz = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
-        length = math.hypot(bx - ax, by - ay)
-        along = length > _STILL_MM
-        ex = (bx - ax) / length if along else 0.0
-        ey = (by - ay) / length if along else 0.0
-        slope = (bz - az) / length if along else 0.0
-        i0 = max(0, int(math.ceil((min(ax, bx) - radius - x0) / cell - 0.5)))
-        i1 = min(nx - 1, int(math.floor((max(ax, bx) + radius - x0) / cell - 0.5)))
-        j0 = max(0, int(math.ceil((min(ay, by) - radius - y0) / cell - 0.5)))
-        j1 = min(ny - 1, int(math.floor((max(ay, by) + radius - y0) / cell - 0.5)))
-        lowest = min(az, bz)
-        for j in range(j0, j1 + 1):
-            dy = y0 + (j + 0.5) * cell - ay
-            for i in range(i0, i1 + 1):
-                if top[j, i] <= lowest:
-                    continue
-                dx = x0 + (i + 0.5) * cell - ax
-                u = dx * ex + dy * ey
-                w2 = max(0.0, dx * dx + dy * dy - u * u)
-                half2 = radius * radius - w2
+                beside2 = dx * dx + dy * dy - u * u
+                half2 = radius * radius - beside2
                 if half2 < 0.0:
                     continue
                 half = math.sqrt(half2)
                 first, last = max(0.0, u - half), min(length, u + half)
                 if first > last:
                     continue
-                at = _find_lowest(u, w2, first, last, slope, radius, corner)
-                base = az + slope * at if along else lowest
-                height = base + _measure_rise(w2 + (u - at) ** 2, radius, corner)
+                at = first if slope > 0.0 else last
+                if corner > 0.0:
+                    at = _find_lowest(u, beside2, first, last, slope, radius, corner)
+                height = az + slope * at if along else lowest
+                if corner > 0.0:
+                    height += _measure_rise(beside2 + (u - at) ** 2, radius, corner)
                 drop = top[j, i] - height
                 if drop > 0.0:
                     top[j, i] = height
@@ -109,7 +70,8 @@ def carve_rounded(top, x0, y0, cell, points, radius, corner, rim, drops, places)
 @njit(cache=True, nogil=True)
 def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-untyped-def]
     """Find where from `first` to `last` on its way the end leaves least at a place lying at u along the way and at a
-    distance of square w2 beside it."""
+    distance of square w2 beside it. That is convex along a move: searched for by thirds where it climbs.
+    """
     if slope == 0.0:
         return min(max(u, first), last)
     while last - first > _SEARCHED_MM:
@@ -126,7 +88,7 @@ def _find_lowest(u, w2, first, last, slope, radius, corner):  # type: ignore[no-
 @njit(cache=True, nogil=True)
 def _measure_rise(square, radius, corner):  # type: ignore[no-untyped-def]
     """Return the height of the underside over the tip, at a distance of that square from the axis."""
-    beyond = math.sqrt(square) - (radius - corner)
+    beyond = math.sqrt(max(0.0, square)) - (radius - corner)
     return 0.0 if beyond <= 0.0 else corner - math.sqrt(max(0.0, corner * corner - beyond * beyond))
 
 
@@ -144,9 +106,6 @@ class FlatRemoval:
         drops, places = np.zeros(len(points_mm) - 1), np.full(len(points_mm) - 1, -1, dtype=np.int64)
         grid = self._stock
         cells = (self.top_mm, grid.x0_mm, grid.y0_mm, grid.cell_mm)
-        points_mm, found = np.ascontiguousarray(points_mm), (drops, places)
-        if self._corner_mm > 0:
-            carve_rounded(*cells, points_mm, self._radius_mm, self._corner_mm, self._rim_mm, *found)
-        else:
-            carve(*cells, points_mm, self._radius_mm, self._rim_mm, *found)
+        cutter = (self._radius_mm, self._corner_mm, self._rim_mm)
+        carve(*cells, np.ascontiguousarray(points_mm), *cutter, drops, places)
         return drops, places
