@@ -1,4 +1,4 @@
-"""Numbers as a person reads them, for the setup sheet."""
+"""Numbers, durations and scores as a person reads them, on paper, on the page and on a terminal."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class ProgramReader:
     def lines(self, from_line: int = 1) -> Iterator[ProgramLine]:
         """Blocks from line `from_line` on: no comment, no blank, upper case. ProgramChangedError at a changed piece."""
         first = self.index.before(from_line)
-        with self._opened() as file:
+        with self._open() as file:
             for number in range(first, len(self.index.entries)):
                 entry = self.index.entries[number]
                 data = self._piece(file, number)
@@ -100,7 +100,7 @@ class ProgramReader:
         entry = self.index.entries[number]
         if line <= entry.line:
             return entry.state
-        with self._opened() as file:
+        with self._open() as file:
             data = self._piece(file, number)
         if self.index.dialect == "rml-1":
             return entry.state  # nothing modal is known of it
@@ -111,7 +111,7 @@ class ProgramReader:
             interpreter.take(block.text)
         return interpreter.state
 
-    def _opened(self) -> BinaryIO:
+    def _open(self) -> BinaryIO:
         try:
             return self.path.open("rb")
         except OSError as error:

@@ -30,8 +30,8 @@ class Standstill:
     _place: Triple | None = None
     _since_s: float = 0.0
 
-    def reached(self, status: MillStatus, now_s: float) -> Triple | None:
-        """Return the place in machine coordinates once it is certain that the mill stands there."""
+    def observe(self, status: MillStatus, now_s: float) -> Triple | None:
+        """Take a report; return the mill's place in machine coordinates once it certainly stands there."""
         place = status.machine_mm if status.state is MillState.IDLE else None
         if place != self._place or now_s < self._since_s:
             self._place, self._since_s = place, now_s
@@ -50,7 +50,7 @@ class UnattendedRuns:
         driver = self.context.link.driver
         if driver is None or self.context.runs.live is not None:
             return
-        place_mm = self._standstill.reached(driver.status, self.context.clock())
+        place_mm = self._standstill.observe(driver.status, self.context.clock())
         if place_mm is None:
             return
         for run in self._list_unattended():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from machines.simulated.controller import Controller
 from machines.simulated.reports import status_report
 from machines.simulated.resets import reset
-from machines.simulated.suspending import cancel_jog, hold, open_door, overrides_changed, resume
+from machines.simulated.suspending import cancel_jog, change_overrides, hold, open_door, resume
 
 RESET, STATUS, HOLD, RESUME = 0x18, 0x3F, 0x21, 0x7E
 DOOR, JOG_CANCEL = 0x84, 0x85
@@ -62,4 +62,4 @@ def _overrides(fw: Controller, byte: int) -> None:
         fw.interpreter.coolant ^= {"M8" if byte == 0xA0 else "M7"}
         fw.ov_in = 0
     if before != (fw.feed_percent, fw.rapid_percent, fw.spindle_percent):
-        overrides_changed(fw)
+        change_overrides(fw)

@@ -85,6 +85,6 @@ def apply_overrides(fw: Controller) -> None:
             fw.stepper.segments.fill()
 
 
-def overrides_changed(fw: Controller) -> None:
+def change_overrides(fw: Controller) -> None:
     fw.ov_in = 0
     apply_overrides(fw)

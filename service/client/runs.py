@@ -11,6 +11,7 @@ from service.client.follow import explain_interrupt
 from service.client.jobs import table, when
 from service.client.server import ServerClient, clean
 from service.errors import FailedError, InputError
+from service.wording import duration
 
 QUESTIONS = {
     "tool": "The tool named above is in the spindle, its length is taken",
@@ -57,7 +58,7 @@ def state_line(run: dict[str, Any]) -> str:
     words = f": {clean(run['words'])}" if run.get("words") else ""
     if run["state"] in ("running", "holding", "held", "recovering"):
         left_s = run.get("time_left_s")
-        left = f", {_duration(left_s)} left" if isinstance(left_s, int | float) else ""
+        left = f", {duration(left_s)} left" if isinstance(left_s, int | float) else ""
         return f"{run['state']}, {100 * float(run['share']):.1f} % of {run.get('lines') or 0:,} lines{left}{words}"
     return f"{clean(run['state'])}{words}"
 
@@ -130,9 +131,3 @@ def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
 def require_finished(run: dict[str, Any]) -> None:
     if run["state"] != "finished":
         raise FailedError(f"run {clean(run['id'])} is {state_line(run)}")
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s"

@@ -37,10 +37,10 @@ async def begin_events(send: Send, first: bytes = b"") -> None:
     """Send the headers, and what comes before the first event that is waited for."""
     headers = [(name.lower().encode(), value.encode()) for name, value in EVENT_HEADERS.items()]
     await send({"type": "http.response.start", "status": 200, "headers": headers})
-    await sent(send, FIRST + first)
+    await send_piece(send, FIRST + first)
 
 
-async def sent(send: Send, body: bytes, *, more: bool = True) -> None:
+async def send_piece(send: Send, body: bytes, *, more: bool = True) -> None:
     """Send a piece; TimeoutError where the other side has not read for long."""
     await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
 

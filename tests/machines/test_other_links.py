@@ -117,7 +117,7 @@ class Shop:
         self.link, self.machine = link, link.machine
         path = folder / "part"
         path.write_bytes(link.text)
-        self.facts: Preflight = run_preflight(path, link.profile, cache=folder / "cache")
+        self.facts: Preflight = run_preflight(path, link.profile, cache=folder.parent / "preflight")
         self.lines = list(ProgramReader(path, self.facts.index).lines())
         self.mill = Mill(
             name="far",

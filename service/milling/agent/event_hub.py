@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from starlette.types import Receive, Scope, Send
 
 from service.http.problems import Problem, problem_response
-from service.http.streaming import PING, begin_events, compact_json, event_bytes, sent, while_connected
+from service.http.streaming import PING, begin_events, compact_json, event_bytes, send_piece, while_connected
 
 _QUEUE = 256
 
@@ -134,12 +134,12 @@ class HubStream:
             try:
                 message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await sent(send, PING)
+                await send_piece(send, PING)
                 continue
             if message is None:
                 break
-            await sent(send, self._hub.encode_message(message))
-        await sent(send, b"", more=False)
+            await send_piece(send, self._hub.encode_message(message))
+        await send_piece(send, b"", more=False)
 
 
 def _gap(words: str) -> HubMessage:

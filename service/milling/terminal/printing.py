@@ -14,7 +14,8 @@ from machines.preflight.preflight import Preflight
 from machines.profiles import MachineProfile
 from machines.runs import RunView
 from service.errors import printable
-from service.milling.terminal.screen import duration_words, position_words
+from service.milling.terminal.screen import position_words
+from service.wording import duration
 
 DEFAULT_MACHINE = "grbl"
 _AXES = "XYZ"
@@ -72,7 +73,7 @@ def spindle_lines(profile: MachineProfile) -> Iterator[str]:
 
 def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
     """Yield what the program is and wants."""
-    yield f"program:    {path.name}: {facts.lines:,} lines, {facts.bytes:,} bytes, about {duration_words(facts.time_s)}"
+    yield f"program:    {path.name}: {facts.lines:,} lines, {facts.bytes:,} bytes, about {duration(facts.time_s)}"
     if facts.bounds_mm is not None:
         pairs = zip(_AXES, facts.bounds_mm.least_mm, facts.bounds_mm.most_mm, strict=True)
         spans = (f"{axis} {low:.3f} to {high:.3f}" for axis, low, high in pairs if low is not None and high is not None)
@@ -113,4 +114,4 @@ def took_words(run: RunView | None) -> str:
     """Return how long the run has taken by the clock on the wall, with all its holds."""
     if run is None or run.started_s is None or run.ended_s is None:
         return ""
-    return f" in {duration_words(run.ended_s - run.started_s)}"
+    return f" in {duration(run.ended_s - run.started_s)}"

@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from service.errors import printable
+from service.wording import duration
 
 _PLAIN_EVERY_S = 5.0
 _STATE_COLOURS = {
@@ -131,7 +132,7 @@ def panel(program: str, view: StreamView) -> Panel:
     state = Text(view.shown_state.upper(), style=_STATE_COLOURS.get(view.shown_state, "bold"))
     table.add_row("mill", state.append(f"  {printable(view.detail)}" if view.detail else "", style="default"))
     table.add_row("line", f"{view.line:,} of {view.total_lines:,} sent, {view.executed_line:,} cut for certain")
-    table.add_row("time left", "" if view.over else duration_words(view.time_left_s))
+    table.add_row("time left", "" if view.over else duration(view.time_left_s))
     table.add_row("position", position_words(view.position_mm))
     feed = "unknown" if view.feed_mm_per_min is None else f"{view.feed_mm_per_min:.0f} mm/min"
     table.add_row("feed", f"{feed}, spindle {view.spindle or 'unknown'}")
@@ -155,7 +156,7 @@ def one_line(view: StreamView) -> str:
         position_words(view.position_mm),
     ]
     if not view.over:
-        parts.insert(3, f"time left {duration_words(view.time_left_s)}")
+        parts.insert(3, f"time left {duration(view.time_left_s)}")
     if view.feed_mm_per_min is not None:
         parts.append(f"F{view.feed_mm_per_min:.0f}")
     if view.buffer:
@@ -163,16 +164,6 @@ def one_line(view: StreamView) -> str:
     if view.overrides != (100, 100, 100):
         parts.append(f"overrides {override_words(view.overrides)}")
     return ", ".join(parts)
-
-
-def duration_words(seconds: float | None) -> str:
-    """Return 3 d 04:05:06, 04:05:06, or unknown."""
-    if seconds is None:
-        return "unknown"
-    minutes, second = divmod(round(seconds), 60)
-    hours, minute = divmod(minutes, 60)
-    days, hour = divmod(hours, 24)
-    return (f"{days} d " if days else "") + f"{hour:02d}:{minute:02d}:{second:02d}"
 
 
 def position_words(position_mm: tuple[float, float, float] | None) -> str:

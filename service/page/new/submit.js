@@ -27,7 +27,7 @@ export function sender({ onWait }) {
       } catch (error) {
         if (error.status !== 0) throw error;
         onWait(true);
-        await back();
+        await waitForServer();
         onWait(false);
       }
     }
@@ -46,7 +46,7 @@ export function jobForm(picture, specText, priority = "normal") {
 }
 
 /** Resolves when the server answers again. */
-function back() {
+function waitForServer() {
   return new Promise((done) => {
     if (!api.away) return done();
     const stop = api.onAway((away) => {

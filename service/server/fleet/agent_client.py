@@ -101,10 +101,10 @@ class AgentLink:
         """Send as `post`, but not even one that certainly did not arrive is sent again: an order is for now or for
         never.
         """
-        return await self._asked("POST", path, timeout_s=timeout_s, json=body, headers=headers)
+        return await self._request("POST", path, timeout_s=timeout_s, json=body, headers=headers)
 
     async def delete(self, path: str, *, headers: Json) -> Json:
-        return await self._asked("DELETE", path, timeout_s=ASK_S, headers=headers)
+        return await self._request("DELETE", path, timeout_s=ASK_S, headers=headers)
 
     async def urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
         """Send a stop: to do it twice is better than not at all, so one that failed is sent once more.
@@ -201,13 +201,13 @@ class AgentLink:
         """
         before = self._address
         try:
-            return await self._asked(method, path, timeout_s=timeout_s, **more)
+            return await self._request(method, path, timeout_s=timeout_s, **more)
         except AgentAwayError as away:
             if away.sent or before is None or "content" in more:
                 raise
-            return await self._asked(method, path, timeout_s=timeout_s, **more)
+            return await self._request(method, path, timeout_s=timeout_s, **more)
 
-    async def _asked(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+    async def _request(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         return await self._ask_at(await self.address(), method, path, timeout_s=timeout_s, **more)
 
     async def _ask_at(self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any) -> Json:

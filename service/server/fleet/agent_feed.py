@@ -45,7 +45,7 @@ class AgentFeed:
         queue: asyncio.Queue[Message | End] = asyncio.Queue(_QUEUE)
         self._queues.add(queue)
         try:
-            first = await self._missed(last_id) if last_id else [self._status] if self._status else []
+            first = await self._catch_up(last_id) if last_id else [self._status] if self._status else []
             for message in first:
                 last_id = message.get("id") or last_id
                 yield message
@@ -86,7 +86,7 @@ class AgentFeed:
                 self._queues.discard(queue)
             queue.put_nowait(told)
 
-    async def _missed(self, last_id: str) -> list[Message]:
+    async def _catch_up(self, last_id: str) -> list[Message]:
         """Return what has happened since, and how things stand, with which the agent ends what it tells at first."""
         found: list[Message] = []
         async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parse(lines)) as messages:

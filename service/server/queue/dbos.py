@@ -205,7 +205,7 @@ class _Runner:
             return False
 
 
-def _first_line(record: logging.LogRecord) -> bool:
+def _cut_to_first_line(record: logging.LogRecord) -> bool:
     """Cut a message to its first line: whole tracebacks come when the database is away for a moment."""
     record.msg, record.args = record.getMessage().partition("\n")[0], None
     return True
@@ -215,6 +215,6 @@ def _redirect_logs() -> None:
     """Send DBOS's words where all of the program's go, warnings and worse; it would write to stderr itself."""
     logger = logging.getLogger("dbos")
     logger.handlers[:] = [logging.NullHandler()]
-    logger.filters[:] = [_first_line]
+    logger.filters[:] = [_cut_to_first_line]
     logger.propagate = True
     logger.setLevel(logging.WARNING)

@@ -49,7 +49,7 @@ class Reconciler:
         self._list_active = list_active
         self._last: tuple[int, float, str] | None = None  # place in the queue up to which the turn before has looked
 
-    def turn(self) -> None:
+    def reconcile(self) -> None:
         """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
         self.release_claims()
         queued = self._next_queued()

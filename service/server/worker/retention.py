@@ -61,7 +61,7 @@ class Retention:
         self._next_part = 0
         self._forgotten_to: float | None = None
 
-    def turn(self) -> None:
+    def clean_up(self) -> None:
         if self._keep_s is not None:
             self._drop_old(self._keep_s)
         self._sweep_parts()

@@ -84,8 +84,8 @@ class Worker:
         every_s = min(max(settings.lease_s / 6, 0.3), 3.0)
         retention = Retention(self.database, context.store, self.engine, settings)
         self._threads = [
-            PeriodicThread("reconcile", self._reconciler.turn, every_s=every_s),
-            PeriodicThread("retention", retention.turn, every_s=RETENTION_S),
+            PeriodicThread("reconcile", self._reconciler.reconcile, every_s=every_s),
+            PeriodicThread("retention", retention.clean_up, every_s=RETENTION_S),
         ]
         if self.name is not None:
             self._threads.append(PeriodicThread("name", self.name.keep, every_s=settings.lease_s / 6))

@@ -41,9 +41,9 @@ class ControlRoutes:
         self._agent = agent
 
     def routes(self) -> list[Route]:
-        return [Route("/v1/control/{what}", self.control, methods=["POST"])]
+        return [Route("/v1/control/{what}", self.order, methods=["POST"])]
 
-    async def control(self, request: Request) -> Response:
+    async def order(self, request: Request) -> Response:
         what = request.path_params["what"]
         access, caller = self._agent.access, read_caller(request)
         if what in _STOPS:  # before the body is looked at: nothing in it could matter

@@ -8,7 +8,7 @@ import contextlib
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.http.streaming import PING, begin_events, sent, while_connected
+from service.http.streaming import PING, begin_events, send_piece, while_connected
 from service.server.api.answers.event_feed import Feed, Follower
 from service.server.database.jobs import JobBook
 from service.server.database.records import UnknownJobError
@@ -38,7 +38,7 @@ class EventStream(Response):
             try:
                 message = await asyncio.wait_for(follower.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await sent(send, PING)
+                await send_piece(send, PING)
                 going = await self._still_there()
                 continue
             texts: list[bytes] = []
@@ -50,8 +50,8 @@ class EventStream(Response):
             else:
                 going = message is not None and not message.last
                 texts.extend([] if message is None else [message.text])
-            await sent(send, b"".join(texts))
-        await sent(send, b"", more=False)
+            await send_piece(send, b"".join(texts))
+        await send_piece(send, b"", more=False)
 
     async def _still_there(self) -> bool:
         """Return False for a job that was deleted by another process."""

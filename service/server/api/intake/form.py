@@ -129,10 +129,10 @@ class _Reader:
             "on_part_begin": self._begin,
             "on_header_field": lambda data, start, end: self._header[0].extend(data[start:end]),
             "on_header_value": lambda data, start, end: self._header[1].extend(data[start:end]),
-            "on_header_end": self._end_of_header,
-            "on_headers_finished": self._end_of_headers,
-            "on_part_data": self._data,
-            "on_end": self._end,
+            "on_header_end": self._take_header,
+            "on_headers_finished": self._begin_content,
+            "on_part_data": self._take_content,
+            "on_end": self._note_end,
         }
 
     def finish(self) -> JobForm:
@@ -152,7 +152,7 @@ class _Reader:
         if len(self._seen) >= _PARTS:
             raise Problem(422, f"the form has more than {_PARTS} parts", field="body")
 
-    def _end_of_header(self) -> None:
+    def _take_header(self) -> None:
         name, value = (bytes(text) for text in self._header)
         self._header = (bytearray(), bytearray())
         if name.strip().lower() == b"content-disposition":
@@ -160,7 +160,7 @@ class _Reader:
         elif name.strip().lower() == b"content-transfer-encoding" and value.strip().lower() not in (b"binary", b"8bit"):
             raise Problem(422, "parts must be sent as they are, without a transfer encoding", field="body")
 
-    def _end_of_headers(self) -> None:
+    def _begin_content(self) -> None:
         kind, options = _options(self._disposition)
         name = harmless_name(options.get(b"name", b""), default="")
         if kind != b"form-data" or not name:
@@ -177,7 +177,7 @@ class _Reader:
         else:
             self._form.texts[name] = bytearray()
 
-    def _data(self, data: bytes, start: int, end: int) -> None:
+    def _take_content(self, data: bytes, start: int, end: int) -> None:
         piece = data[start:end]
         if self._part == self.picture:
             self._form.image_bytes += len(piece)
@@ -194,7 +194,7 @@ class _Reader:
             most = self._small[self._part]
             raise Problem(413, f"the part '{self._part}' is longer than {most} bytes", field=self._part)
 
-    def _end(self) -> None:
+    def _note_end(self) -> None:
         self._ended = True
 
 

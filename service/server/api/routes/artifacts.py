@@ -84,7 +84,7 @@ async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
 async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, asked: Asked) -> Response:
     """The file's bytes. To go on after a break, ask for the rest with Range, and If-Range with the ETag."""
     file = await asyncio.to_thread(services_of(request).book.find_artifact, str(job_id), name)
-    return await sent(request, file, asked)
+    return await send_artifact(request, file, asked)
 
 
 @_get_and_head(
@@ -100,10 +100,10 @@ async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: 
     if n not in found:
         offered = ", ".join(map(str, found)) or "none yet"
         raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")
-    return await sent(request, found[n], asked)
+    return await send_artifact(request, found[n], asked)
 
 
-async def sent(request: Request, file: Artifact, asked: Conditions) -> Response:
+async def send_artifact(request: Request, file: Artifact, asked: Conditions) -> Response:
     """Send the file as it was asked for; a browser gets it from here, whatever store it is in."""
     store, with_body = services_of(request).store, request.method == "GET"
     return await download(store, file, asked, with_body=with_body, elsewhere=not _by_browser(request))

@@ -46,7 +46,7 @@ def file(request: Request, path: str) -> Response:
     found = _files.file(path)
     if found is None:
         raise Problem(404, f"the page has no file '{path[:100]}'", field="path")
-    return _sent(request, found)
+    return _answer_file(request, found)
 
 
 def index(request: Request) -> Response:
@@ -54,10 +54,10 @@ def index(request: Request) -> Response:
     found = _files.file(INDEX)
     if found is None:
         raise Problem(404, "the page is not installed", field="path")
-    return _sent(request, found, vary="Accept, Accept-Encoding")
+    return _answer_file(request, found, vary="Accept, Accept-Encoding")
 
 
-def _sent(request: Request, found: PageFile, *, vary: str = "Accept-Encoding") -> Response:
+def _answer_file(request: Request, found: PageFile, *, vary: str = "Accept-Encoding") -> Response:
     packed = found.packed if _takes_gzip(request.headers.get("accept-encoding", "")) else None
     etag = f'"{found.etag}{"-gz" if packed is not None else ""}"'
     headers = _HEADERS | {"ETag": etag, "Vary": vary}

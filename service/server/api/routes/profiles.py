@@ -13,7 +13,7 @@ from machines.profiles import MachineProfile, ProfileError, load_profile, profil
 from service.job.spec.minimal import reduce_spec
 from service.server.api.access.scopes import Reader
 from service.server.api.openapi import answers, example
-from service.server.api.routes.artifacts import Asked, byte_answers, sent
+from service.server.api.routes.artifacts import Asked, byte_answers, send_artifact
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
@@ -86,7 +86,7 @@ async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Res
         stage="",
         created_at=job.created_at,
     )
-    return await sent(request, file, asked)
+    return await send_artifact(request, file, asked)
 
 
 def _read_profiles(settings: ServerSettings) -> list[ProfileView]:

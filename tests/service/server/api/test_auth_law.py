@@ -67,7 +67,7 @@ class Guarded:
     def _address(self, path: str) -> str:
         whose = self.spare if "/tokens/" in path else self.run["id" if path.startswith("/v1/runs") else "job"]
         parts = {"{id:uuid}": whose, "{id}": whose, "{machine}": MACHINE, "{path:path}": "index.html"}
-        parts |= {"{name}": "pass-1-rough.nc", "{n}": "1", "{n:int}": "1", "{profile}": "grbl"}
+        parts |= {"{name}": "pass-1-rough.nc", "{n}": "1", "{n:int}": "1", "{profile}": "unknown"}
         for part, value in parts.items():
             path = path.replace(part, value)
         assert "{" not in path, f"{path}: say here what to put there"

@@ -223,9 +223,9 @@ def test_no_periodic_loop_reads_a_table_from_end_to_end(many: sa.Engine, farm: S
     retention._named_bytes["00"] = 2_000_000  # over quota until the first jobs have gone
     reconciler = Reconciler(many, engine, executor="worker", lease_s=10.0, list_active=set)
     with recorded(many) as queries:
-        retention.turn()
+        retention.clean_up()
         for _ in range(3):
-            reconciler.turn()
+            reconciler.reconcile()
     assert len(queries) > 100
     assert faults(many, queries) == []
 

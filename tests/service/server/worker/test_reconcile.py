@@ -54,9 +54,9 @@ def stand(farm: ServerSettings, database: sa.Engine) -> Stand:
 def test_a_job_that_never_reached_the_engine_is_submitted(stand: Stand) -> None:
     """The API died between the two; one that was made just now is left to it."""
     old, new = stand.job(), stand.job(age_s=0.0)
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.engine.list_known([Ticket(old.id, 1), Ticket(new.id, 1)]) == {Ticket(old.id, 1)}
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(old.id).state == JobState.QUEUED
 
 
@@ -66,10 +66,10 @@ def test_a_running_job_to_be_cancelled_whose_worker_is_dead_is_cancelled(stand: 
     job = stand.job()
     stand.work.claim(Ticket(job.id, 1), "other")
     stand.book.request_cancel(job.id, "me")
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(job.id).state == JobState.RUNNING  # its worker lives: it does it itself
     stand.kill("other")
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(job.id).state == JobState.CANCELLED
 
 
@@ -80,10 +80,10 @@ def test_a_job_of_my_own_former_life_to_be_cancelled_is_cancelled(stand: Stand) 
     stand.work.claim(Ticket(job.id, 1), "me")
     stand.book.request_cancel(job.id, "me")
     stand.running = {job.id}
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(job.id).state == JobState.RUNNING
     stand.running = set()
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(job.id).state == JobState.CANCELLED
 
 
@@ -92,10 +92,10 @@ def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> No
     job = stand.job()
     stand.engine.submit(Ticket(job.id, 1), priority=1)
     stand.work.claim(Ticket(job.id, 1), "dead")
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.book.get(job.id).state == JobState.RUNNING
     stand.engine.cancel(Ticket(job.id, 1))  # in place of too many starts
-    stand.loop.turn()
+    stand.loop.reconcile()
     found = stand.book.get(job.id)
     assert found.state == JobState.FAILED
     assert found.error is not None
@@ -112,10 +112,10 @@ def test_what_stands_under_my_name_without_being_in_my_hands_is_let_go(stand: St
     with pytest.raises(Fenced):
         stand.work.claim(Ticket(job.id, 1), "other")
     stand.running = {job.id}
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.work.read_wishes([before])[job.id] == "go"
     stand.running = set()
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.work.read_wishes([before])[job.id] == "fenced"
     assert [run.state for run in stand.book.list_stages(job.id)] == [StageState.INTERRUPTED]
     assert stand.work.claim(Ticket(job.id, 1), "other") is not None
@@ -141,8 +141,8 @@ def test_a_long_queue_is_looked_through_a_part_at_a_time(stand: Stand, monkeypat
     monkeypatch.setattr(reconcile, "CHUNK", 2)
     tickets = [Ticket(stand.job().id, 1) for _ in range(5)]
     for known in (2, 4, 5):
-        stand.loop.turn()
+        stand.loop.reconcile()
         assert len(stand.engine.list_known(tickets)) == known
     late = stand.job(age_s=1000.0)  # its place is at the head
-    stand.loop.turn()
+    stand.loop.reconcile()
     assert stand.engine.list_known([Ticket(late.id, 1)])

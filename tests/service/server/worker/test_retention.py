@@ -82,7 +82,7 @@ class Stand:
             os.utime(path, (day_ago, day_ago))
 
     def turn(self, **changes: object) -> None:
-        Retention(self.database, self.store, self.engine, self.settings.model_copy(update=changes)).turn()
+        Retention(self.database, self.store, self.engine, self.settings.model_copy(update=changes)).clean_up()
 
     def has(self, file: FileRef) -> bool:
         try:
@@ -173,7 +173,7 @@ def test_what_the_engine_has_forgotten_is_not_asked_for_again(stand: Stand, monk
     monkeypatch.setattr(stand.engine, "forget", asked.append)
     retention = Retention(stand.database, stand.store, stand.engine, stand.settings)
     for _ in range(3):
-        retention.turn()
+        retention.clean_up()
     assert asked == [[Ticket(first, 1)]]
 
 
@@ -181,13 +181,13 @@ def test_the_store_is_swept_a_part_at_a_time(stand: Stand) -> None:
     """All of it once, to know its size; then a sixteenth each turn, so that all of it has its turn."""
     named, made = stand.job(1, ended_days_ago=1)
     retention = Retention(stand.database, stand.store, stand.engine, stand.settings)
-    retention.turn()
+    retention.clean_up()
     orphans = [stand.file(b"orphan %d" % number) for number in range(20)]
     stand.age_files()
-    retention.turn()
+    retention.clean_up()
     assert any(stand.has(one) for one in orphans)
     for _ in range(15):
-        retention.turn()
+        retention.clean_up()
     assert not any(stand.has(one) for one in orphans)
     assert stand.lives(named) and stand.has(made)
 
