@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.job.spec.finish_library import BUILT_IN, instruct_finishing, load_processes
+from service.job.spec.finish_library import built_in_processes, instruct_finishing
 from service.wording import psnr_in_words
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults
 from tests.page.conftest import Opened
 
 SEEN = {"psnr_db": 28.4, "ssim": 0.81, "misplaced_light": 0.03, "smallest_detail_mm": 1.13}
-PROCESSES = load_processes(BUILT_IN)
+PROCESSES = built_in_processes()
 
 
 def finished(opened: Opened, number: int, *, seen: dict[str, Any] = SEEN, how: dict[str, Any], **given: Any) -> Page:

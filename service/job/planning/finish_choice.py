@@ -16,9 +16,6 @@ from service.job.spec.finish_library import Process
 from service.job.spec.lens_task import finish_of
 from service.job.spec.resolved import ResolvedJob
 
-RECOMMENDED = ("sanding", "felt", "lacquer")
-"""Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""
-
 _NEAR = 3  # of such steps, within which a lens is as good a sample
 _FINER = 1.25  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
@@ -61,7 +58,7 @@ def list_finishings(job: ResolvedJob) -> list[Finishing]:
             Finishing(process=given.process, title=title, finish=finish, minutes=given.minutes, depth_um=given.depth_um)
         ]
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
-    names = [name for name in RECOMMENDED if name in processes] if given.process == BEST else [given.process]
+    names = [one.name for one in processes.values() if one.offered] if given.process == BEST else [given.process]
     return [one for name in names for one in _by_minutes(processes[name], area_mm2)]
 
 

@@ -11,7 +11,15 @@ from typing import Annotated
 from pydantic import Field
 
 from service.errors import SpecError
-from service.job.spec.finish_library import Process, load_processes
+from service.job.spec.finish_library import (
+    DEPTH_RANGE_UM,
+    LEAST_K0_RAD_PER_MM,
+    LEAST_PAD_MM,
+    ORDER_RANGE,
+    Process,
+    built_in_processes,
+    load_processes,
+)
 from service.job.spec.form import shown
 from service.job.spec.section import Section
 
@@ -19,9 +27,7 @@ NONE, BEST = "none", "best"
 _PROCESSES = {
     NONE: "no: as the mill leaves it",
     BEST: "yes, whatever shows most",
-    "felt": "felt and compound",
-    "sanding": "wet sanding on a soft block",
-    "lacquer": "a thin coat of lacquer",
+    **{process.name: process.offered for process in built_in_processes().values() if process.offered},
 }
 
 
@@ -46,7 +52,7 @@ class FinishSpec(Section):
         ),
     ] = NONE
     k0_rad_per_mm: Annotated[
-        Annotated[float, Field(ge=0.05, le=1000)] | None,
+        Annotated[float, Field(ge=LEAST_K0_RAD_PER_MM, le=1000)] | None,
         shown(
             "Levels from",
             "What is left of a wave of k rad/mm is exp(-(k / this)^order). The test piece measures yours.",
@@ -54,10 +60,12 @@ class FinishSpec(Section):
         ),
     ] = None
     order: Annotated[
-        Annotated[float, Field(ge=0.5, le=8)] | None,
+        Annotated[float, Field(ge=ORDER_RANGE[0], le=ORDER_RANGE[1])] | None,
         shown("Order", "1 soft pad, 2 sanding, 4 a film that levels.", usual="usual"),
     ] = None
-    depth_um: Annotated[Annotated[float, Field(ge=-500, le=500)] | None, shown("Comes off", usual="usual")] = None
+    depth_um: Annotated[
+        Annotated[float, Field(ge=DEPTH_RANGE_UM[0], le=DEPTH_RANGE_UM[1])] | None, shown("Comes off", usual="usual")
+    ] = None
     minutes: Annotated[
         Annotated[float, Field(gt=0, le=100_000)] | None,
         shown(
@@ -67,7 +75,7 @@ class FinishSpec(Section):
         ),
     ] = None
     pad_mm: Annotated[
-        Annotated[float, Field(ge=0.5, le=5000)] | None,
+        Annotated[float, Field(ge=LEAST_PAD_MM, le=5000)] | None,
         shown("Size of the tool", "Of the pad or block: it follows whatever is longer.", usual="usual"),
     ] = None
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,14 @@ from machines.profile_values import BadValueError, Rule, Rules, number
 from service.errors import InputError
 from service.job.spec.tools import own_file, read_library
 
-BUILT_IN = Path(__file__).with_name("finishing.toml")
-_NAME = BUILT_IN.name
+_BUILT_IN = Path(__file__).with_name("finishing.toml")
+_NAME = _BUILT_IN.name
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
 _LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
+LEAST_K0_RAD_PER_MM = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
+ORDER_RANGE = (0.5, 8.0)
+DEPTH_RANGE_UM = (-500.0, 500.0)
+LEAST_PAD_MM = 0.5
 AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by piece are for so much of it
 
 
@@ -28,6 +33,8 @@ AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by
 class Process:
     """A way to finish a lens: what it leaves of a wave of k rad/mm is H(k) = exp(-(k/k0)^order).
 
+    offered         : words under which the page offers it, and "best" tries it: a maker can repeat it, and it leaves
+                      no stress in the block; empty: only by its name
     order           : 1, 2 or 4, by the physics (`law`)
     depth_um        : what comes off in `default_minutes`; negative where a layer is added
     pad_mm          : size of the tool that follows the form; longer waves are not levelled; inf: no tool touches it
@@ -37,6 +44,7 @@ class Process:
 
     name: str
     title: str
+    offered: str
     order: float
     default_k0_rad_per_mm: float
     k0_exponent: float
@@ -146,17 +154,26 @@ def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
 
 
 def load_processes(own: Path | None = None) -> dict[str, Process]:
-    """Return all processes by name: the built-in ones, and those of a person's own file, which come first.
+    """Return all processes by name: the built-in ones, and those of a person's own file.
 
-    own : that file; left out: the one in the person's configuration folder, where there is one
+    own : that file; left out: the one in the person's configuration folder, where there is one. A process of a built-in
+          one's name is offered as that one is
     InputError names file, process, key, value and what is allowed.
     """
-    found = _read(BUILT_IN)
+    found = dict(built_in_processes())
     if own is None:
         own = own_file(_NAME)
         if own is None or not own.is_file():
             return found
-    return {**found, **_read(own)}
+    for name, one in _read(own).items():
+        built_in = found.get(name)
+        found[name] = replace(one, offered=built_in.offered) if built_in and not one.offered else one
+    return found
+
+
+@cache
+def built_in_processes() -> Mapping[str, Process]:
+    return _read(_BUILT_IN)
 
 
 def _read(path: Path) -> dict[str, Process]:
@@ -186,7 +203,7 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
         "depth_grows": True,
         "pad_mm": math.inf,
         **dict.fromkeys(("needs", "steps", "donts"), ()),
-        **dict.fromkeys(("removal", "when_to_stop", "law"), ""),
+        **dict.fromkeys(("offered", "removal", "when_to_stop", "law"), ""),
     }
     process = Process(name=name, default_k0_rad_per_mm=values.pop("k0_rad_per_mm"), **{**left_out, **values})
     low, high = process.minutes_range
@@ -223,7 +240,7 @@ def _number(value: Any) -> float:
 
 
 def _k0(value: Any) -> float:
-    if not _number(value) >= _LEAST_K0:
+    if not _number(value) >= LEAST_K0_RAD_PER_MM:
         raise ValueError
     return float(value)
 
@@ -235,7 +252,6 @@ def _flag(value: Any) -> bool:
 
 
 _MOST_MINUTES = 10_000
-_LEAST_K0 = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
 _NEEDED = ("title", "order", "k0_rad_per_mm", "default_minutes")
 _TEXT = Rule(_sentence, "text on one line, 1 to 600 characters")
 _TEXTS = Rule(_sentences, "a list of at most 20 sentences")
@@ -243,15 +259,16 @@ _YES_OR_NO = Rule(_flag, "true or false")
 _VALUES = Rules(
     {
         "title": _TEXT,
-        "order": number(0.5, 8),
-        "k0_rad_per_mm": Rule(_k0, f"a number from {_LEAST_K0:g} rad/mm, or inf where nothing is levelled"),
+        "offered": _TEXT,
+        "order": number(*ORDER_RANGE),
+        "k0_rad_per_mm": Rule(_k0, f"a number from {LEAST_K0_RAD_PER_MM:g} rad/mm, or inf where nothing is levelled"),
         "k0_exponent": number(0.05, 4),
         "default_minutes": number(0, _MOST_MINUTES, "minutes"),
         "minutes_range": Rule(_numbers, f"two numbers [least, most] from 0 to {_MOST_MINUTES} minutes"),
         "by_area": _YES_OR_NO,
-        "depth_um": number(-500, 500, "um"),
+        "depth_um": number(*DEPTH_RANGE_UM, "um"),
         "depth_grows": _YES_OR_NO,
-        "pad_mm": number(0.5, _LONGEST_PAD_MM, "mm"),
+        "pad_mm": number(LEAST_PAD_MM, _LONGEST_PAD_MM, "mm"),
         "needs": _TEXTS,
         "steps": _TEXTS,
         "removal": _TEXT,

@@ -19,7 +19,7 @@ from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishin
 from service.job.spec.loading import resolve_job
 from service.job.stages.table import facts_of
 
-SHIPPED = load_processes(finish_library.BUILT_IN)
+SHIPPED = finish_library.built_in_processes()
 BY_HAND = [process for name, process in SHIPPED.items() if name != "none"]
 GOOD = '[buffing]\ntitle = "Buffing"\norder = 1\nk0_rad_per_mm = 5\ndefault_minutes = 20\n'
 AREA = st.floats(100.0, 40_000.0)

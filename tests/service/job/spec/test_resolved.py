@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from machines.profiles import profile_names
 from service.errors import FailedError, SpecError
 from service.job.spec.finish import BEST, NONE
-from service.job.spec.finish_library import BUILT_IN, load_processes
+from service.job.spec.finish_library import built_in_processes
 from service.job.spec.loading import load_stored_job, resolve_job, restore_job
 from service.job.spec.resolved import ResolvedJob
 from service.job.stages.table import facts_of, plan, stage_key
@@ -22,7 +22,7 @@ jobs = st.builds(
         preset="recommended", base={"machine": {"profile": profile}, "finish": {"process": process}}
     ),
     st.sampled_from(profile_names()),
-    st.sampled_from([NONE, BEST, *load_processes(BUILT_IN)]),
+    st.sampled_from([NONE, BEST, *built_in_processes()]),
 )
 
 
