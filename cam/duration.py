@@ -176,7 +176,8 @@ def _block_s(length, entry2, exit2, nominal2, accel):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _run(blocks, count, window, line_s, byte_s, clock, ends, done):  # type: ignore[no-untyped-def]
-    """Execute the first `count` blocks. clock: entry speed^2, time of the last end, last arrival, blocks done.
+    """Execute the first `count` blocks. clock: entry speed^2, time of the last end, last arrival, blocks done, time
+    stood for lines that had not arrived.
 
     ends (window,) : ring of the ends of the last blocks; a line is taken when the block `window` before it is done
     done (count,)  : gets the end of each
@@ -193,6 +194,7 @@ def _run(blocks, count, window, line_s, byte_s, clock, ends, done):  # type: ign
             slot = int(clock[3]) % window
             on_the_way_s = max(blocks[k, _LINES] * line_s, blocks[k, _BYTES] * byte_s)
             clock[2] = max(clock[2] + on_the_way_s, ends[slot])
+            clock[4] += max(0.0, clock[2] - clock[1])
             clock[1] = max(clock[1], clock[2]) + took
             ends[slot] = done[k] = clock[1]
             clock[3] += 1.0
@@ -211,7 +213,7 @@ class DurationModel:
         self._line_s = 1.0 / kinematics.lines_per_s
         self._byte_s = 1.0 / kinematics.bytes_per_s if kinematics.bytes_per_s else 0.0
         self._carry = np.zeros(6)
-        self._clock = np.zeros(4)
+        self._clock = np.zeros(5)
         self._ends = np.zeros(self._window)
         self._waiting = np.empty((0, _COLUMNS))
 
@@ -233,6 +235,11 @@ class DurationModel:
         self._waiting = blocks[ready:n].copy()
         return done
 
+    @property
+    def starved_s(self) -> float:
+        """Time of that in which the mill has nothing to do, as the link has not brought the next line."""
+        return float(self._to_the_end()[0][4])
+
     def list_waiting_s(self) -> Array:
         """Return the ends of the blocks that `add_batch` has not given yet, if the program ended here."""
         return self._to_the_end()[1]
@@ -240,13 +247,13 @@ class DurationModel:
     @property
     def seconds(self) -> float:
         """Time until the mill stands still, if the program ended here."""
-        return self._to_the_end()[0]
+        return float(self._to_the_end()[0][1])
 
-    def _to_the_end(self) -> tuple[float, Array]:
+    def _to_the_end(self) -> tuple[Array, Array]:
         clock, waiting = self._clock.copy(), self._waiting
         done = np.empty(len(waiting))
         _run(waiting, len(waiting), self._window, self._line_s, self._byte_s, clock, self._ends.copy(), done)
-        return float(clock[1]), done
+        return clock, done
 
 
 def is_block(batch: Moves) -> np.ndarray:

@@ -133,6 +133,7 @@ PROFILE_VALUES = Rules(
         "most_program_mb": number(0.1, 1_000_000, "MB"),
         "most_program_hours": number(0.05, 10_000, "hours"),
         "coolant": one_of(*COOLANTS),
+        "work_offset": whole(1, 6),
         "blend_tolerance_mm": number(0, 1, "mm"),
         "high_precision": one_of(*HIGH_PRECISION),
         "warm_up_s": number(0, 3600, "s"),

@@ -120,6 +120,7 @@ class MachineProfile:
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
     coolant                : what blows or runs while a program cuts, one of COOLANTS
+    work_offset            : that programs work in, 1 to 6: G54 to G59, Okuma's G15 H1 to H6
     blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
     high_precision         : which of such modes of the control programs switch on, one of HIGH_PRECISION
     warm_up_s              : a job's first program brings the spindle up to speed in steps for so long; 0: at once
@@ -148,6 +149,7 @@ class MachineProfile:
     most_program_mb: float | None = None
     most_program_hours: float | None = None
     coolant: str = "none"
+    work_offset: int = 1
     blend_tolerance_mm: float | None = None
     high_precision: str = "none"
     warm_up_s: float = 0.0

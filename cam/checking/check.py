@@ -79,6 +79,7 @@ class PassCheck:
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
     contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
     rest             : of a rest pass, where it cuts: area_mm2, regions
+    starved_s        : of time_s, how long the mill stands because lines come too slowly
     cut_bounds       : like bounds, without what goes on in the air: a trace around the block is wider than any cut
     stock_top        : what is left, for the next pass
     """
@@ -90,6 +91,7 @@ class PassCheck:
     moves: int
     path_length_mm: float
     time_s: float
+    starved_s: float
     entries: int
     max_engagement_mm: float
     climb_share: float
@@ -123,8 +125,8 @@ class PassCheck:
             **{
                 name: getattr(self, name)
                 for name in (
-                    *("lines", "bytes", "moves", "path_length_mm", "time_s", "entries", "max_engagement_mm"),
-                    *("climb_share", "slot_length_mm", "slot_depth_mm", "flute_need_mm"),
+                    *("lines", "bytes", "moves", "path_length_mm", "time_s", "starved_s", "entries"),
+                    *("max_engagement_mm", "climb_share", "slot_length_mm", "slot_depth_mm", "flute_need_mm"),
                     *("gouge_um", "excess_um", "excess_ratio", "below_leave_um", "max_gap_mm", "bounds"),
                     "unreached_share",
                 )
@@ -283,6 +285,7 @@ class _Run:
             moves=rules.moves,
             path_length_mm=rules.path_length_mm,
             time_s=self.duration.seconds,
+            starved_s=self.duration.starved_s,
             entries=rules.entries,
             max_engagement_mm=rules.max_engagement_mm,
             climb_share=self.engagement.climb_share,

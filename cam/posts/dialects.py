@@ -32,6 +32,8 @@ def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, s
             f"{setup.blend_tolerance_mm:g}",
             f"left out in dialect '{dialect}', which cannot be told a tolerance; {able} can",
         )
+    if setup.work_offset != 1 and not post.offsets:
+        yield "work_offset", f"{setup.work_offset}", f"1 in dialect '{dialect}', whose zero is set at the mill"
     if setup.high_precision != "none" and not post.high_precision:
         able = " and ".join(f"'{other.name}'" for other in _ALL if other.high_precision)
         yield "high_precision", f"'{setup.high_precision}'", f"'none' in dialect '{dialect}'; {able} has such modes"

@@ -42,6 +42,7 @@ class ProgramWriter(Writer):
         post, setup = self.post, setup or ProgramSetup()
         first, *further = setup.spindle_steps(rpm, dwell_s=post.spindle_dwell_s)
         values: dict[str, object] = {"number": program, "safe_z": self._number(safe_z_mm), "blend": self._blend(setup)}
+        values |= {"offset": f"G{53 + setup.work_offset}", "offset_number": setup.work_offset}
         begin = {**values, **self._spin(*first)}
         return b"".join(
             [

@@ -14,8 +14,8 @@ class Post:
     """One dialect of G-code: words, decimals, first and last blocks. It decides nothing about geometry.
 
     tape           : before the remarks: what a control wants first, such as % and the program's name
-    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and {safe_z} are filled in; the first
-                     block of the end lifts the tool
+    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s}, {safe_z} and the work offset,
+                     {offset} or {offset_number}, are filled in; the first block of the end lifts the tool
     spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
                      of a warm-up, where the start has switched it on already
     blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one;
@@ -24,6 +24,7 @@ class Post:
     high_precision : whether it has the modes of HIGH_PRECISION_WORDS
     least_decimals : 1 where a control reads 5 as 5 least inputs, and only 5.0 as 5 mm
     feed_decimals  : of F, which is rounded down to them; where there are any, it has a point like the coordinates
+    capitals       : small letters in a comment are an alarm, or are lost
     number_every   : an N word on every so many-th line, from which an interrupted program can be entered; 0: none
     """
 
@@ -48,6 +49,7 @@ class Post:
     feed_decimals: int = 4
     number_every: int = 0
     comment: tuple[str, str] = ("(", ")")
+    capitals: bool = False
     line_end: str = "\n"
     most_characters: int = 79
     spindle_dwell_s: float = 4.0
@@ -57,6 +59,11 @@ class Post:
     def digits(self) -> Digits:
         """The raster on which this dialect can write a position."""
         return Digits(xy_mm=10.0**-self.xy_decimals, z_mm=10.0**-self.z_decimals)
+
+    @property
+    def offsets(self) -> bool:
+        """Whether programs can name their work offset."""
+        return any("{offset" in block for block in self.start)
 
     @property
     def blends(self) -> bool:
@@ -77,6 +84,7 @@ class Post:
     def remark(self, text: str) -> bytes:
         """Return a comment, cut to the line length; what would end or break it is replaced."""
         opening, closing = self.comment
+        text = text.upper() if self.capitals else text
         plain = "".join(c if c.isascii() and c.isprintable() and c not in opening + closing else "_" for c in text)
         return self.block(opening + plain[: self.most_characters - len(opening) - len(closing)] + closing)
 

@@ -23,6 +23,7 @@ class RmlPost:
     line_end: str = "\r\n"
     coolant: Mapping[str, str] = field(default_factory=dict)
     blends: bool = False
+    offsets: bool = False
     high_precision: bool = False
     traces_with_spindle_on: bool = False
 

@@ -1,4 +1,4 @@
-"""What a program does beside its cuts: coolant, corners, the spindle brought up to speed.
+"""What a program does beside its cuts: work offset, coolant, corners, the spindle brought up to speed.
 
 Plain data without arrays, so that a job can be refused where nothing is computed.
 """
@@ -23,12 +23,14 @@ WARM_UP_SHARES = (0.25, 0.5, 0.75, 1.0)
 class ProgramSetup:
     """What a program switches on before its first cut, and off after its last.
 
+    work_offset        : 1 to 6: G54 to G59, or what the control calls them
     blend_tolerance_mm : how far the path may leave its corners; 0: an exact stop at each; None: as the post has it
     warm_up_s          : the spindle comes up in WARM_UP_SHARES within this time; 0: at once
     slowest_rpm        : of the spindle; no step of the warm-up is slower
     """
 
     coolant: Coolant = "none"
+    work_offset: int = 1
     blend_tolerance_mm: float | None = None
     high_precision: HighPrecision = "none"
     warm_up_s: float = 0.0

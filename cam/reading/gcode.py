@@ -81,13 +81,14 @@ def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> I
     """Yield moves of a pass that is written as several programs, run one after the other, each given in pieces of its
     text.
 
-    Each begins with nothing known but where the one before has left the tool; lines and bytes are counted through.
+    Each begins with nothing known but where the one before has left the tool, in its work offset; lines and bytes are
+    counted through.
     """
     state = np.zeros(gcode_parse.LINE + 1)
     state[:3] = np.nan
     bytes_read = lines_read = 0
     for chunks in parts:
-        state[3:] = 0.0
+        state[3 : gcode_parse.OFFSET] = state[gcode_parse.LINE] = 0.0
         state[gcode_parse.UNIT], state[gcode_parse.ABSOLUTE], state[gcode_parse.MOTION] = 1.0, 1.0, -1.0
         for batch in _batches(chunks, language, state):
             yield replace(batch, line=batch.line + lines_read, lines_read=batch.lines_read + lines_read,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cam.errors import CamError
 
 ALLOWED = (
-    "G0 G1 G4 G17 G20 G21 G40 G49 G54 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
+    "G0 G1 G4 G17 G20 G21 G40 G49 G54 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
     "comments in ( ) and after ;"
 )
 ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
@@ -41,7 +41,9 @@ ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
     RELATIVE,
     NO_VELOCITY,
     ALONE,
-) = range(1, 31)
+    BAD_OFFSET,
+    OFFSET_CHANGES,
+) = range(1, 33)
 
 REFUSALS = {
     LONG: "a line holds at most 79 characters",
@@ -69,6 +71,8 @@ REFUSALS = {
     TWO_DIGITS_ONLY: "this control takes G and M words with two digits only (G01, not G1)",
     USELESS_WORD: "H belongs to G15, Q to G64 or G5.1",
     ALONE: "G5.1 stands alone with Q, G8 with P: 1 for on, 0 for off",
+    BAD_OFFSET: "G15 needs H, the work offset, 1 to 6",
+    OFFSET_CHANGES: "a program works in one offset, named before its first move",
     NO_COMMAND: f"not a command that is read here; allowed: {ALLOWED_RML}",
     BAD_NUMBERS: "the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)",
     NO_SEMICOLON: "each command ends with ; on its own line",

@@ -12,6 +12,7 @@ from cam.reading.gcode_errors import (
     BAD_DWELL,
     BAD_FEED,
     BAD_NAME,
+    BAD_OFFSET,
     BLIND,
     DECIMALS_LEFT_OUT,
     DWELL_MOVES,
@@ -23,6 +24,7 @@ from cam.reading.gcode_errors import (
     NO_MOTION,
     NO_NUMBER,
     NO_SPEED,
+    OFFSET_CHANGES,
     OPEN_COMMENT,
     PERCENT,
     PERCENT_PLACE,
@@ -48,8 +50,9 @@ from cam.reading.gcode_languages import (
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
-# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, lines read.
-X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, LINE = range(13)
+# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, work offset from 1 (0: not
+# named yet), lines read.
+X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, LINE = range(14)
 POWERS = 10.0 ** np.arange(19)
 
 
@@ -91,6 +94,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         g_contour = False  # G5.1 Q
         g_ahead = False  # G8 P
         g_offset = False
+        offset = 0
         percent = False
         m_spindle = -1
         m_end = False
@@ -198,7 +202,8 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                     group = 8
                 elif code == 170:
                     group = 16
-                elif code == 540 and not rules[OFFSETS_BY_H]:
+                elif 540 <= code <= 590 and code % 10 == 0 and not rules[OFFSETS_BY_H]:
+                    offset = (code - 530) // 10
                     group = 32
                 elif code == 150 and rules[OFFSETS_BY_H]:
                     g_offset = True
@@ -274,6 +279,14 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 return begin, n, ALONE, begin
             if (g_contour or g_ahead) and not 0.0 <= values[16 if g_contour else 15] <= 1.0:
                 return begin, n, ALONE, begin
+            if g_offset:
+                offset = int(values[7]) if seen & (1 << 7) else 0
+                if not 1 <= offset <= 6 or values[7] != offset:
+                    return begin, n, BAD_OFFSET, begin
+            if offset:
+                if state[OFFSET] != offset and (state[OFFSET] > 0.0 or not np.isnan(state[Z])):
+                    return begin, n, OFFSET_CHANGES, begin
+                state[OFFSET] = offset
             axes = seen & (7 << 23)
             halt = -1.0
             if g_dwell:  # its seconds: a word that means something else without G4

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machines.gcode import refusals
-from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MOVES_FRAME
+from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MOVES_FRAME, OFFSET_BY_H
 
 SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
 
@@ -156,8 +156,9 @@ DIALECTS: dict[str, Dialect] = {
         Dialect(
             name="okuma", title="Okuma OSP", line_limit=157, n_limit=99_999_999, percent=True, named=True,
             needs_point="XYZIJKRF",
-            own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(MOVES_FRAME, (15, 16, 56), "H"), *_g(DWELL_BY_F, (4,), "F"),
-                 *_g(ACCEPT, (30,), "P"), *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
+            own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(OFFSET_BY_H, (15,), "H"), *_g(MOVES_FRAME, (16, 56), "H"),
+                 *_g(DWELL_BY_F, (4,), "F"), *_g(ACCEPT, (30,), "P"),
+                 *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
         ),
         Dialect(
             name="roland-nc", title="Roland NC", line_limit=254, n_limit=99_999_999, percent=True, name_digits=(8, 8),

@@ -28,10 +28,10 @@ NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30.
 WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # What a dialect's own word may do.
-ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F = 1, 2, 3, 4
+ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H = 1, 2, 3, 4, 5
 M2_READ, TAPE_ENDED = 1, 2  # bits of ENDED
 
-_F, _I, _J, _K, _L, _N, _O, _P, _R, _S, _T = (1 << (ord(letter) - 65) for letter in "FIJKLNOPRST")
+_F, _H, _I, _J, _K, _L, _N, _O, _P, _R, _S, _T = (1 << (ord(letter) - 65) for letter in "FHIJKLNOPRST")
 _X = 1 << 23
 _AXES = 7 << 23
 _FAR_MM = 100_000.0
@@ -82,6 +82,12 @@ def block(
                 return -action
             if action == MOVES_FRAME:
                 moves_frame = True
+            elif action == OFFSET_BY_H:  # 1 to 6 are G54 to G59 elsewhere
+                h = values[7] if seen & _H else 0.0
+                if 1.0 <= h <= 6.0 and h == math.floor(h) and state[SHIFTED] == 0.0:
+                    wcs = 53.0 + h
+                else:
+                    moves_frame = True
             elif action >= DWELL_MS:
                 dwell = action
         if code == 0 or code == 10 or code == 20 or code == 30 or 382 <= code <= 385 or code == 800:

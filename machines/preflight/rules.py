@@ -15,6 +15,7 @@ _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "shifted", "machine")
 _AXES = "XYZ"
 
 Events = Sequence[Sequence[int]]
+_STARVED_SHARE = 0.1  # of the time, from which waiting for lines is worth a word
 
 _WORDS = (
     (tally.SPINDLE_OFF, "cuts with the spindle off or at S0"),
@@ -22,7 +23,7 @@ _WORDS = (
     (tally.BLIND_RELATIVE, "moves relatively (G91) from a place the program does not tell; extents leave it out"),
     (tally.FRAME_MOVED, "moves the program's own frame (G10, G92, G43.1 or a tool's offset); "
                         "extents from there on are not held against the work zero"),
-    (tally.OTHER_OFFSET, "works in another offset than G54; see that it is set"),
+    (tally.OTHER_OFFSET, "works in another offset than G54 (G15 H1); see that it is set"),
     (tally.SETTINGS_WRITTEN, "writes the controller's EEPROM (G10, G28.1, G30.1); it is sent alone, with a pause"),
     (tally.STOPS, "stops for the operator (M0, M1) until cycle start"),
     (tally.PLACE_UNKNOWN, "goes to a place only the controller knows (G28, G30, G38); time and extents leave it out"),
@@ -91,6 +92,19 @@ def warnings(
         yield "the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle"
     if not ends:
         yield "the program has no end (M2 or M30): the spindle stays as the last line leaves it"
+
+
+def warn_of_starving(
+    limits: MillLimits, feeds: tuple[float, float] | None, *, path_length_mm: float, time_s: float, starved_s: float
+) -> Iterator[str]:
+    """Yield what the link carries of the feed, where the mill stands for much of its time waiting for lines."""
+    if feeds is not None and starved_s >= _STARVED_SHARE * time_s > 0:
+        wire = "" if limits.bytes_per_s is None else f" and {limits.bytes_per_s:.0f} bytes"
+        yield (
+            f"the link is too slow: F{feeds[1]:g} is asked for, and {limits.lines_per_s:g} lines{wire} a second carry "
+            f"F{60 * path_length_mm / time_s:.0f} on average; the mill stands waiting for lines "
+            f"{100 * starved_s / time_s:.0f} % of the time. A faster link helps, or the control's own memory"
+        )
 
 
 def require_spindle(dialect: Dialect, limits: MillLimits, spindle: tuple[float, float] | None) -> None:

@@ -89,6 +89,10 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     warnings = rules.warnings(
         events, dialect=scan.dialect, limits=limits, spindle=spindle, ends=ends, moves=totals[tally.PATH_MM] > 0
     )
+    length_mm = totals[tally.PATH_MM]
+    starving = rules.warn_of_starving(
+        limits, feeds, path_length_mm=length_mm, time_s=model.seconds, starved_s=model.starved_s
+    )
     return Preflight(
         sha256=digest.hexdigest(),
         bytes=scan.bytes,
@@ -100,12 +104,12 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         bounds_by_frame=boxes,
         feeds_mm_per_min=feeds,
         spindle_rpm=spindle,
-        path_length_mm=totals[tally.PATH_MM],
+        path_length_mm=length_mm,
         time_s=model.seconds,
         ends=ends,
         mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
         assumed=rules.list_assumed_modes(events),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *starving),
         index=scan.index,
     )
 

@@ -106,8 +106,13 @@ def test_more_look_ahead_is_never_slower():
 
 def test_short_segments_wait_for_the_line():
     x = np.arange(4001) * 0.01
-    took = seconds(moves(np.column_stack([x, 0 * x, 0 * x]), 6000), lines_per_s=200)
-    assert took == pytest.approx(4000 / 200, rel=0.01)
+    model = DurationModel(mill(lines_per_s=200))
+    model.add(moves(np.column_stack([x, 0 * x, 0 * x]), 6000))
+    assert model.seconds == pytest.approx(4000 / 200, rel=0.01)
+    fed = DurationModel(mill())
+    fed.add(moves(np.column_stack([x, 0 * x, 0 * x]), 6000))
+    assert model.starved_s == pytest.approx(model.seconds - fed.seconds, rel=0.01)
+    assert fed.starved_s < 1e-3
 
 
 def test_a_full_buffer_holds_lines_ready_for_a_burst():

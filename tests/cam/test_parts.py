@@ -119,7 +119,7 @@ def test_hours_split_as_well_and_the_edge_is_preferred():
 def test_names_and_numbers_tell_the_parts_apart():
     parts = texts(one_cut(2000), PartLimits(most_bytes=20_000), "okuma")
     assert [part.split(b"\r\n")[1] for part in parts][:2] == [b"O0301", b"O0302"]
-    assert b"part 2: goes on where part 1 has ended" in parts[1]
+    assert b"PART 2: GOES ON WHERE PART 1 HAS ENDED" in parts[1]
     assert texts(one_cut(50), PartLimits()) == texts(one_cut(50), PartLimits(most_bytes=1e6))
 
 

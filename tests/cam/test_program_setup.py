@@ -40,6 +40,7 @@ SETUPS = [
     ("fanuc", ProgramSetup(high_precision="g05.1")),
     ("fanuc", ProgramSetup(high_precision="g08", coolant="flood")),
     *((dialect, ProgramSetup(warm_up_s=60.0, slowest_rpm=4000)) for dialect in DIALECTS),
+    *((dialect, ProgramSetup(work_offset=3)) for dialect, post in POSTS.items() if post.offsets),
 ]  # fmt: skip
 
 
@@ -93,7 +94,9 @@ def test_the_mill_s_pre_flight_takes_it(dialect: str, setup: ProgramSetup, tmp_p
     found = examine(file, limits_of(profile), lambda share: None)
     told = [words for words in found.warnings if "M7" in words]
     assert bool(told) == (dialect == "grbl" and setup.coolant == "mist")
-    own = [words for words in found.warnings if "own frame" in words or "no sequence numbers" in words]
+    own = [words for words in found.warnings if "no sequence numbers" in words]
+    own += [words for words in found.warnings if "another offset" in words and setup.work_offset != 1]
+    assert list(found.bounds_by_frame) == [f"G{53 + setup.work_offset}"]  # so that it is held against the work zero
     assert sorted(found.warnings) == sorted([*told, *own])
     assert found.ends
 
@@ -110,6 +113,31 @@ def test_coolant_runs_in_every_cut_and_is_off_before_the_end_of_the_program(dial
         if step.kind == "feed":
             assert mill.state.coolant == word
     assert mill.state.coolant == "M9" and mill.state.spindle == "M5"
+
+
+@pytest.mark.parametrize("dialect", [dialect for dialect, post in POSTS.items() if post.offsets])
+def test_a_program_works_in_the_one_offset_asked_for(dialect: str) -> None:
+    """Whoever changes it on the way, or between two parts, is refused: all that follows would be cut elsewhere."""
+    first, second = (program(dialect, ProgramSetup(work_offset=number)) for number in (2, 3))
+    word = b"G15H%d" if dialect == "okuma" else b"G%d"
+    numbers = (2, 3) if dialect == "okuma" else (55, 56)
+    assert word % numbers[0] in first and word % numbers[1] in second
+    language = LANGUAGES[dialect]
+    for texts in ([first, first], [second]):
+        assert list(read_parts(([text] for text in texts), language))[-1].ended
+    down = re.search(rb"G0?1[XYZ]", first)
+    assert down is not None
+    changed = first[: down.start()] + word % numbers[1] + b"\n" + first[down.start() :]
+    for texts in ([first, second], [changed]):
+        with pytest.raises(ProgramError, match="one offset"):
+            list(read_parts(([text] for text in texts), language))
+
+
+def test_small_letters_stand_in_no_comment_of_a_control_that_does_not_take_them() -> None:
+    for dialect in DIALECTS:
+        text = program(dialect, ProgramSetup(), TRACE)
+        assert bool(re.search(rb"[a-z]", text)) == (dialect in ("grbl", "grblhal", "fluidnc", "linuxcnc")), dialect
+        assert b"tiny" in text.lower() or dialect == "rml-1"
 
 
 def test_corners_are_blended_within_the_tolerance_or_stopped_at_exactly() -> None:
@@ -178,7 +206,8 @@ def test_what_a_control_cannot_do_is_named_with_what_it_can() -> None:
             assert all(coolant in value and "'none'" in allowed for _, value, allowed in told)
         blends = not list(find_unsupported(dialect, ProgramSetup(blend_tolerance_mm=0.01)))
         precise = not list(find_unsupported(dialect, ProgramSetup(high_precision="g08")))
-        assert (blends, precise) == (dialect == "linuxcnc", dialect == "fanuc")
+        offsets = not list(find_unsupported(dialect, ProgramSetup(work_offset=2)))
+        assert (blends, precise, offsets) == (dialect == "linuxcnc", dialect == "fanuc", dialect != "rml-1")
 
 
 REFUSED = [

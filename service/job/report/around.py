@@ -66,6 +66,9 @@ def _of_begin(machine: Mapping[str, Any]) -> Iterator[str]:
 
 def _of_every_program(machine: Mapping[str, Any]) -> Iterator[str]:
     coolant, post = machine.get("coolant", "none"), POSTS.get(str(machine.get("dialect")))
+    if (offset := machine.get("work_offset", 1)) != 1:
+        name = f"G15 H{offset}" if machine.get("dialect") == "okuma" else f"G{53 + offset}"
+        yield f"Every program works in offset {name}: set X0 Y0 and Z0 there, not in the first one."
     word = post.coolant.get(str(coolant)) if post else None
     if word:
         yield (

@@ -41,6 +41,9 @@ class MachineSpec(Section):
     safe_z_mm: Annotated[Annotated[float, Field(ge=0.5, le=200)] | None, _shown("Safe height")] = None
     spindle_rpm: Annotated[Pair | None, shown("Spindle", names=("slowest", "fastest"))] = None
     coolant: Annotated[Literal["none", "air", "mist", "flood"] | None, _shown("Coolant or air")] = None
+    work_offset: Annotated[
+        Annotated[int, Field(ge=1, le=6)] | None, _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6.")
+    ] = None
     blend_tolerance_mm: Annotated[
         Annotated[float, Field(ge=0, le=1)] | None, _shown("Corners rounded by", "LinuxCNC only; 0: exact stop.")
     ] = None

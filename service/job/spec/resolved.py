@@ -114,6 +114,7 @@ def setup_of(machine: MachineProfile) -> ProgramSetup:
     """Return what programs for this mill switch on before they cut, and off afterwards."""
     return ProgramSetup(
         coolant=cast(Coolant, machine.coolant),
+        work_offset=machine.work_offset,
         blend_tolerance_mm=machine.blend_tolerance_mm,
         high_precision=cast(HighPrecision, machine.high_precision),
         warm_up_s=machine.warm_up_s,

@@ -39,7 +39,9 @@ from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob, setup_of
 from service.job.stages.context import StageContext
+from service.wording import duration
 
+_STARVED_SHARE = 0.1  # of a program's time, from which waiting for lines is worth a word
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
@@ -62,7 +64,8 @@ def run_pass(context: StageContext) -> None:
     verdict = _check(context, [part.file for part in written], spec, heightfield, stock_top)
     rest_follows = any(later.where == "rest" for later in context.spec.passes[context.number :])
     notes = () if rest_follows else verdict.notes  # what is left here is taken there
-    for sentence in (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ():
+    of_finish = (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ()
+    for sentence in (*of_finish, *_of_starving(context.machine, spec, verdict)):
         context.note("passes", f"{written[0].file}: {sentence}")
     row = {
         "file": written[0].file,
@@ -156,6 +159,20 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
         "the mill's steps in height will blur the picture; finer positions or a larger ball show more (steps of "
         f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm ({1000 * slope:.0f} mrad) from row "
         f"to row: about {49 * slope:.2g} mm on a screen 100 mm away, in acrylic with its refractive index of 1.49)"
+    )
+
+
+def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[str]:
+    """Yield what feed the link carries, and what would help, where the mill stands waiting for lines."""
+    if verdict.starved_s < _STARVED_SHARE * verdict.time_s:
+        return
+    carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
+    yield (
+        f"the link is too slow: F{spec.feed_mm_per_min:g} is asked for, and {machine.lines_per_s:g} lines a second "
+        f"carry F{carried:.0f} on average; the mill waits for lines {duration(verdict.starved_s)} of "
+        f"{duration(verdict.time_s)}. {verdict.lines / moving_s:.0f} lines a second would carry it "
+        "(machine.lines_per_s), so would the control's own memory; else ask for the feed that is carried and turn the "
+        "spindle slower by as much, or the cutter rubs"
     )
 
 

@@ -116,8 +116,8 @@ def test_the_mill_may_run_it(dialect, tmp_path):
     profile = replace(profile, spindle_rpm=(4500.0, 15000.0))
     found = examine(file, limits_of(profile), lambda share: None)
     assert found.ends and found.spindle_rpm == (12000, 12000)
-    own_frame = [words for words in found.warnings if "own frame" in words]
-    assert list(found.warnings) == (own_frame if dialect == "okuma" else [])
+    assert not found.warnings
+    assert dialect == "rml-1" or list(found.bounds_by_frame) == ["G54"]
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -158,6 +158,7 @@ REFUSED = {
         ("F612.5", "F612", "least input"),
         ("G4F4.0", "G4P4", "its seconds"),
         ("G15H1", "H1", "H belongs"),
+        ("G15H1", "G15H7", "1 to 6"),
     ],
     "roland-nc": [("G01", "G1", "two digits"), ("Z1.0", "Z1", "least input"), ("M03", "M3", "two digits")],
     "rml-1": [

@@ -174,6 +174,17 @@ def test_warnings_and_assumptions(tmp_path: Path) -> None:
         assert words.strip() in text, words
 
 
+def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
+    """Vertices 0.0777 mm apart at F800 come to 172 lines a second; 35 of them carry F163."""
+    moves = "".join(f"X{0.0777 * k:.3f}Z-{1 + 0.001 * (k % 2):.3f}\r\n" for k in range(1, 5000))
+    begin = "%\r\nO0001\r\nN1 G21G90G94G17\r\nG15H1\r\nG0Z5.0\r\nX0.Y0.\r\nS5000M3\r\nG1Z-1.F800.\r\n"
+    file, okuma = tmp_path / "p.min", load_profile("okuma-osp", [])
+    file.write_text(f"{begin}{moves}M5\r\nM2\r\n%\r\n")
+    (told,) = examine_here(file, okuma).warnings
+    assert "F800 is asked for, and 35 lines and 873 bytes a second carry F16" in told
+    assert not examine_here(file, replace(okuma, lines_per_s=1000.0, link=GRBL.link)).warnings
+
+
 def test_no_such_program_and_a_folder_are_one_line(tmp_path: Path, cache: Path) -> None:
     for path in (tmp_path / "none.nc", tmp_path):
         with pytest.raises(PreflightError) as caught:

@@ -92,6 +92,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("machine.spindle_rpm", {"check"}),
         ("machine.profile", {"check"}),  # all its figures are given otherwise
         ("machine.coolant", {"pass-1", "pass-2", "check"}),
+        ("machine.work_offset", {"pass-1", "pass-2", "check"}),
         ("machine.warm_up_s", {"pass-1", "check"}),
         ("machine.trace_outline", {"pass-1", "check"}),
         ("preset", set()),

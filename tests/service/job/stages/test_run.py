@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from PIL import Image
 from service.errors import FailedError, InputError, PictureError, ServiceError
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
 from service.job.stages.run import run_order
-from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job
+from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,21 @@ def test_a_damaged_and_a_black_picture_are_refused_by_their_name(job: StagedJob,
     Image.new("L", (20, 20)).save(tmp_path / "black.png")
     words = refused(job, with_picture(job, tmp_path / "black.png"), PictureError)
     assert words == "holiday.png: the picture is black everywhere, there is no light to aim"
+
+
+def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
+    """The feed it carries is that of way and time; one that carries all of it is not told of."""
+    slow = staged_job(tmp_path, "machine.lines_per_s=20")
+    for stage in ("image", "irradiance", "map", "heightfield", "pass-1", "pass-2"):
+        slow.run(stage)
+    row, (told,) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
+    found = re.search(r"F(\d+) is asked for, and 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
+    assert found is not None, told
+    asked, carried, enough = map(float, found.groups())
+    assert asked == row["settings"]["feed_mm_per_min"]
+    assert carried / 60 == pytest.approx(row["path_length_mm"] / row["time_s"], rel=0.01)
+    slow.spec = tiny_spec(f"machine.lines_per_s={3 * enough}")
+    assert "passes" not in slow.run("pass-2").notes
 
 
 def test_the_limits_of_the_order_hold(job: StagedJob, tmp_path: Path) -> None:
