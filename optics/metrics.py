@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from skimage.metrics import structural_similarity
 
 from optics.spline import Array
@@ -49,6 +50,11 @@ def score_caustic(irradiance: Array, target: Array) -> CausticScore:
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),
     )
+
+
+def blurred_psnr_db(target: Array, blur_px: tuple[float, float]) -> float:
+    """Return the PSNR of a target (ny, nx) that is only blurred, by these standard deviations (y, x)."""
+    return psnr_db(gaussian_filter(target, blur_px, mode="nearest"), target)
 
 
 def smallest_detail_mm(irradiance: Array, target: Array, pixel_mm: float) -> float:

@@ -101,7 +101,7 @@ def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: floa
 def _with_warnings(picture: Picture, settings: Reading) -> Picture:
     notes = []
     if picture.is_one_tone:
-        notes.append("is one tone all over: the lens will be flat")
+        notes.append("is one tone all over: the light will be even, with nothing to see in it")
     if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
         ny, nx = picture.linear.shape
         notes.append(f"has {picture.width} x {picture.height} pixels, enlarged to {nx} x {ny}")

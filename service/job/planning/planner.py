@@ -25,7 +25,7 @@ from service.job.planning.lenses import design_for_finishes, predict_designs, pr
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.lens_task import bench_of, branch_of, lens_settings
+from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.resolved import ResolvedJob
 
 Progress = Callable[[float], None]
@@ -45,6 +45,7 @@ def plan_for_picture(
     target : (ny, nx) work frame, mean 1
     whole  : the same with more pixels, where finishes are to be compared by that
     """
+    require_contrast(job.spec, target)
     spec, shop = job.spec, shop_of(job)
     settings = lens_settings(spec, branch=branch_of(spec, target))
     aims = not any(spec.optics.foreseen_blur_mm)

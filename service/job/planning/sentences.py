@@ -11,13 +11,16 @@ from cam.passes import PassSpec
 from cam.planning.planner import TOLERATED_DB, Candidate
 from cam.planning.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
+from optics.metrics import blurred_psnr_db
 from service.job.planning.plan import Planned
+from service.job.report.milled import UNSEEN_DB
 from service.wording import ball, duration
 
 RUBBING_M_PER_MIN = 10.0
-HOPEFUL_DB = 1.0
+HOPEFUL_DB = 1.5
 """What a milled picture may fall short of the foretold one: grooves spread light less where the picture is bright, and
-the foretold one has them everywhere alike (a photograph on 40 mm: 25.0 dB foretold, 24.0 dB by every groove).
+the foretold one has them everywhere alike (a photograph on 40 mm: 25.0 dB foretold, 24.0 dB by every groove; a soft
+picture: 1.4 dB less than foretold).
 """
 _NEAR = 0.15  # ball by reach of light: beyond, that differs too much from place to place to be foretold
 _SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
@@ -51,7 +54,8 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
 
 def blur_warning(planned: Planned, one: Candidate, remedy: str = "") -> str | None:
     """Return what a plan cannot show of the picture, if anything; figures last."""
-    if (pixels := planned.blur_px(one)) <= 1.0:
+    pixels = planned.blur_px(one)
+    if pixels <= 1.0 or blurred_psnr_db(planned.light.target, (pixels / 2**0.5,) * 2) > UNSEEN_DB:
         return None
     return (
         f"the picture's finest detail will not be seen{remedy} (the tool's marks blur it by {one.blur_mm:.2g} mm, "

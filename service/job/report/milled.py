@@ -15,6 +15,7 @@ CAUSES = {
     "rounding": ("the decimals of the program", "a dialect with more of them helps"),
 }
 _WORTH_DB = 0.3
+UNSEEN_DB = 40.0  # of what blur does to a picture that has no finer detail than that
 _MOST_OF_IT = 0.7  # of what milling costs, from which one cause explains it
 
 
@@ -45,11 +46,12 @@ def _main_cause(milled: Mapping[str, Any]) -> list[str]:
 
 
 def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | None:
-    """Return a warning where the milled surface blurs more than a pixel. planned: the planner chose the passes, for a
-    goal.
+    """Return a warning where the milled surface blurs more than a pixel, of a picture with detail so fine.
+
+    planned : the planner chose the passes, for a goal
     """
     pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
-    if not pixels > 1.0:
+    if not pixels > 1.0 or milled.get("psnr_db_blurred", 0.0) > UNSEEN_DB:
         return None
     figures = f"(the tool's marks blur it by {pixels:.1f} of its pixels)"
     if planned:

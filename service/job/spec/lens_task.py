@@ -16,12 +16,14 @@ from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
 from optics.light import Light
 from optics.settings import LensSettings
+from service.errors import InputError
 from service.job.finite_json import table
 from service.job.spec.light import LIGHT_WORDS
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
 POLISH_STEPS = 20
+_ONE_TONE = 1e-4  # relative spread of a target that is one tone: far below one step of 8 bits
 _GAUSSIAN_NODES = 129  # from rim to rim: bilinear between them is within 2e-4 of a beam as wide as half the lens
 
 
@@ -114,6 +116,22 @@ def explain_blocked_light(spec: JobSpec) -> str | None:
         f"the screen stands in the light of the mirror and would shade it; optics.screen_shift_x_mm = {need_x:.0f} or "
         f"optics.screen_shift_y_mm = {need_y:.0f} lets the light pass"
     )
+
+
+def require_contrast(spec: JobSpec, target: Array) -> None:
+    """Raise InputError where light is even without a lens, and shall be: for a target (ny, nx) of one tone.
+
+    An even screen of another size or place, or from a lamp, is a task for a lens.
+    """
+    optics, light = spec.optics, spec.optics.light
+    straight = light.distance_mm is None and light.even and optics.outline_mm is None
+    unshifted = optics.screen_shift_x_mm == 0 == optics.screen_shift_y_mm
+    same_size = optics.screen_size_mm == (optics.width_mm, optics.height_mm)
+    if straight and unshifted and same_size and np.ptp(target) <= _ONE_TONE * target.max():
+        raise InputError(
+            "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
+            "with contrast, or one tone on a screen of another size"
+        )
 
 
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:

@@ -21,7 +21,7 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
-from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
+from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_detail_mm
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
@@ -161,6 +161,7 @@ def _tell(
             "blur_px": found.blur_px,
             "blur_x_px": found.blur_x_px,
             "blur_y_px": found.blur_y_px,
+            "psnr_db_blurred": blurred_psnr_db(target, (found.blur_y_px, found.blur_x_px)),
             "step_mm": machine.step_mm,
             "z_noise_mm": machine.z_noise_mm,
             "gain_db_without": gains,

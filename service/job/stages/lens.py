@@ -23,7 +23,7 @@ from service.job.page_data.surface import surface_bytes
 from service.job.picture.reading import read_picture
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
-from service.job.spec.lens_task import branch_of, lens_settings
+from service.job.spec.lens_task import branch_of, lens_settings, require_contrast
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.stages.context import THE_PICTURE, StageContext
 
@@ -94,6 +94,7 @@ def run_transport_map(context: StageContext) -> None:
     what the design says of itself in report `optics`; flow.png.
     """
     target = context.receive(TARGET, arrays.load_target)
+    require_contrast(context.spec, target)
     with context.watch.stage("lens") as on_progress:
         settings = lens_settings(context.spec, branch=branch_of(context.spec, target))
         design = design_lens(aim_of(context.spec, target), settings, on_progress=_way(context.spec, on_progress))

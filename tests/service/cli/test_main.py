@@ -135,15 +135,13 @@ def test_a_name_with_a_line_break_stays_on_one_line(capsys: pytest.CaptureFixtur
     refused(capsys, 2, ["make", "--bo\ngus"], "--bo", "gus")
 
 
-@pytest.mark.thorough
-def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "grey.png"
-    Image.new("L", (64, 64), 128).save(path)
-    assert run(["design", str(path), "-o", str(tmp_path / "out"), *SMALL]) == 0
-    assert "lens will be flat" in capsys.readouterr().out
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["optics"]["relief_mm"] < 1e-3
-    assert any("flat" in sentence for sentence in report["warnings"])
+def test_one_tone_is_a_plain_window_and_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "white.png"
+    Image.new("L", (64, 64), 255).save(path)
+    for command in ("make", "design"):
+        refused(capsys, 2, [command, str(path), "-o", str(tmp_path / "out"), *SMALL, "-q"], "contrast", "plain window")
+    refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), "--preset", "recommended", "-q"], "contrast")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.thorough

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from copy import copy
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from optics.irradiance import target_irradiance
 from service.cli.main import run
@@ -20,7 +23,7 @@ from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import mill_of, plan_for_picture
-from service.job.planning.sentences import reasons
+from service.job.planning.sentences import blur_warning, reasons
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, with_plan
@@ -123,6 +126,15 @@ def test_a_foretold_figure_is_told_with_its_margin(planned: Planned) -> None:
     assert f"as milled up to {told:g} dB less" in reasons(planned)[0]
     form = planned.light.forms[planned.chosen.finish.radius_mm]
     assert planned.chosen.finish.radius_mm <= 0.15 * planned.light.reach_mm(form)
+
+
+def test_a_picture_without_detail_is_not_told_that_its_detail_is_lost(planned: Planned) -> None:
+    """However wide the blur is: a soft hill looks the same."""
+    blurred = next(one for one in planned.plan.front if planned.blur_px(one) > 1.0)
+    assert blur_warning(planned, blurred) is not None
+    light = copy(planned.light)
+    light.target = gaussian_filter(light.target, 12.0)
+    assert blur_warning(replace(planned, light=light), blurred) is None
 
 
 def test_what_the_person_decided_stays(planned: Planned) -> None:

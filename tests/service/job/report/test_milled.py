@@ -53,6 +53,8 @@ def test_a_blur_of_more_than_a_pixel_is_a_warning():
     assert "“Recommended”" in (detail_lost(MILLED) or "")
     assert "Recommended" not in (detail_lost(MILLED, planned=True) or "")  # it was asked already
     assert detail_lost({**MILLED, "blur_y_px": 0.9}) is None
+    assert detail_lost({**MILLED, "psnr_db_blurred": 30.0})
+    assert detail_lost({**MILLED, "psnr_db_blurred": 42.0}) is None  # a soft picture has nothing so fine
 
 
 def test_the_page_shows_the_picture_beside_the_design():

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.light import meet, strength_on_face
-from service.job.spec.lens_task import bench_of, explain_blocked_light, lens_settings
+from service.errors import InputError
+from service.job.spec.lens_task import bench_of, explain_blocked_light, lens_settings, require_contrast
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 
@@ -43,6 +44,25 @@ def bilinear(rows: list[list[float]], right: NDArray[np.float64], down: NDArray[
     f, g = x - i, y - j
     top, bottom = ((1 - f) * given_rows[j + k, i] + f * given_rows[j + k, i + 1] for k in (0, 1))
     return np.asarray((1 - g) * top + g * bottom)
+
+
+@pytest.mark.parametrize(
+    "optics",
+    [
+        {}, {"light": {"kind": "sun"}}, {"screen_width_mm": 20.0}, {"screen_shift_x_mm": 9.0}, {"outline": "ellipse"},
+        {"light": {"kind": "point", "distance_mm": 500.0}}, {"light": {"gaussian_mm": 20.0}},
+    ],
+)  # fmt: skip
+def test_one_tone_is_a_task_where_light_has_to_be_spread_for_it_and_no_other(optics: dict[str, Any]) -> None:
+    """Where the window itself shows it, there is nothing to mill."""
+    spec, one_tone = job(**optics), np.ones((8, 12))
+    if optics in ({}, {"light": {"kind": "sun"}}):
+        with pytest.raises(InputError, match="plain window"):
+            require_contrast(spec, one_tone)
+    else:
+        require_contrast(spec, one_tone)
+    one_tone[3, 4] += 0.01
+    require_contrast(spec, one_tone)
 
 
 @pytest.mark.parametrize("viewed_from", ["lens", "behind"])
