@@ -39,7 +39,7 @@ def coupon_job(
             raise InputError(f"--set: {text}: a test piece is {WIDTH_MM:g} x {HEIGHT_MM:g} mm; allowed: leave it out")
     base: dict[str, Any] = {
         "optics": {**_FIXED, "throw_mm": THROW_MM, "viewed_from": "behind"},
-        "stock": {"thickness_mm": _STOCK_MM, "skim_mm": 0.05},
+        "stock": {"thickness_mm": _STOCK_MM, "margin_mm": 8.0, "skim_mm": 0.05},
         "passes": [
             {"name": "rough", "radius_mm": RADIUS_MM, "pitch_mm": ROUGH_PITCH_MM, "stock_to_leave_mm": LEFT_MM},
             {"name": "finish", "radius_mm": RADIUS_MM, "pitch_mm": PITCH_MM},

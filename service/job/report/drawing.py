@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+CLAMP_MM = 8.0  # that a clamp needs to stand on
 _ROOM_FOR_WORDS = 110.0
 _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
@@ -36,10 +37,17 @@ class SetUp:
     @property
     def ring_mm(self) -> float:
         """Width of the block's top that no cutter touches, at its narrowest; None of it: below 0."""
-        if self.swept_mm is None:
-            return self.margin_mm
-        left, right, front, back = self.swept_mm
+        return self.margin_mm if self.swept_mm is None else self.ring_beside_mm(self.swept_mm)
+
+    def ring_beside_mm(self, swept_mm: tuple[float, float, float, float]) -> float:
+        """Return the same beside what only some programs go over."""
+        left, right, front, back = swept_mm
         return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
+
+    @property
+    def is_clamped(self) -> bool:
+        """Whether clamps find room on that ring."""
+        return self.swept_mm is not None and self.ring_mm >= CLAMP_MM
 
 
 def top_view(job: SetUp) -> Markup:
@@ -52,6 +60,7 @@ def top_view(job: SetUp) -> Markup:
     arrow = min(60.0, 0.45 * min(w, h))
     parts = [
         _box(left, top, w, h, _BLOCK, "#5b6b7a"),
+        *_hatch_for_clamps(job, left, top, w, h),
         *_swept(job, zero_x, zero_y, scale),
         *_lens(job, zero_x, zero_y, scale),
         _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
@@ -68,6 +77,20 @@ def top_view(job: SetUp) -> Markup:
     if job.margin_mm > 0:
         parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {job.margin_mm:g}"))
     return _svg(left + 340, top + h + 58, "The block from above", parts)
+
+
+def _hatch_for_clamps(job: SetUp, left: float, top: float, w: float, h: float) -> list[str]:
+    """Hatch where clamps may stand, or say that they may not; what cutters sweep is drawn over it."""
+    if job.swept_mm is None:
+        return []
+    if not job.is_clamped:
+        return [_text(left + w + 6, top + h / 2, "no clamp on top", colour=_ACCENT)]
+    pattern = (
+        '<defs><pattern id="clamps" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
+        '<line x1="0" y1="0" x2="0" y2="7" stroke="#5b6b7a" stroke-width="1.6"/></pattern></defs>'
+    )
+    hatched = f'<rect x="{left:.1f}" y="{top:.1f}" width="{w:.1f}" height="{h:.1f}" fill="url(#clamps)"/>'
+    return [pattern, hatched, _text(left + w + 6, top + h / 2, "clamps: hatched")]
 
 
 def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:

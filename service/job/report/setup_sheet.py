@@ -21,6 +21,7 @@ from service.job.report.around import around_sentences, explain_zero_before_faci
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
 from service.job.report.drawing import SetUp, side_view, top_view
 from service.job.report.finishing import make_finishing_card
+from service.job.report.holding import plan_holding
 from service.job.report.milled import sentences_as_milled
 from service.job.report.optics import (
     lens_rows,
@@ -36,8 +37,6 @@ from service.job.spec.light import SUN_DEG
 from service.job.spec.outline import ellipse_mm
 from service.wording import duration, number, size, whole
 
-_CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
-_UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
 _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
@@ -60,9 +59,13 @@ def render_report(
     programs = _programs(report, spec)
     passes = [row for row in programs if not row["is_around"]]
     job = _set_up(report, spec, programs)
-    warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
     highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
     rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
+    holding = plan_holding(job, _lows(programs, job), rapid_z_mm, faced=bool(table(spec.get("stock")).get("face")))
+    for row in programs:
+        if _z_bounds(row):
+            row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
+    warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
     return _template().render(
         title=title or _job_name(report) or "lens",
         report=report,
@@ -80,7 +83,6 @@ def render_report(
         around=around_sentences(spec, report),
         material=_describe_block(table(spec.get("stock")).get("material")),
         facing_zero=explain_zero_before_facing(spec),
-        edge_z_mm=_edge_z_mm(programs, job),
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         score_rows=score_rows(report),
         milled=sentences_as_milled(table(report.get("as_milled"))),
@@ -89,9 +91,8 @@ def render_report(
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         check_rows=check_rows(programs),
         finishing=make_finishing_card(report),
-        clearance_mm=_CLEARANCE_MM,
+        holding=holding,
         rapid_z_mm=rapid_z_mm,
-        highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
         tool_changes=_tool_changes(programs),
         lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         main_pictures=[one for one in PICTURES if one.name in files and one.shown == "wall"],
@@ -125,18 +126,10 @@ def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
 
 
-def _edge_z_mm(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> float:
-    """Return the lowest Z of those programs whose cutters reach the edge of the block."""
-    lowest = [0.0]
-    for row in programs:
-        swept = _swept([row])
-        if job is None or swept is None or not _z_bounds(row):
-            continue
-        left, right, front, back = swept
-        ring_mm = job.margin_mm - max(-left, right - job.width_mm, -front, back - job.height_mm)
-        if ring_mm <= 0:
-            lowest.append(_z_bounds(row)[0])
-    return min(lowest)
+def _lows(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> list[tuple[float, float]]:
+    """Return (ring that it leaves around the block, lowest Z) of each program [mm]."""
+    swept = [(one, _z_bounds(row)[0]) for row in programs if (one := _swept([row])) and _z_bounds(row)]
+    return [] if job is None else [(job.ring_beside_mm(one), low_mm) for one, low_mm in swept]
 
 
 def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
@@ -198,8 +191,6 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
         row = {**own, **table(program.get("settings")), **program, "number": number_, "is_around": is_around}
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
-        if _z_bounds(row):
-            row["stick_out_mm"] = _CLEARANCE_MM - min(_z_bounds(row)[0], 0.0)
         row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
         rows.append(row)
     return rows
@@ -260,7 +251,7 @@ def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     return "good", f"{count} passed the check: read back from the written file and cut in simulation."
 
 
-def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+def _tool_warnings(passes: Sequence[Mapping[str, Any]], clearance_mm: float) -> list[str]:
     """Return warnings on cutters that have to reach deeper than a plain end mill of their diameter can."""
     sentences = []
     for row in passes:
@@ -268,7 +259,7 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
         if radius_mm and stick_out_mm and stick_out_mm > _SLENDER * 2 * radius_mm:
             sentences.append(
                 f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
-                f"{stick_out_mm - _CLEARANCE_MM:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
+                f"{stick_out_mm - clearance_mm:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
                 f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
                 f"the walls of the lens. A wall farther away makes the lens flatter, about half as deep at twice the "
                 "distance."

@@ -19,7 +19,7 @@ from service.job.spec.model import PRESETS, JobSpec
 from service.job.spec.resolve import preset_rows, with_feeds, without_derived
 from service.job.spec.resolved import Figures, LoadProfile, ResolvedJob, look_up
 
-RECOMMENDED_MARGIN_MM = 14.0  # a ring at Z0 beside the 12 mm that a 6 mm ball clears
+RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that a 6 mm ball clears
 _MAX_SPEC_BYTES = 1_000_000
 _INDEX = re.compile(r"\d{1,4}")
 

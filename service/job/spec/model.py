@@ -120,8 +120,8 @@ class StockSpec(Section):
     """
 
     thickness_mm: Annotated[float, Field(gt=0, le=500), shown("Thickness")] = 40.0
-    # The default keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears.
-    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 8.0
+    # The default keeps a ring that can be clamped beside the 6 mm that a 3 mm ball clears.
+    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 14.0
     skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
     material: Annotated[
         str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")

@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import SetUp, top_view
+from service.job.report.drawing import CLAMP_MM, SetUp, top_view
 from service.job.report.setup_sheet import render_report
+from service.job.spec.loading import resolve_spec
 from service.job.spec.outline import ellipse_mm
+from service.job.spec.tools import load_tools
 from tests.service.job.report.test_setup_sheet import FILES, PROGRAM, REPORT, SPEC, Page
 
 PASSED = PROGRAM | {
@@ -60,13 +62,52 @@ def test_tools_and_order_in_words():
     assert "only where" in order_in_words({"pitch_mm": 0.1, "where": "rest"})
 
 
-@pytest.mark.parametrize(("margin_mm", "words"), [(8.0, "a ring 2 mm wide"), (6.0, "hold it from below")])
-def test_clamps_go_where_no_cutter_goes(margin_mm, words):
-    """The balls' flanks reach 6 mm beyond the lens."""
+@pytest.mark.parametrize(
+    ("margin_mm", "clamped", "words"),
+    [
+        (14.0, True, "a ring 8 mm wide keeps the stock top: clamps stand there and nowhere else"),
+        (8.0, False, "the ring around it is only 2 mm wide, and the cutters pass it down to Z −14.2 mm. Hold it from"),
+        (6.0, False, "reaches the edge of the block: no clamp on top. Hold it from below"),
+    ],
+)
+def test_clamps_go_where_no_cutter_goes_and_find_room(margin_mm, clamped, words):
+    """The balls' flanks reach 6 mm beyond the lens. The sheet says one of two things, and the drawing the same."""
     spec = SPEC | {"stock": SPEC["stock"] | {"margin_mm": margin_mm}, "passes": [{"radius_mm": 3.0}] * 2}
-    text = Page(render_report(REPORT, spec=spec, files=FILES)).text
+    page = render_report(REPORT, spec=spec, files=FILES)
+    text = Page(page).text
     assert "X −6 to 106, Y −6 to 86 mm" in text
     assert words in text
+    assert ("no clamp on top" in text.lower()) != clamped
+    assert ("clamps stand there" in text) == ('fill="url(#clamps)"' in page) == clamped
+    assert clamped or "stock.margin_mm = 14 leaves a ring" in text
+
+
+@pytest.mark.parametrize("preset", ["paper", "draft", "recommended"])
+def test_the_default_margin_can_be_clamped(preset, monkeypatch, tmp_path):
+    """Whatever ball of the shop's a plan comes to."""
+    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
+    spec = resolve_spec(preset=preset)
+    radius_mm = max(one.radius_mm for one in spec.passes or load_tools())
+    assert spec.stock.margin_mm - 2 * radius_mm >= CLAMP_MM
+
+
+def test_where_the_top_is_faced_no_margin_is_promised_to_hold_clamps():
+    stock = SPEC["stock"] | {"margin_mm": 14.0, "face": {"above_mm": 1.0, "tool": "flat"}}
+    around = {
+        "face": {"file": "pass-0-face.nc", "radius_mm": 3.0, "bounds": {"x": [-20, 120], "y": [-17, 97], "z": [0, 5]}}
+    }
+    text = Page(render_report(REPORT | {"around": around}, spec=SPEC | {"stock": stock}, files=FILES)).text
+    assert "no clamp on top" in text and "leaves a ring" not in text
+    assert "higher than 1 mm below the faced top" in text and "mm above the stock top, no clamp" not in text
+
+
+def test_higher_clamps_ask_for_tools_that_stick_out_farther():
+    """Where clamps stand, the holder passes over them; where none can, it may come down to the block."""
+    for margin_mm, highest_mm, stick_out_mm in ((14.0, 11, 25.2), (8.0, 2, 16.2)):
+        spec = SPEC | {"stock": SPEC["stock"] | {"margin_mm": margin_mm}, "passes": [{"radius_mm": 3.0}] * 2}
+        text = Page(render_report(REPORT, spec=spec | {"machine": {"safe_z_mm": 12.0}}, files=FILES)).text
+        assert f"higher than {highest_mm} mm above the stock top" in text
+        assert f"{stick_out_mm:g} mm" in text
 
 
 @given(width_mm=st.floats(5, 200), height_mm=st.floats(5, 200), margin_mm=st.floats(0, 30))

@@ -1,0 +1,77 @@
+"""How the block is held, in one answer: clamps on the ring that no cutter reaches, or nothing on its top at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from service.job.report.drawing import CLAMP_MM, SetUp
+from service.wording import number
+
+CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
+_UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
+_JAWS_MM = 5.0  # of the block that a vice needs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holding:
+    """What the setup sheet says of it.
+
+    sentences        : for the list under the drawing
+    clearance_mm     : how far above the stock top the holder stays at the deepest cut
+    highest          : nothing may stand higher than this: words
+    """
+
+    sentences: tuple[str, ...]
+    clearance_mm: float
+    highest: str
+
+
+def plan_holding(
+    job: SetUp | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
+) -> Holding:
+    """Plan it from the ring that programs leave.
+
+    lows       : of each program, (ring that it leaves, lowest Z) [mm]
+    rapid_z_mm : at which rapid moves cross; None where that is not known
+    faced      : the whole top is milled, from beside the block
+    """
+    under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
+    clamped = job is not None and job.is_clamped
+    clearance_mm = max(CLEARANCE_MM, under_rapids_mm) if clamped else CLEARANCE_MM
+    highest_mm = min(clearance_mm, under_rapids_mm)
+    sentences: tuple[str, ...]
+    if job is None or job.swept_mm is None:
+        sentences = ("outside of what the cutters sweep.",)
+    else:
+        sentences = (_word_sweep(job.swept_mm), *_word_holding(job, lows, highest_mm, faced))
+    highest = f"{number(highest_mm)} mm above the stock top" if not faced else "1 mm below the faced top"
+    return Holding(sentences=sentences, clearance_mm=clearance_mm, highest=highest)
+
+
+def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
+    left, right, front, back = (number(one, 1) for one in swept_mm)
+    return f"the cutters sweep X {left} to {right}, Y {front} to {back} mm, flanks included (dashed in the drawing)."
+
+
+def _word_holding(job: SetUp, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool) -> Iterator[str]:
+    if job.is_clamped:
+        yield (
+            f"Around it a ring {number(job.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "
+            f"else (hatched in the drawing), outside the dashed line and at most {number(highest_mm)} mm high. For "
+            "higher ones give a greater machine.safe_z_mm; the tools then stick out by as much more."
+        )
+        return
+    narrow = job.ring_mm > 0
+    lowest_mm = min([0.0, *(low_mm for ring_mm, low_mm in lows if narrow or ring_mm <= 0)])
+    if narrow:
+        yield (
+            f"No clamp on top: the ring around it is only {number(job.ring_mm, 1)} mm wide, and the cutters pass it "
+            f"down to Z {number(lowest_mm, 1)} mm."
+        )
+    else:
+        yield "That reaches the edge of the block: no clamp on top."
+    jaws = job.thickness_mm + lowest_mm - _UNDER_RAPIDS_MM >= _JAWS_MM
+    vice = f", or in a vice whose jaws stay below Z {number(lowest_mm - 1, 1)} mm" if jaws else ""
+    wider = f"; stock.margin_mm = {number(job.margin_mm + CLAMP_MM - job.ring_mm, 1)} leaves a ring that can be clamped"
+    yield f"Hold it from below (vacuum, wax or double-sided tape){vice}{'' if faced else wider}."
