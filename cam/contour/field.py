@@ -49,10 +49,11 @@ NODES = 400
 CELLS = 1500
 """Of the longer side, at least, where a quarter of a pitch is not finer still: tracks end where cells do."""
 
-DIP_MM, DIPS_ACROSS = 3.0, 4.0
+DIP_MM, DIP_PITCHES, DIPS_ACROSS = 3.0, 100.0, 4.0
 DIP_BELOW = 0.8
 """Dips are filled up to the class that this share of the lens does with, not to that of a summit nearby: those up to
-3 mm across, on a small lens up to a quarter of it.
+3 mm or 100 pitches across, as turns at the ends of tracks grow with the pitch; on a small lens up to a quarter of it.
+(Lens of `astronaut`, 100 mm, R 3, pitch 0.1: 95.2 % along the contours where 3 mm give 92.9; 0.4 % longer.)
 """
 
 RAMP = 0.3
@@ -90,7 +91,7 @@ class ContourField:
         step = min(step, max(pitch_mm / 4, max(width_mm, height_mm) / CELLS))
         pad = ceil(surface.radius_mm / step)
         ring_mm = surface.radius_mm - min(FREE_PITCHES * pitch_mm, FREE_SHARE * surface.radius_mm)
-        dip_mm = min(DIP_MM, max(width_mm, height_mm) / DIPS_ACROSS)
+        dip_mm = min(max(DIP_MM, DIP_PITCHES * pitch_mm), max(width_mm, height_mm) / DIPS_ACROSS)
         x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
         spline = _solve_field(heightfield, surface)
         jets = _jets(spline, x, y)

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from cam.contour import chords, field, tracer
-from cam.contour.path import contour_path
+from cam.contour.path import contour_path, plan_path
 from cam.passes import PassSpec
 from cam.rows.vertices import finish_rule, rough_rule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
+from tests.benchmarks.pictures import bumps
 from tests.levels import mostly_thorough
 
 SIDE, PITCH, RADIUS = 10.0, 0.1, 1.5
@@ -182,6 +183,22 @@ def test_on_a_steep_dome_whose_tips_fill_the_ring_turns_are_tight_but_no_corners
     heightfield = lens(lambda x, y: -bend * ((x - 2) ** 2 + (y - 2) ** 2), width_mm=4.0, height_mm=4.0)
     spec = pass_of(pitch, 0.5)
     judge(tips_of(heightfield, spec), heightfield, spec)
+
+
+@pytest.mark.thorough
+def test_a_coarse_pitch_follows_the_contours_too():
+    """Where tracks end only beside long dips, their turns are few. With dips of 3 mm: 89 %."""
+    heightfield, spec = bumps(side_mm=40.0), pass_of(0.15, 3.0)
+    surface = surface_with(heightfield, spec)
+    xy = plan_path(heightfield, surface, spec, on_progress=lambda done: None)
+    ahead, middle = np.diff(xy, axis=0), (xy[1:] + xy[:-1]) / 2
+    contacts = surface.contacts_mm(middle[:, 0], middle[:, 1])
+    inside = np.all((contacts[:, :2] > 0) & (contacts[:, :2] < 40.0), axis=1)
+    _, zx, zy = heightfield.spline().jets(*contacts[inside, :2].T)[:3]
+    long, slope = np.hypot(*ahead[inside].T), np.hypot(zx, zy)
+    counts = slope > 0.01
+    uphill = np.abs(ahead[inside, 0] * zx + ahead[inside, 1] * zy) / (slope * long)
+    assert long[counts & (uphill < np.sin(np.radians(15)))].sum() / long[counts].sum() > 0.92
 
 
 def test_the_path_follows_the_contours():
