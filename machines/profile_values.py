@@ -143,6 +143,7 @@ PROFILE_VALUES = Rules(
         "lines_per_s": number(0.1, 1_000_000),
         "spindle_rpm": pair(0, 1_000_000, "rpm"),
         "safe_z_mm": number(0, 10_000, "mm"),
+        "top_z_mm": number(-10_000, 10_000, "mm"),
         "homing": Rule(_flag, "true, false"),
     }
 )

@@ -116,6 +116,8 @@ class MachineProfile:
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
+    top_z_mm               : machine Z of the raised head, where programs begin and end; None: machine coordinates mean
+                             nothing, and programs begin at safe_z_mm
     whole_steps            : heights are written in whole steps, where the light suffers least from it
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
@@ -144,6 +146,7 @@ class MachineProfile:
     link: LinkSettings = LinkSettings()
     spindle: SpindleSettings = SpindleSettings()
     homing: bool = False
+    top_z_mm: float | None = None
     z_noise_mm: float = 0.0005
     whole_steps: bool = False
     most_program_mb: float | None = None
@@ -198,6 +201,8 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     if profile.safe_z_mm >= profile.travel_mm[2]:
         raise ProfileError(file, f"safe_z_mm = {profile.safe_z_mm:g}: allowed: less than the travel in Z, "
                                  f"{profile.travel_mm[2]:g} mm")  # fmt: skip
+    if profile.top_z_mm is not None and not profile.homing:
+        raise ProfileError(file, f"top_z_mm = {profile.top_z_mm:g}: allowed: only with homing = true")
     return profile
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from cam.moves import Motion, Path
+from cam.moves import Array, Motion, Path
 from cam.posts.lines import MOST_BYTES_PER_LINE, UNKNOWN, write_lines
 from cam.posts.post import Post, number
 from cam.posts.setup import HIGH_PRECISION_WORDS, ProgramSetup
@@ -21,6 +21,7 @@ class ProgramWriter(Writer):
 
     def __init__(self, post: Post) -> None:
         self.post = post
+        self._raised = False  # the head stands at its top: the tool must get over its place before it comes down
         self._motion: str | None = None
         self._feed: float | None = None
         self._state = np.array([UNKNOWN, UNKNOWN, UNKNOWN, 0], dtype=np.int64)
@@ -38,17 +39,18 @@ class ProgramWriter(Writer):
         setup: ProgramSetup | None = None,
         trace: Iterable[Path] = (),
     ) -> bytes:
-        """Write tape mark, name and remarks, then the first blocks: modes, safe height, trace, spindle, coolant."""
+        """Write tape mark, name and remarks, then the first blocks: modes, way up, trace, spindle, coolant."""
         post, setup = self.post, setup or ProgramSetup()
         first, *further = setup.spindle_steps(rpm, dwell_s=post.spindle_dwell_s)
-        values: dict[str, object] = {"number": program, "safe_z": self._number(safe_z_mm), "blend": self._blend(setup)}
+        values: dict[str, object] = {"number": program, "blend": self._blend(setup), **self._heights(setup, safe_z_mm)}
         values |= {"offset": f"G{53 + setup.work_offset}", "offset_number": setup.work_offset}
-        begin = {**values, **self._spin(*first)}
+        begin, zero = {**values, **self._spin(*first)}, post.zero.format(**values)
+        self._raised = setup.top_z_mm is not None
         return b"".join(
             [
                 self._blocks(post.tape, values),
-                *(post.remark(remark) for remark in remarks),
-                self._blocks(post.start, begin),
+                *(post.remark(remark) for remark in (*remarks, zero, _beginning(setup, safe_z_mm)) if remark),
+                self._blocks((*post.start, self._way_up(setup)), begin),
                 *(piece for path in trace for piece in self.write(path)),
                 self._blocks(post.spin, begin),
                 *(self._blocks(post.faster or post.spin, self._spin(*step)) for step in further),
@@ -58,9 +60,15 @@ class ProgramWriter(Writer):
 
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
         """Write the way up, what the start switched on off again, spindle off, end."""
-        values: dict[str, object] = {"safe_z": self._number(safe_z_mm)}
-        lift, rest = self.post.end[:1], self.post.end[1:]
-        return self._blocks((*lift, *_off(setup or ProgramSetup()), *rest), values)
+        setup = setup or ProgramSetup()
+        return self._blocks((self._way_up(setup), *_off(setup), *self.post.end), self._heights(setup, safe_z_mm))
+
+    def _way_up(self, setup: ProgramSetup) -> str:
+        return self.post.lift if setup.top_z_mm is None else self.post.top
+
+    def _heights(self, setup: ProgramSetup, safe_z_mm: float) -> dict[str, object]:
+        top_mm = setup.top_z_mm
+        return {"safe_z": self._number(safe_z_mm), "top": "" if top_mm is None else self._number(top_mm)}
 
     def _blend(self, setup: ProgramSetup) -> str:
         tolerance_mm = self.post.usual_blend_mm if setup.blend_tolerance_mm is None else setup.blend_tolerance_mm
@@ -80,34 +88,55 @@ class ProgramWriter(Writer):
 
     def write(self, path: Path) -> Iterator[bytes]:
         """Yield blocks of one path in pieces; a point that rounds to where the tool stands makes no block."""
+        if self._raised:
+            yield self._go_over(path)
         motion = self.post.rapid if path.motion is Motion.RAPID else self.post.cut
         for first in range(0, len(path.points_mm), POINTS_AT_ONCE):
             opening = motion if motion != self._motion else ""
             new_feed = path.feed_mm_per_min is not None and path.feed_mm_per_min != self._feed
             closing = self._feed_word(path.feed_mm_per_min) if new_feed else ""  # type: ignore[arg-type]
-            size, lines = write_lines(
-                path.points_mm[first : first + POINTS_AT_ONCE],
-                self._state,
-                self._decimals,
-                self._letters,
-                self._gap,
-                self._line_end,
-                _bytes(opening),
-                _bytes(closing),
-                self.post.least_decimals,
-                self.post.number_every,
-                self._buffer,
-            )
-            if lines:
+            if text := self._lines(path.points_mm[first : first + POINTS_AT_ONCE], opening, closing):
                 self._motion = motion
                 if new_feed:
                     self._feed = path.feed_mm_per_min
-                yield self._buffer[:size].tobytes()
+                yield text
+
+    def _go_over(self, path: Path) -> bytes:
+        """Write the way across to where a path begins, at the height of the raised head."""
+        self._raised, self._motion = False, self.post.rapid
+        over_mm = path.points_mm[:1]
+        self._state[2] = math.floor(over_mm[0, 2] * 10**self.post.z_decimals + 0.5)  # as if reached: no Z is written
+        text = self._lines(over_mm, self.post.rapid, "")
+        self._state[2] = UNKNOWN
+        return text
+
+    def _lines(self, points_mm: Array, opening: str, closing: str) -> bytes:
+        size, _ = write_lines(
+            points_mm,
+            self._state,
+            self._decimals,
+            self._letters,
+            self._gap,
+            self._line_end,
+            _bytes(opening),
+            _bytes(closing),
+            self.post.least_decimals,
+            self.post.number_every,
+            self._buffer,
+        )
+        return self._buffer[:size].tobytes()
 
     def _feed_word(self, feed_mm_per_min: float) -> str:
         scale = 10**self.post.feed_decimals
         units = max(1, math.floor(feed_mm_per_min * scale + 1e-6))
         return self.post.feed + number(units / scale, self.post.least_decimals if self.post.feed_decimals else 0)
+
+
+def _beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
+    """Return in words where the tool may stand when the program begins."""
+    if setup.top_z_mm is None:
+        return f"start: with the tool over the block, or not above Z{safe_z_mm:g}, where it goes first"
+    return f"start: homed, from anywhere: up to machine Z{setup.top_z_mm:g}, across, down; ends up there"
 
 
 def _on(post: Post, setup: ProgramSetup) -> tuple[str, ...]:

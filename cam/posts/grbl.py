@@ -10,9 +10,10 @@ from cam.posts.post import Post
 GRBL = Post(
     name="grbl",
     suffix=".nc",
-    start=("G21G90G94G17{offset}", "G0Z{safe_z}"),
+    start=("G21G90G94G17{offset}",),
+    zero="zero: {offset}, with G92 and tool length G43.1 as they were when it was set",
     spin=("M3S{rpm}", "G4P{dwell_s}"),
-    end=("G0Z{safe_z}", "M5", "M2"),
+    end=("M5", "M2"),
     coolant={"air": "M8", "mist": "M7", "flood": "M8"},  # stock GRBL has one output, M8, and M7 only where built in
 )
 GRBLHAL = replace(GRBL, name="grblhal")

@@ -14,8 +14,11 @@ class Post:
     """One dialect of G-code: words, decimals, first and last blocks. It decides nothing about geometry.
 
     tape           : before the remarks: what a control wants first, such as % and the program's name
-    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s}, {safe_z} and the work offset,
-                     {offset} or {offset_number}, are filled in; the first block of the end lifts the tool
+    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and the work offset, {offset} or
+                     {offset_number}, are filled in
+    zero           : what the work zero counts from on this control, in words: a remark
+    lift           : the block that brings the tool to {safe_z} over the work zero, after the start and before the end
+    top            : the same to {top}, a height in machine coordinates, from wherever the tool stands
     spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
                      of a warm-up, where the start has switched it on already
     blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one;
@@ -32,6 +35,9 @@ class Post:
     suffix: str
     start: tuple[str, ...]
     end: tuple[str, ...]
+    zero: str = ""
+    lift: str = "G0Z{safe_z}"
+    top: str = "G53G0Z{top}"
     tape: tuple[str, ...] = ()
     spin: tuple[str, ...] = ()
     faster: tuple[str, ...] = ()

@@ -17,7 +17,8 @@ from cam.posts.writer import Writer
 FASTEST_MM_PER_S = 50.0
 DWELL_S = 4.0
 _LONGEST_WAIT_MS = 30_000  # of a range that ends at 32,767
-_TOP = "^PR;Z0,0,10500;^PA;"  # up to the top of the mill, wherever the tool stands
+_TOP_UNITS = 10_500  # a height that no mill of the kind reaches: it stops at its top
+_TOP = f"^PR;Z0,0,{_TOP_UNITS};^PA;"  # from wherever the tool stands
 _POINTS_AT_ONCE = 40_000
 _MOST_BYTES_PER_LINE = 64
 
@@ -27,6 +28,7 @@ class RmlWriter(Writer):
 
     def __init__(self, post: RmlPost) -> None:
         self._post = post
+        self._raised = False  # the head stands at its top: the tool must get over its place before it comes down
         self._speed: str | None = None
         self._place = np.full(3, UNKNOWN, dtype=np.int64)
         self._line_end = np.frombuffer(f";{post.line_end}".encode("ascii"), dtype=np.uint8)
@@ -44,6 +46,7 @@ class RmlWriter(Writer):
     ) -> bytes:
         """Write defaults, up, trace, spindle up to speed. The language has no remarks, program names or coolant."""
         self._speed, self._place[:] = _speed_word(FASTEST_MM_PER_S), UNKNOWN
+        self._raised = True
         begin = self._lines(";;^DF;", "!MC0;", f"{self._speed};", _TOP)
         traced = b"".join(piece for path in trace for piece in self.write(path))
         steps = (setup or ProgramSetup()).spindle_steps(rpm, dwell_s=DWELL_S)
@@ -62,6 +65,8 @@ class RmlWriter(Writer):
 
     def write(self, path: Path) -> Iterator[bytes]:
         """Yield commands of one path in pieces; a point that rounds to where the tool stands makes none."""
+        if self._raised:
+            yield self._go_over(path)
         if path.motion is Motion.RAPID:
             speed = _speed_word(FASTEST_MM_PER_S)
         else:
@@ -77,6 +82,12 @@ class RmlWriter(Writer):
                 head = b"" if speed == self._speed else self._lines(speed + ";")
                 self._speed = speed
                 yield head + self._buffer[:size].tobytes()
+
+    def _go_over(self, path: Path) -> bytes:
+        """Write the way across to where a path begins, along the top. Every move states X, Y and Z."""
+        self._raised = False
+        x, y = (math.floor(value / self._post.unit_mm + 0.5) for value in path.points_mm[0, :2])
+        return self._lines(f"Z{x},{y},{_TOP_UNITS};")
 
 
 def _waits(dwell_s: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a program does beside its cuts: work offset, coolant, corners, the spindle brought up to speed.
+"""What a program does beside its cuts: work offset, the head raised first and last, coolant, corners, the spindle.
 
 Plain data without arrays, so that a job can be refused where nothing is computed.
 """
@@ -27,6 +27,8 @@ class ProgramSetup:
     blend_tolerance_mm : how far the path may leave its corners; 0: an exact stop at each; None: as the post has it
     warm_up_s          : the spindle comes up in WARM_UP_SHARES within this time; 0: at once
     slowest_rpm        : of the spindle; no step of the warm-up is slower
+    top_z_mm           : machine Z of the raised head, to which the program goes before it goes across, and at its end;
+                         None: not known, it goes to the safe height over the work zero
     """
 
     coolant: Coolant = "none"
@@ -35,6 +37,7 @@ class ProgramSetup:
     high_precision: HighPrecision = "none"
     warm_up_s: float = 0.0
     slowest_rpm: float = 0.0
+    top_z_mm: float | None = None
 
     def without_warm_up(self) -> ProgramSetup:
         """Return the same for a program that another one has gone before."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cam.errors import CamError
 
 ALLOWED = (
-    "G0 G1 G4 G17 G20 G21 G40 G49 G54 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
+    "G0 G1 G4 G17 G20 G21 G40 G49 G53 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
     "comments in ( ) and after ;"
 )
 ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
@@ -43,7 +43,8 @@ ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
     ALONE,
     BAD_OFFSET,
     OFFSET_CHANGES,
-) = range(1, 33)
+    RAISED_WRONG,
+) = range(1, 34)
 
 REFUSALS = {
     LONG: "a line holds at most 79 characters",
@@ -55,7 +56,7 @@ REFUSALS = {
     NO_FEED: "G1 needs a feed: give F above 0 mm/min on this line or before",
     BAD_FEED: "a feed must be above 0 mm/min",
     NO_MOTION: "coordinates need G0 or G1 on this line or before",
-    BLIND: "the position is not known yet: first G0 Z to the safe height, then G0 X Y, all absolute (G90)",
+    BLIND: "the position is not known yet: first G0 Z to the safe height, or G53 G0 Z, then G0 X Y, absolute (G90)",
     BAD_DWELL: "G4 needs P, its seconds, 0 or more (on some controls X or F instead)",
     NO_SPEED: "M3 needs a speed: give S above 0 rpm on this line or before",
     AFTER_END: "nothing may follow M2 or M30",
@@ -69,14 +70,15 @@ REFUSALS = {
     NEEDS_POINT: "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)",
     DECIMALS_LEFT_OUT: "more decimals than this control takes",
     TWO_DIGITS_ONLY: "this control takes G and M words with two digits only (G01, not G1)",
-    USELESS_WORD: "H belongs to G15, Q to G64 or G5.1",
+    USELESS_WORD: "H belongs to G15 and G16, Q to G64 or G5.1",
+    RAISED_WRONG: "machine coordinates are for G0 Z alone, absolute (G90): the head raised before it goes across",
     ALONE: "G5.1 stands alone with Q, G8 with P: 1 for on, 0 for off",
     BAD_OFFSET: "G15 needs H, the work offset, 1 to 6",
     OFFSET_CHANGES: "a program works in one offset, named before its first move",
     NO_COMMAND: f"not a command that is read here; allowed: {ALLOWED_RML}",
     BAD_NUMBERS: "the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)",
     NO_SEMICOLON: "each command ends with ; on its own line",
-    RELATIVE: "after ^PR only Z0,0,n, straight up, until ^PA",
+    RELATIVE: "after ^PR only Z0,0,n, straight up, until ^PA; only after Z0,0,10500 a way across at that height",
     NO_VELOCITY: "a move needs a speed: V, from 0.1 to 50 mm/s",
 }
 

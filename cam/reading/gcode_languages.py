@@ -26,7 +26,7 @@ class Language:
     blends        : G64 P Q, and G61.1
     coolant       : M7, M8, M9
     precise       : G5.1 Q and G8 P, 1 for on and 0 for off
-    offsets_by_h  : the work offset is G15 H, not G54
+    offsets_by_h  : the work offset is G15 H, not G54, and machine coordinates for one block G16 H0, not G53
     digit_mm      : the finest height that it can state
     """
 

@@ -28,6 +28,7 @@ from cam.reading.gcode_errors import (
     OPEN_COMMENT,
     PERCENT,
     PERCENT_PLACE,
+    RAISED_WRONG,
     REPEATED,
     TWO_DIGITS_ONLY,
     USELESS_P,
@@ -51,8 +52,8 @@ from cam.reading.gcode_languages import (
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
 # none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, work offset from 1 (0: not
-# named yet), lines read.
-X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, LINE = range(14)
+# named yet), head raised in machine coordinates, lines read.
+X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, OFFSET, RAISED, LINE = range(15)
 POWERS = 10.0 ** np.arange(19)
 
 
@@ -95,6 +96,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         g_ahead = False  # G8 P
         g_offset = False
         offset = 0
+        g_machine = False  # Z in machine coordinates, for this line
         percent = False
         m_spindle = -1
         m_end = False
@@ -208,6 +210,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 elif code == 150 and rules[OFFSETS_BY_H]:
                     g_offset = True
                     group = 32
+                elif code == (160 if rules[OFFSETS_BY_H] else 530):
+                    g_machine = True
+                    group = 2
                 elif code == 640 and rules[BLENDS]:
                     g_blend = True
                     group = 512
@@ -273,7 +278,9 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         if seen & ~(1 << 13 | 1 << 14):  # anything but an N word and a name
             if state[ENDED]:
                 return begin, n, AFTER_END, begin
-            if (seen & (1 << 7) and not g_offset) or (seen & (1 << 16) and not (g_blend or g_contour)):  # H, Q
+            if (seen & (1 << 7) and not (g_offset or g_machine)) or (
+                seen & (1 << 16) and not (g_blend or g_contour)
+            ):  # H, Q
                 return begin, n, USELESS_WORD, begin
             if (g_contour or g_ahead) and seen & ~(1 << 13) != (1 << 6 | 1 << (16 if g_contour else 15)):
                 return begin, n, ALONE, begin
@@ -289,6 +296,14 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 state[OFFSET] = offset
             axes = seen & (7 << 23)
             halt = -1.0
+            if g_machine:
+                goes_up = g_motion == 0 or (g_motion < 0 and state[MOTION] == 0.0)
+                absolute = g_distance > 0.0 or (g_distance < 0.0 and state[ABSOLUTE] > 0.0)
+                of_machine = rules[OFFSETS_BY_H] == 0 or (seen & (1 << 7) != 0 and values[7] == 0.0)
+                if axes != 1 << 25 or not (goes_up and absolute and of_machine):
+                    return begin, n, RAISED_WRONG, begin
+                axes = 0
+                state[RAISED] = 1.0
             if g_dwell:  # its seconds: a word that means something else without G4
                 if rules[DWELL] == DWELL_X:
                     if axes != 1 << 23:
@@ -353,7 +368,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                         if target != state[d]:
                             moved = True
                         state[d] = target
-                if not known and (is_cut or np.isnan(state[Z])):
+                if not known and (is_cut or (np.isnan(state[Z]) and not state[RAISED])):
                     return begin, n, BLIND, begin
                 if not known:
                     for d in range(3):

@@ -2,7 +2,8 @@
 
 The subset a finishing program needs: ^DF, ^PA, !MC, !RC, V, W, absolute Z with three whole numbers, and ^PR;Z0,0,n;
 which lifts the tool to the top of the mill. That lift is no move here: where the top is nobody knows, and what comes
-after it starts higher than it seems, which is the safe side. At V50, the fastest there is, a move counts as a rapid.
+after it starts higher than it seems, which is the safe side. A move to a height that no mill has, which is a way across
+along its top, changes X and Y alone. At V50, the fastest there is, a move counts as a rapid.
 ^DF with the spindle off after the last move ends the program.
 """
 
@@ -22,9 +23,10 @@ from cam.reading.gcode_errors import (
     NO_VELOCITY,
     RELATIVE,
 )
-from cam.reading.gcode_parse import ABSOLUTE, DWELT, ENDED, FEED, LINE, MOTION, SPEED, SPINDLE, X, Y, Z, record
+from cam.reading.gcode_parse import ABSOLUTE, DWELT, ENDED, FEED, LINE, MOTION, RAISED, SPEED, SPINDLE, X, Y, Z, record
 
 UNITS_PER_MM = 100.0
+_NO_HEIGHT = 10_500.0  # and above: the mill stops at its top
 _FASTEST_MM_PER_S = 50.0
 _DEFAULTS, _ABSOLUTE, _RELATIVE, _MOTOR, _RPM, _SPEED, _WAIT, _MOVE = range(1, 9)
 
@@ -158,20 +160,27 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
             elif state[ABSOLUTE] == 0.0:
                 if found[0] != 0.0 or found[1] != 0.0 or not found[2] > 0.0:
                     return at, n, RELATIVE, at
+                state[RAISED] = found[2] >= _NO_HEIGHT
             else:
                 if not state[FEED] > 0.0:
                     return at, n, NO_VELOCITY, at
                 is_rapid = state[FEED] >= 60.0 * _FASTEST_MM_PER_S
-                if not known and not is_rapid:
+                along_top = found[2] >= _NO_HEIGHT
+                if (not known or along_top) and not is_rapid:
                     return at, n, BLIND, at
+                if along_top and not state[RAISED]:
+                    return at, n, RELATIVE, at
+                state[RAISED] = along_top
                 moved = False
-                for d in range(3):
+                for d in range(2 if along_top else 3):
                     target = found[d] / UNITS_PER_MM
                     if target != state[d]:
                         moved = True
                     state[d] = target
                 state[MOTION] = 0.0
-                if not known:
+                if np.isnan(state[Z]):
+                    pass  # over its place, at a height that nobody knows
+                elif not known:
                     for d in range(3):
                         points[n, d] = state[d]
                     if state[DWELT] > 0.0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machines.gcode import refusals
-from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MOVES_FRAME, OFFSET_BY_H
+from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, MOVES_FRAME, OFFSET_BY_H
 
 SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
 
@@ -156,7 +156,8 @@ DIALECTS: dict[str, Dialect] = {
         Dialect(
             name="okuma", title="Okuma OSP", line_limit=157, n_limit=99_999_999, percent=True, named=True,
             needs_point="XYZIJKRF",
-            own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(OFFSET_BY_H, (15,), "H"), *_g(MOVES_FRAME, (16, 56), "H"),
+            own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(OFFSET_BY_H, (15,), "H"), *_g(MACHINE_BY_H, (16,), "H"),
+                 *_g(MOVES_FRAME, (56,), "H"),
                  *_g(DWELL_BY_F, (4,), "F"), *_g(ACCEPT, (30,), "P"),
                  *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
         ),

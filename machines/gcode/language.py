@@ -28,7 +28,7 @@ NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30.
 WAITS, WITHHOLDS, ENDS, WRITES = 1, 2, 4, 8
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # What a dialect's own word may do.
-ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H = 1, 2, 3, 4, 5
+ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F, OFFSET_BY_H, MACHINE_BY_H = range(1, 7)  # the last: H0 is what G53 is
 M2_READ, TAPE_ENDED = 1, 2  # bits of ENDED
 
 _F, _H, _I, _J, _K, _L, _N, _O, _P, _R, _S, _T = (1 << (ord(letter) - 65) for letter in "FHIJKLNOPRST")
@@ -80,7 +80,10 @@ def block(
                     used |= own[j][2]
             if action < 0:
                 return -action
-            if action == MOVES_FRAME:
+            if action == MACHINE_BY_H and seen & _H and values[7] == 0.0:
+                bit = 2
+                single = 530
+            elif action in (MOVES_FRAME, MACHINE_BY_H):
                 moves_frame = True
             elif action == OFFSET_BY_H:  # 1 to 6 are G54 to G59 elsewhere
                 h = values[7] if seen & _H else 0.0

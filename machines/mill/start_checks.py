@@ -7,21 +7,24 @@ elsewhere what does not fit is said, and the operator decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
-from machines.driver import MillStatus
+from machines.driver import MillStatus, Triple
 from machines.errors import MachineError, NotAllowedError, ProgramChangedError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
 from machines.mill.run import Run
-from machines.preflight.limits import placement_problems
+from machines.preflight.limits import placement_problems, work_zero_mm
 from machines.preflight.preflight import Bounds, Preflight
 
 _PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
+_BEGINNING_LINES = 100
+_REPORTED_MM = 0.01  # half a step and the digits of a report
 LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
 
 
@@ -53,6 +56,50 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
             f"start: the program takes {' '.join(missing)} for granted, the controller is in {' '.join(modes)}: "
             f"send '{' '.join(missing)}' first"
         )
+
+
+def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed: bool) -> None:
+    """Raise NotAllowedError where the program goes by machine coordinates (G53), which mean nothing here."""
+    if settings is None or "machine" not in facts.bounds_by_frame or homed or settings.soft_limits:
+        return
+    way = "home the mill" if settings.homing else "this mill has no homing: write it with a profile without top_z_mm"
+    raise NotAllowedError(f"start: the program goes by machine coordinates (G53), which homing gives a meaning: {way}")
+
+
+def check_way_down(
+    facts: Preflight, reader: ProgramReader, place_mm: Triple | None, offsets: Mapping[str, Sequence[float]]
+) -> None:
+    """Raise NotAllowedError where the program begins straight down from where the tool stands, beside what it mills.
+
+    place_mm : of the tool, in machine coordinates; offsets: of the controller, by name
+    """
+    if place_mm is None or facts.dialect == "rml-1" or (first := _first_height(reader)) is None:
+        return
+    wcs, first_mm = first
+    box, zero_mm = facts.bounds_by_frame.get(wcs), work_zero_mm(offsets, wcs)
+    if box is None or zero_mm is None:
+        return
+    x, y, z = (place - zero for place, zero in zip(place_mm, zero_mm, strict=True))
+    over = all(
+        least is not None and most is not None and least <= value <= most
+        for value, least, most in zip((x, y), box.least_mm, box.most_mm, strict=False)
+    )
+    if z > first_mm + _REPORTED_MM and not over:
+        raise NotAllowedError(
+            f"start: the program first goes to Z{first_mm:g}, and the tool stands at X{x:.1f} Y{y:.1f} Z{z:.1f}: that "
+            "would be straight down beside the block; bring the tool over the block, or no higher than that"
+        )
+
+
+def _first_height(reader: ProgramReader) -> tuple[str, float] | None:
+    """Return work offset and height to which the first move of a program goes, where it goes there straight."""
+    interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
+    for line in islice(reader.lines(1), _BEGINNING_LINES):
+        step, state = interpreter.take(line.text), interpreter.state
+        if step.moves:
+            x, y, z = step.end_mm
+            return None if z is None or (x, y) != (None, None) or state.shifted else (state.wcs, z)
+    return None
 
 
 def program_placement(

@@ -19,7 +19,15 @@ from machines.mill.link import get_settings
 from machines.mill.orders import Order, OrderRefusedError, Refusal
 from machines.mill.run import Run
 from machines.mill.run_control import RunControl
-from machines.mill.start_checks import Placement, check_file, check_modes, program_placement, recovery_placement
+from machines.mill.start_checks import (
+    Placement,
+    check_file,
+    check_homed,
+    check_modes,
+    check_way_down,
+    program_placement,
+    recovery_placement,
+)
 from machines.mill.unattended import STILL_S, UnattendedRuns
 from machines.mill.view import MillContext
 from machines.preflight.limits import top_of_travel_mm
@@ -102,6 +110,8 @@ class RunStarter:
         settings = get_settings(driver)
         if settings is not None and (words := find_missing_option(settings, mist_line=facts.mist_line)):
             raise NotAllowedError(f"start: {words}")
+        check_homed(facts, settings, homed=link.setup.homed)
+        check_way_down(facts, reader, driver.status.machine_mm, (answer or {}).get("offsets") or {})
         placement = program_placement(facts, reader, settings, driver.status)
         if placement.certain and placement.problems:
             words = "; ".join(placement.problems)

@@ -22,6 +22,7 @@ class MillLimits:
     """Travel, speeds and link of one mill; part of the cache key of a pre-flight.
 
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
+    homing : machine coordinates mean something
     """
 
     profile: str
@@ -34,6 +35,7 @@ class MillLimits:
     lines_per_s: float
     bytes_per_s: float | None
     spindle_rpm: tuple[float, float]
+    homing: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -61,6 +63,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         lines_per_s=profile.lines_per_s,
         bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
         spindle_rpm=spindle,
+        homing=profile.homing,
     )
 
 

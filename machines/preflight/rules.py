@@ -77,7 +77,7 @@ def warnings(
             read = "mm (G21)" if slot == tally.UNITS_ASSUMED else "absolute (G90)"
             yield f"line {events[slot][0]}: coordinates before {word}; read as {read}, which the controller must be in"
     for slot, words in _WORDS:
-        if events[slot][1]:
+        if events[slot][1] and not (slot == tally.MACHINE_MOVES and limits.homing):
             yield _at(events, slot, words)
     if events[tally.OVER_RATE][1]:
         yield _at(events, tally.OVER_RATE, "asks for more feed than an axis can go; the controller cuts slower there")

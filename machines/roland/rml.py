@@ -18,7 +18,7 @@ from machines.gcode.modal import UNKNOWN, Position
 from machines.gcode.step import Step
 from machines.gcode.words import shown, strip_ends
 from machines.profiles import MachineProfile
-from machines.roland.rml_commands import MOST_COMMAND_BYTES, UNIT_MM, Command, RmlFault, parse, spindle_rpm
+from machines.roland.rml_commands import MOST_COMMAND_BYTES, NO_HEIGHT, UNIT_MM, Command, RmlFault, parse, spindle_rpm
 
 _ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)
 _RELATIVE_XY = {"I": True, "R": False}
@@ -76,6 +76,8 @@ class RmlInterpreter:
         x, y, z = (n * UNIT_MM for n in numbers)
         if self.relative and x == y == 0 and z > 0:  # the usual lift off the part: the mill stops it at its top
             return self._move((*self.position_mm[:2], None))
+        if not self.relative and numbers[2] >= NO_HEIGHT:  # across along the top
+            return self._move((x, y, None))
         return self._move(
             (self._along(0, x, self.relative), self._along(1, y, self.relative), self._along(2, z, self.relative))
         )

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from machines.gcode.words import shown
 
 UNIT_MM = 0.01
+NO_HEIGHT = 10_500  # in units, and above: the mill stops at its top [src: posts lift by it, and go across at it]
 FASTEST_MM_PER_S = 50.0  # V of the MDX-40: 3000 mm/min
 LONGEST_DWELL_MS = 32767
 MOST_COMMAND_BYTES = 256  # far above any command of use; a file without `;` is not RML

@@ -1,4 +1,6 @@
 (pass tiny: _ball_)
+(zero: G54, with G92 and tool length G43.1 as they were when it was set)
+(start: with the tool over the block, or not above Z5, where it goes first)
 G21G90G94G17G54
 G0Z5
 M3S12000

@@ -2,6 +2,8 @@
 (leaves 0.05 mm, step-down 0.5 mm)
 (block 4 x 3.5 x 3 mm, margin 1 mm)
 (X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm)
+(zero: G54, with G92 and tool length G43.1 as they were when it was set)
+(start: with the tool over the block, or not above Z5, where it goes first)
 G21G90G94G17G54
 G0Z5
 M3S24000

@@ -5,6 +5,7 @@
 Every pass of a small lens is written in each dialect of G-code and interpreted; each must be accepted as it stands, and
 the positions that the interpreter prints, with four decimals, must be those that our own reader finds. What only the
 control itself has is put into LinuxCNC's words first and said: a program's name, the dwell, Okuma's work offset.
+Work and machine coordinates are the same here, so that the head that is raised first stands at the safe height.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ import numpy as np
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock, paper_passes
 from cam.posts.dialects import POSTS
-from cam.program import generate_parts
+from cam.posts.setup import ProgramSetup
+from cam.program import SAFE_Z_MM, generate_parts
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array
@@ -35,7 +37,7 @@ PRINTED_MM = 0.5e-4 + 1e-9
 _PLACE = re.compile(rb"STRAIGHT_(?:FEED|TRAVERSE)\((-?[\d.]+), (-?[\d.]+), (-?[\d.]+),")
 _OWN_WORDS = {
     "fanuc": ((rb"^O\d+\n", b""), (rb"^G4X", b"G4P")),
-    "okuma": ((rb"^O\d+\r\n", b""), (rb"^G4F", b"G4P"), (rb"^G15H1", b"G54")),
+    "okuma": ((rb"^O\d+\r\n", b""), (rb"^G4F", b"G4P"), (rb"^G15H1", b"G54"), (rb"^G16H0", b"G53")),
     "roland-nc": ((rb"^O\d+\r\n", b""),),
 }
 
@@ -75,14 +77,14 @@ def _passes(dialect: str) -> Iterator[tuple[PassSpec, list[bytes]]]:
     rough, semi, finish = paper_passes()
     skin = lens.spline().extended(4.0).heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.05
     skinned = replace(top, top_mm=np.minimum(skin, top.top_mm))
-    finish = replace(finish, pitch_mm=0.05)
+    finish, raised = replace(finish, pitch_mm=0.05), ProgramSetup(top_z_mm=SAFE_Z_MM)
     for spec, left, limits in (
         (rough, top, None),
         (replace(semi, link="retract", pitch_mm=0.2), skinned, None),
         (replace(finish, direction="y"), skinned, PartLimits(most_bytes=500_000)),
         (replace(finish, strategy="contour"), skinned, None),
     ):
-        made = generate_parts(lens, spec, stock, stock_top=left, post=POSTS[dialect], limits=limits)
+        made = generate_parts(lens, spec, stock, stock_top=left, post=POSTS[dialect], limits=limits, setup=raised)
         yield spec, [b"".join(pieces) for pieces in made]
 
 

@@ -119,4 +119,5 @@ def setup_of(machine: MachineProfile) -> ProgramSetup:
         high_precision=cast(HighPrecision, machine.high_precision),
         warm_up_s=machine.warm_up_s,
         slowest_rpm=machine.spindle_rpm[0],
+        top_z_mm=machine.top_z_mm,
     )

@@ -39,7 +39,9 @@ _KINEMATICS = tuple(
         "planner_blocks", "lines_per_s", "safe_z_mm",
     )
 )  # fmt: skip
-_SETUP = tuple(f"machine.{name}" for name in ("coolant", "work_offset", "blend_tolerance_mm", "high_precision"))
+_SETUP = tuple(
+    f"machine.{name}" for name in ("coolant", "work_offset", "blend_tolerance_mm", "high_precision", "top_z_mm")
+)
 _LIMITS = ("machine.most_program_mb", "machine.most_program_hours")
 _PROGRAMS = ("machine.step_mm", "machine.whole_steps", "finishes", *_LIMITS, *_SETUP)
 _ALL_PROGRAMS = ("pass-*-*",)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from cam.moves import Path as ToolPath
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
+from cam.posts.setup import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.preflight.limits import limits_of
@@ -26,6 +27,7 @@ GOLDEN = Path(__file__).parents[2] / "golden"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"
 DIALECTS = sorted(POSTS)
 SAFE_Z = 5.0
+TOPS = {"grbl": None, "okuma": 300.0}  # grbl: as a mill without homing has it
 PROFILES = {"linuxcnc": "linuxcnc", "okuma": "okuma-osp", "roland-nc": "roland-mdx-40a", "rml-1": "roland-mdx-40a"}
 
 POINT = st.tuples(st.floats(-90, 90), st.floats(-90, 90), st.floats(-40, 4))
@@ -38,10 +40,10 @@ TINY = [
 
 
 def program(dialect: str, paths: list[ToolPath], number: int = 7) -> bytes:
-    writer = create_writer(POSTS[dialect])
-    pieces = [writer.start(("pass tiny: (ball)",), rpm=12000, safe_z_mm=SAFE_Z, program=number)]
+    writer, setup = create_writer(POSTS[dialect]), ProgramSetup(top_z_mm=TOPS.get(dialect, -1.0))
+    pieces = [writer.start(("pass tiny: (ball)",), rpm=12000, safe_z_mm=SAFE_Z, program=number, setup=setup)]
     pieces += [piece for path in paths for piece in writer.write(path)]
-    return b"".join([*pieces, writer.end(safe_z_mm=SAFE_Z)])
+    return b"".join([*pieces, writer.end(safe_z_mm=SAFE_Z, setup=setup)])
 
 
 def read(dialect: str, *parts: bytes) -> dict[str, np.ndarray]:
@@ -91,7 +93,7 @@ def test_words_as_anybody_reads_them_say_the_same(dialect):
     at, places = {}, []
     for line in text.splitlines():
         words = dict(re.findall(r"([A-Z])(-?[\d.]+)", re.sub(r"\(.*?\)|^O.*", "", line)))
-        if set(words) & set("XYZ") and float(words.get("G", 0)) != 4:
+        if set(words) & set("XYZ") and float(words.get("G", 0)) != 4 and not re.match("G53|G16H0", line):
             at.update({axis: float(words[axis]) for axis in "XYZ" if axis in words})
             places.append(tuple(at.get(axis, np.nan) for axis in "XYZ"))
     places = [place for place in places if not np.isnan(place).any()]
@@ -113,11 +115,26 @@ def test_the_mill_may_run_it(dialect, tmp_path):
     file = tmp_path / f"tiny{POSTS[dialect].suffix}"
     file.write_bytes(program(dialect, TINY * 30))
     profile = replace(load_profile(PROFILES.get(dialect, "grbl")), dialect=dialect)
-    profile = replace(profile, spindle_rpm=(4500.0, 15000.0))
+    profile = replace(profile, spindle_rpm=(4500.0, 15000.0), homing=True)
     found = examine(file, limits_of(profile), lambda share: None)
     assert found.ends and found.spindle_rpm == (12000, 12000)
     assert not found.warnings
-    assert dialect == "rml-1" or list(found.bounds_by_frame) == ["G54"]
+    assert dialect == "rml-1" or list(found.bounds_by_frame) == ["G54", "machine"][: 1 + (dialect != "grbl")]
+
+
+@pytest.mark.parametrize("dialect", [d for d in DIALECTS if d != "rml-1"])
+def test_extents_are_those_of_a_program_that_begins_at_the_safe_height(dialect, tmp_path, monkeypatch):
+    """A head raised in machine coordinates adds their one height, and hides nothing of the work's own box."""
+    boxes = []
+    for top_mm in (None, 7.5):
+        monkeypatch.setitem(TOPS, dialect, top_mm)
+        (file := tmp_path / "tiny.nc").write_bytes(program(dialect, TINY))
+        profile = replace(load_profile(PROFILES.get(dialect, "grbl")), dialect=dialect)
+        boxes.append(examine(file, limits_of(profile), lambda share: None))
+    plain, raised = boxes
+    own = raised.bounds_by_frame.pop("machine")
+    assert (own.least_mm, own.most_mm) == ((None, None, 7.5), (None, None, 7.5))
+    assert raised.bounds_by_frame == plain.bounds_by_frame and raised.bounds_mm == plain.bounds_mm
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)

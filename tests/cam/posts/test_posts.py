@@ -118,7 +118,11 @@ def test_every_so_many_lines_carry_their_number():
 def test_first_and_last_blocks():
     writer = ProgramWriter(GRBL)
     start = writer.start(("pass (one)",), rpm=24000, safe_z_mm=5.5).decode()
-    assert start == "(pass _one_)\nG21G90G94G17G54\nG0Z5.5\nM3S24000\nG4P4\n"
+    assert start == (
+        "(pass _one_)\n(zero: G54, with G92 and tool length G43.1 as they were when it was set)\n"
+        "(start: with the tool over the block, or not above Z5.5, where it goes first)\n"
+        "G21G90G94G17G54\nG0Z5.5\nM3S24000\nG4P4\n"
+    )
     assert writer.end(safe_z_mm=5.5) == b"G0Z5.5\nM5\nM2\n"
 
 

@@ -52,6 +52,13 @@ def test_the_approach_from_nowhere_is_not_a_move():
     np.testing.assert_array_equal(read["line"], [4])
 
 
+def test_a_head_raised_in_machine_coordinates_goes_across_at_a_height_that_nobody_knows():
+    read, _ = moves("G21G90\nG53 G0 Z-1\nM3 S1000\nG4 P2\nG0 X7 Y8\nZ5\nG1 Z-1 F60\nG53 G0 Z-1\nM2\n")
+    np.testing.assert_array_equal(read["start_mm"], [[7, 8, 5], [7, 8, 5], [7, 8, -1]])
+    np.testing.assert_array_equal(read["line"], [6, 7, 9])
+    np.testing.assert_array_equal(read["pause_s"], [2, -1, 0])
+
+
 def test_dwell_and_spindle_stop_the_motion_for_their_time():
     read, _ = moves(APPROACH + "M3 S1000\nG4 P1.5\nG1 X1 F60\nM5\n")
     np.testing.assert_array_equal(read["pause_s"], [0, 1.5, -1, 0])
@@ -64,7 +71,11 @@ def test_dwell_and_spindle_stop_the_motion_for_their_time():
         ("G21\n%\n", 2, "error:1"),
         (APPROACH + "G1 X1\n", 4, "feed"),
         (APPROACH + "G1 X1 F0\n", 4, "above 0"),
-        (APPROACH + "G53 G0 X1\n", 4, "allowed"),
+        (APPROACH + "G53 G0 X1\n", 4, "machine coordinates"),
+        (APPROACH + "G53 G0 X1 Z-1\n", 4, "machine coordinates"),
+        (APPROACH + "G53 G1 Z-1 F60\n", 4, "machine coordinates"),
+        (APPROACH + "G91 G53 G0 Z-1\n", 4, "machine coordinates"),
+        ("G53 G0 Z-1\nG1 X1 Y1 F60\n", 2, "position is not known"),
         (APPROACH + "G2 X1 Y1 I1\n", 4, "arcs"),
         (APPROACH + "G90.1\n", 4, "allowed"),
         (APPROACH + "T1\n", 4, "allowed"),

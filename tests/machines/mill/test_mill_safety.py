@@ -18,7 +18,7 @@ from machines.journal.journal import read_journal
 from machines.mill.mill import Mill
 from machines.mill.run_store import RunFolders
 from machines.mill.thread import MillThread
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import Bounds, Preflight
 from machines.runs import RunState
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
@@ -309,6 +309,31 @@ def test_without_homing_it_is_only_told(shop: Shop) -> None:
     assert not shop.mill.status.position_trusted
     shop.mill.start(run_id, YES)
     assert any("X would go" in words for words in shop.mill.run(run_id).warnings)
+    shop.mill.hold()
+
+
+def test_a_program_that_would_begin_straight_down_beside_the_block_is_not_started(shop: Shop) -> None:
+    shop.facts = framed(shop.facts)
+    run_id = shop.mill.park(shop.facts, shop.path, "high").id
+    shop.bench.command_done(Jog((-30.0, 0.0, 20.0), 2000.0))
+    with pytest.raises(NotAllowedError, match=r"first goes to Z5, and the tool stands at X-30.0 Y0.0 Z20.0"):
+        shop.mill.start(run_id, YES)
+    shop.bench.command_done(Jog((42.0, 10.2, 0.0), 2000.0))  # over the block that is in no one's way
+    shop.mill.start(run_id, YES)
+    shop.mill.hold()
+
+
+def test_a_program_that_begins_in_machine_coordinates_asks_for_a_homed_mill(shop: Shop) -> None:
+    machine = {"machine": Bounds((None, None, -1.0), (None, None, -1.0))}
+    shop.facts = dataclasses.replace(shop.facts, bounds_by_frame=framed(shop.facts).bounds_by_frame | machine)
+    run_id = shop.mill.park(shop.facts, shop.path, "raised").id
+    with pytest.raises(NotAllowedError, match=r"G53.*this mill has no homing"):
+        shop.mill.start(run_id, YES)
+    shop.bench.command_done(SendBlock("$22=1"))
+    with pytest.raises(NotAllowedError, match=r"G53.*home the mill"):
+        shop.mill.start(run_id, YES)
+    homed(shop, False)
+    shop.mill.start(run_id, YES)
     shop.mill.hold()
 
 

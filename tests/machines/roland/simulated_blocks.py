@@ -119,15 +119,18 @@ class BlockInterpreter:
             self.parts.extend((text, part.strip().lstrip(b"^")) for part in text.split(b";"))
             self.go_on(now_s)
             return
+        if text[:1] == b"(":
+            return
         words = {letter.decode(): float(value) for letter, value in _WORD.findall(text)}
         for letter, value in _WORD.findall(text):
             if letter == b"G" and value in (b"00", b"01"):
                 self._motion = int(value)
             if letter == b"M" and value in (b"03", b"05", b"02", b"30"):
                 self.spindle_on = value == b"03"
-        if not words.keys() & set("XYZ") or b"G53" in text:
+        if not words.keys() & set("XYZ"):
             return
-        places = zip("XYZ", self.origins_mm.get(3, _ZERO), self.axes.machine_mm, strict=True)
+        origin_mm = _ZERO if b"G53" in text else self.origins_mm.get(3, _ZERO)
+        places = zip("XYZ", origin_mm, self.axes.machine_mm, strict=True)
         x, y, z = (words[axis] + origin if axis in words else now for axis, origin, now in places)
         feed = RAPID_MM_PER_MIN if self._motion == 0 else self.modal.get("F", 60.0)
         self.axes.go(text, (x, y, z), feed, now_s, rapid=self._motion == 0)
