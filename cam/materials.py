@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import exp, log
+from math import exp, floor, log
 
 from cam.errors import PassValueError
 
 SLOT_FEED = 0.5
 """Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
 on the way from row to row and along the walls it may."""
+
+SPINDLE_SHARE = 0.5
+"""Of a spindle's power that is left at the edge, at a guess."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +43,7 @@ class Material:
     name  : as a job says it
     label : as a person reads it
     block : what to buy, as the set-up sheet says it
+    cutting_j_per_mm3 : what taking it off asks of the spindle
     """
 
     name: str
@@ -48,6 +52,11 @@ class Material:
     advice: str
     sources: tuple[str, ...]
     cutting: tuple[CuttingData, ...]
+    cutting_j_per_mm3: float = 0.5  # a guess: plastics take 0.1 in chips of 1 mm, several times that in thin ones
+
+    def removal_mm3_per_min(self, spindle_w: float) -> float:
+        """Return the most that a spindle of that power takes off."""
+        return 60 * SPINDLE_SHARE * spindle_w / self.cutting_j_per_mm3
 
     def start_values(self, radius_mm: float) -> CuttingData:
         """Return cutting data for a ball of this radius: log-log between two entries, the nearest entry beyond them."""
@@ -59,6 +68,17 @@ class Material:
             if radius_mm <= high.radius_mm:
                 return _between(low, high, radius_mm)
         return self.cutting[-1]
+
+
+def limit_step_down_mm(
+    step_down_mm: float, pitch_mm: float, feed_mm_per_min: float, *, removal_mm3_per_min: float
+) -> float:
+    """Return the step-down, or a smaller one in whole hundredths at which rows take off no more than that.
+
+    Shallower layers, not a slower feed: chips that become too thin rub and melt.
+    """
+    allowed_mm = removal_mm3_per_min / (pitch_mm * feed_mm_per_min)
+    return step_down_mm if step_down_mm <= allowed_mm else max(0.01, floor(100 * allowed_mm) / 100)
 
 
 def _between(low: CuttingData, high: CuttingData, radius_mm: float) -> CuttingData:

@@ -143,6 +143,9 @@ PROFILE_VALUES = Rules(
         "lines_per_s": number(0.1, 1_000_000),
         "spindle_rpm": pair(0, 1_000_000, "rpm"),
         "safe_z_mm": number(0, 10_000, "mm"),
+        "collet_mm": number(0.1, 100, "mm"),
+        "spindle_w": number(1, 100_000, "W"),
+        "removal_cm3_per_min": number(0.01, 10_000, "cm3/min"),
         "top_z_mm": number(-10_000, 10_000, "mm"),
         "homing": Rule(_flag, "true, false"),
     }

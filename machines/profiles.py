@@ -116,6 +116,9 @@ class MachineProfile:
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
+    collet_mm              : the thickest shank that the spindle takes; None: any
+    spindle_w              : its power; None: as much as is asked
+    removal_cm3_per_min    : the most that the frame stands to be taken off, in rows; None: any
     top_z_mm               : machine Z of the raised head, where programs begin and end; None: machine coordinates mean
                              nothing, and programs begin at safe_z_mm
     whole_steps            : heights are written in whole steps, where the light suffers least from it
@@ -146,6 +149,9 @@ class MachineProfile:
     link: LinkSettings = LinkSettings()
     spindle: SpindleSettings = SpindleSettings()
     homing: bool = False
+    collet_mm: float | None = None
+    spindle_w: float | None = None
+    removal_cm3_per_min: float | None = None
     top_z_mm: float | None = None
     z_noise_mm: float = 0.0005
     whole_steps: bool = False

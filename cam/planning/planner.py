@@ -18,7 +18,7 @@ from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, find_exclusion, pitches_mm
+from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2
@@ -160,7 +160,7 @@ def find_candidates(
     for tool in shop.tools:
         form = lenses.get(tool.radius_mm)
         if form is None:
-            left_out.append((tool.name, "no lens was shaped for it"))
+            left_out.append((tool.name, find_unheld(tool, shop) or "no lens was shaped for it"))
             continue
         if (reason := find_exclusion(tool, form, shop) or _find_misfit(tool, form)) is not None:
             left_out.append((tool.name, reason))

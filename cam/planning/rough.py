@@ -65,7 +65,8 @@ class Roughing:
             ways = [
                 self._plan_first(tool)
                 for tool in self.shop.tools
-                if tool.radius_mm >= finish.radius_mm
+                if self.shop.holds(tool)
+                and tool.radius_mm >= finish.radius_mm
                 and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM)
                 and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
                 and tool.reaches(self.form.deepest_mm)
@@ -90,16 +91,15 @@ class Roughing:
 
     def _plan_with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         for tool in self.shop.tools:
-            if finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
+            if self.shop.holds(tool) and finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
                 pitch_mm = sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM)
                 yield self._make_way((rough,), self._make_spec(tool, pitch_mm, _SEMI_LEAVES_MM))
 
     def _make_spec(self, tool: Tool, pitch_mm: float, leaves_mm: float) -> PassSpec:
         speeds = self.shop.speeds(tool)
         pitch_mm = max(0.01, ceil(pitch_mm * 100 - 1e-9) / 100)
-        return tool_pass(
-            "rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=speeds.step_down_mm
-        )
+        step_down_mm = self.shop.layer_step_down_mm(tool, pitch_mm)
+        return tool_pass("rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=step_down_mm)
 
     def _make_way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
         if after:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from cam.duration import Kinematics
-from cam.materials import Material
+from cam.materials import Material, limit_step_down_mm
 from cam.passes import PassSpec, Strategy
 from cam.planning.pass_time import LensForm
 from cam.planning.row_slopes import RowSlopes, row_slopes
@@ -30,6 +31,8 @@ class Shop:
     whole_steps       : vertices of finishing passes are put where the path goes through whole steps
     margin_mm         : of the block around the lens
     strategies        : that finishing passes may take
+    collet_mm         : the thickest shank that the spindle takes
+    removal_mm3_per_min : the most that spindle and frame take off
     """
 
     tools: tuple[Tool, ...]
@@ -41,6 +44,8 @@ class Shop:
     margin_mm: float
     whole_steps: bool = False
     strategies: tuple[Strategy, ...] = ("raster",)
+    collet_mm: float = inf
+    removal_mm3_per_min: float = inf
 
     def speeds(self, tool: Tool) -> Speeds:
         return Speeds.of(
@@ -48,6 +53,17 @@ class Shop:
             self.material,
             spindle_rpm=self.spindle_rpm,
             max_rate_mm_per_min=self.mill.max_rate_mm_per_min,
+        )
+
+    def holds(self, tool: Tool) -> bool:
+        """Return whether the spindle takes its shank."""
+        return 2 * tool.shank_radius_mm <= self.collet_mm
+
+    def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:
+        """Return the material's step-down, or as much of it as the mill takes off in rows at the tool's feed."""
+        speeds = self.speeds(tool)
+        return limit_step_down_mm(
+            speeds.step_down_mm, pitch_mm, speeds.feed_mm_per_min, removal_mm3_per_min=self.removal_mm3_per_min
         )
 
     def finish_step_down_mm(self, tool: Tool) -> float:
@@ -68,6 +84,13 @@ class Shop:
         )
 
 
+def find_unheld(tool: Tool, shop: Shop) -> str | None:
+    """Return why the spindle cannot take a tool, as a clause; None where it can."""
+    if shop.holds(tool):
+        return None
+    return f"it has a shank of {2 * tool.shank_radius_mm:g} mm; the mill's collet takes {shop.collet_mm:g} mm"
+
+
 def pitches_mm(tool: Tool) -> tuple[float, ...]:
     """Return the pitches of finishing passes with that ball, closest first."""
     return tuple(pitch for pitch in PITCHES_MM if pitch <= PITCH_SHARE * tool.radius_mm)
@@ -77,6 +100,8 @@ def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> str | None:
     """Return why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked
     elsewhere.
     """
+    if (unheld := find_unheld(tool, shop)) is not None:
+        return unheld
     if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:
         need_mm = 2 * tool.radius_mm + CLEAR_MM
         return f"it clears {2 * tool.radius_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}"

@@ -47,7 +47,7 @@ from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, with_plan
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
 from service.wording import ball
 
@@ -359,6 +359,7 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
 
 def _warnings(quick: QuickLens) -> Iterator[str]:
     yield from (advice.words for advice in quick.design.warnings)
+    yield from warn_of_removal(quick.spec, quick.job.machine)
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
         share = 100 * quick.reflected_share
         yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"

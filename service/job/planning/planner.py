@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from math import inf
 
 from cam.materials import MATERIALS
 from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
@@ -26,6 +27,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
+from service.job.spec.resolve import most_removal_mm3_per_min
 from service.job.spec.resolved import ResolvedJob
 
 Progress = Callable[[float], None]
@@ -94,15 +96,18 @@ def shop_of(job: ResolvedJob) -> Shop:
         noise_mm=machine.z_noise_mm,
         margin_mm=job.spec.stock.margin_mm,
         strategies=("raster", "contour"),
+        collet_mm=inf if machine.collet_mm is None else machine.collet_mm,
+        removal_mm3_per_min=most_removal_mm3_per_min(machine, MATERIALS[job.spec.stock.material]),
     )
 
 
 def _radii(shop: Shop) -> list[float]:
-    """Return the radii of balls that the block has room for; of all, where it has none, so that each is refused by
-    name.
+    """Return the radii of balls that the spindle takes and the block has room for; of all, where there is none, so that
+    each is refused by name.
     """
     radii = {tool.radius_mm for tool in shop.tools}
-    return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
+    held = {tool.radius_mm for tool in shop.tools if shop.holds(tool)}
+    return sorted({r for r in held if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
 def _choose_plan(

@@ -40,6 +40,11 @@ class MachineSpec(Section):
     lines_per_s: Annotated[Annotated[float, Field(gt=0, le=1_000_000)] | None, _shown("Lines per second")] = None
     safe_z_mm: Annotated[Annotated[float, Field(ge=0.5, le=200)] | None, _shown("Safe height")] = None
     spindle_rpm: Annotated[Pair | None, shown("Spindle", names=("slowest", "fastest"))] = None
+    collet_mm: Annotated[
+        Annotated[float, Field(ge=0.1, le=100)] | None, _shown("Collet", "The thickest shank that it takes.")
+    ] = None
+    spindle_w: Annotated[Annotated[float, Field(ge=1, le=100_000)] | None, _shown("Spindle power")] = None
+    removal_cm3_per_min: Annotated[Annotated[float, Field(ge=0.01, le=10_000)] | None, _shown("Removal rate")] = None
     coolant: Annotated[Literal["none", "air", "mist", "flood"] | None, _shown("Coolant or air")] = None
     work_offset: Annotated[
         Annotated[int, Field(ge=1, le=6)] | None, _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6.")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from math import inf
 from typing import Any
 
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.cutters import CUTTERS
-from cam.materials import MATERIALS, SLOT_FEED, Material
+from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, PassSpec, Stock
 from machines.profiles import MachineProfile
 from service.errors import SpecError
@@ -19,6 +20,7 @@ from service.job.spec.resolved import ResolvedJob
 
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")
+_ROUNDING = 0.01  # of step-downs and feeds
 _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 
 
@@ -44,7 +46,7 @@ def with_feeds(job: ResolvedJob) -> ResolvedJob:
     spec, machine = job.spec, job.machine
     rows, problems = [], []
     for number, row in enumerate(spec.passes):
-        problems += _beyond_the_mill(row, machine, f"passes.{number}")
+        problems += [*_beyond_the_mill(row, machine, f"passes.{number}"), *_unheld(row, machine, f"passes.{number}")]
         rows.append(_fill_row(row, machine, MATERIALS[spec.stock.material]))
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
@@ -188,7 +190,34 @@ def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
 
 
 def _fill_row(row: PassRow, machine: MachineProfile, material: Material) -> PassRow:
-    return row.model_copy(update=_speeds(row, machine, material))
+    values = _speeds(row, machine, material)
+    if row.step_down_mm is None:
+        most = most_removal_mm3_per_min(machine, material)
+        values["step_down_mm"] = limit_step_down_mm(
+            values["step_down_mm"], row.pitch_mm, values["feed_mm_per_min"], removal_mm3_per_min=most
+        )
+    return row.model_copy(update=values)
+
+
+def most_removal_mm3_per_min(machine: MachineProfile, material: Material) -> float:
+    """Return what rows may take off at most: by the frame, and by the spindle's power."""
+    by_frame = inf if machine.removal_cm3_per_min is None else 1000 * machine.removal_cm3_per_min
+    by_spindle = inf if machine.spindle_w is None else material.removal_mm3_per_min(machine.spindle_w)
+    return min(by_frame, by_spindle)
+
+
+def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[str]:
+    """Yield what passes with figures of the person's own ask for beyond what the mill takes off."""
+    most = most_removal_mm3_per_min(machine, MATERIALS[spec.stock.material])
+    for number, row in enumerate(spec.passes):
+        assert row.step_down_mm is not None and row.feed_mm_per_min is not None  # by with_feeds
+        asked = row.pitch_mm * row.step_down_mm * row.feed_mm_per_min
+        if asked > (1 + _ROUNDING) * most:
+            yield (
+                f"passes.{number} ({row.name}) takes off {asked / 1000:.2g} cm3/min in rows; '{machine.name}' stands "
+                f"about {most / 1000:.2g} (machine.removal_cm3_per_min, spindle_w): a smaller step_down_mm, or expect "
+                "chatter and lost steps"
+            )
 
 
 def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, float]:
@@ -205,6 +234,25 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
         "plunge_mm_per_min": row.plunge_mm_per_min or float(round(plunge)),
         "step_down_mm": row.step_down_mm or start.step_down_mm,
     }
+
+
+def _unheld(row: PassRow, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+    """Return that the spindle cannot take a pass's cutter; what is not said of its shank is as thick as the ball."""
+    shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
+    if machine.collet_mm is None or shank_mm <= machine.collet_mm:
+        return []
+    key, remedy = (
+        ("shank_radius_mm", "")
+        if row.shank_radius_mm is not None
+        else ("radius_mm", ", or a thinner shank as shank_radius_mm with its flute_length_mm")
+    )
+    return [
+        (
+            f"{place}.{key}",
+            f"a ball R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' takes "
+            f"{machine.collet_mm:g} mm; allowed: at most {machine.collet_mm / 2:g}{remedy}",
+        )
+    ]
 
 
 def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, str]]:

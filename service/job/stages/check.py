@@ -16,7 +16,7 @@ from service.job.page_data.path import PathDrawing
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.path_sample import PathSample
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
 from service.job.stages.context import StageContext
 from service.milling.preflight_child import examine
 
@@ -27,6 +27,8 @@ def run_final_check(context: StageContext) -> None:
     """
     rows = context.so_far["passes"]
     limits = limits_of(context.machine)
+    for warning in warn_of_removal(context.spec, context.machine):
+        context.note("passes", warning)
     with context.watch.stage("pre-flight") as on_progress:
         files = [file for row in programs_in_order(context.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):

@@ -167,7 +167,7 @@ _AFTER = (
         name="check",
         function="service.job.stages.check:run_final_check",
         reads=_ALL_PROGRAMS,
-        spec=("passes", "machine", "optics.outline", *_BLOCK),
+        spec=("passes", "machine", "optics.outline", "stock.material", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(

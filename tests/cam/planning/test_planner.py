@@ -261,3 +261,22 @@ def test_tips_for_planning_are_those_of_the_tool_surface(radius_mm: float) -> No
     assert outside * SIDE_MM / count >= radius_mm
     exact = ToolSurface.over(lens, radius_mm=radius_mm).tip_rows_mm(places, places)
     assert tips[outside:-outside, outside:-outside] == pytest.approx(exact, abs=0.01)
+
+
+def test_no_pass_asks_for_a_shank_that_the_spindle_cannot_take() -> None:
+    form, tools = LensForm.of(bumps()), tuple(tool(radius) for radius in (1.5, 3.0, 4.0))
+    held = replace(shop(*tools), collet_mm=6.35)
+    found = make_plan(held, {one.radius_mm: form for one in tools}, Blur(), Goal(), fillings={})
+    assert max(spec.radius_mm for one in found.front for spec in one.passes) == 3.0
+    assert dict(found.left_out) == {tools[-1].name: "it has a shank of 8 mm; the mill's collet takes 6.35 mm"}
+
+
+def test_layers_are_as_shallow_as_frame_and_spindle_ask() -> None:
+    light = replace(shop(tool(3.0)), removal_mm3_per_min=1000.0)
+    finish = ball_pass("finish", radius_mm=3.0, pitch_mm=0.05, stock_to_leave_mm=0.0, step_down_mm=0.5)
+    for one in (light, shop(tool(3.0))):
+        before = Roughing(form=LensForm.of(bumps()), shop=one).plan_before(finish)
+        assert before is not None
+        rough = before.passes[0]
+        removal = rough.pitch_mm * rough.step_down_mm * rough.feed_mm_per_min
+        assert (0.97 * 1000 < removal <= 1000) is (one is light)

@@ -16,19 +16,24 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from cam.planning.pass_time import LensForm
+from cam.planning.planner import find_candidates
+from machines.profiles import profile_names
 from optics.irradiance import target_irradiance
 from service.cli.main import run
+from service.errors import SpecError
 from service.job.picture.limits import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
-from service.job.planning.planner import mill_of, plan_for_picture
+from service.job.planning.planner import mill_of, plan_for_picture, shop_of
 from service.job.planning.sentences import blur_warning, reasons
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, with_plan
+from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import look_up
 from service.job.stages.table import plan, shares, stage_key
+from tests.cam.planning.test_planner import Blur, bumps
 from tests.page import canned_job
 
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
@@ -251,3 +256,41 @@ def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
         told_db, values = re.findall(r"\((-?[\d.]+) dB\).*\(--set (.*)\)$", line)[0]
         assert float(told_db) >= own_db + 0.9
         assert seen_db(*values.split(" --set ")) == pytest.approx(float(told_db), abs=0.06)
+
+
+@pytest.mark.parametrize("profile", profile_names(()))
+def test_every_way_to_mill_keeps_collet_and_removal_rate_of_the_mill(profile: str) -> None:
+    """With the built-in tools, whose largest have shanks of 8 and 12 mm, and a margin that has room for all."""
+    job = look_up(
+        resolve_spec(preset="recommended", overrides=(*SIZE, f"machine.profile={profile}", "stock.margin_mm=14"))
+    )
+    shop, form = shop_of(job), LensForm.of(bumps(0.2))
+    candidates, left_out = find_candidates(shop, {one.radius_mm: form for one in shop.tools}, Blur(), fillings={})
+    passes = [spec for one in candidates for spec in one.passes]
+    assert passes and max(2 * (spec.shank_radius_mm or 0.0) for spec in passes) <= job.machine.collet_mm
+    assert max(spec.pitch_mm * spec.step_down_mm * spec.feed_mm_per_min for spec in passes) <= (
+        1000 * job.machine.removal_cm3_per_min
+    )
+    unheld = {one.name for one in shop.tools if 2 * one.shank_radius_mm > job.machine.collet_mm}
+    assert unheld <= {name for name, why in left_out if "collet takes" in why}
+
+
+def test_a_shank_that_the_collet_cannot_take_is_refused_with_both_figures() -> None:
+    with pytest.raises(SpecError, match=r"passes.0.radius_mm.*shank of 12 mm.*'grbl' takes 6.35 mm.*thinner shank"):
+        resolve_spec(overrides=("passes=[{radius_mm=6, pitch_mm=0.5}]",))
+    thin = "passes=[{radius_mm=6, pitch_mm=0.5, flute_length_mm=20, shank_radius_mm=%g}]"
+    assert resolve_spec(overrides=(thin % 3.0,)).passes[0].radius_mm == 6.0
+    with pytest.raises(SpecError, match=r"passes.0.shank_radius_mm.*at most 3.175"):
+        resolve_spec(overrides=(thin % 3.5,))
+    assert resolve_spec(overrides=("passes=[{radius_mm=6, pitch_mm=0.5}]", "machine.collet_mm=12")).passes
+
+
+def test_layers_that_a_light_frame_cannot_stand_are_made_shallower_or_told() -> None:
+    light = ("machine.profile=grbl-3018", "passes=[{radius_mm=3, pitch_mm=1.5%s}]")
+    chosen = resolve_spec(overrides=(light[0], light[1] % ""))
+    (row,) = chosen.passes
+    assert row.pitch_mm * row.step_down_mm * row.feed_mm_per_min == pytest.approx(1000, rel=0.03)
+    own = resolve_spec(overrides=(light[0], light[1] % ", step_down_mm=1.5"))
+    assert not list(warn_of_removal(chosen, look_up(chosen).machine))
+    (words,) = warn_of_removal(own, look_up(own).machine)
+    assert "passes.0 (finish) takes off 2.2 cm3/min in rows; 'grbl-3018' stands about 1 " in words

@@ -93,6 +93,8 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("machine.profile", {"check"}),  # all its figures are given otherwise
         ("machine.coolant", {"pass-1", "pass-2", "check"}),
         ("machine.work_offset", {"pass-1", "pass-2", "check"}),
+        ("machine.collet_mm", {"check"}),
+        ("machine.removal_cm3_per_min", {"check"}),
         ("machine.warm_up_s", {"pass-1", "check"}),
         ("machine.trace_outline", {"pass-1", "check"}),
         ("preset", set()),

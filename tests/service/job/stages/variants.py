@@ -50,6 +50,7 @@ _GIVEN: dict[str, Any] = {
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
         "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0, "coolant": "none",
         "blend_tolerance_mm": None, "high_precision": "none", "work_offset": 1, "warm_up_s": 0.0,
+        "collet_mm": 6.35, "spindle_w": 500.0, "removal_cm3_per_min": 6.0,
         "trace_outline": False,
     },
 }  # fmt: skip
@@ -69,6 +70,7 @@ OTHER: dict[str, Any] = {
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
     "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001, "machine.whole_steps": True,
     "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.coolant": "flood",
+    "machine.collet_mm": 8.0, "machine.spindle_w": 400.0, "machine.removal_cm3_per_min": 5.0,
     "machine.work_offset": 2, "machine.warm_up_s": 10.0, "machine.trace_outline": True,
     "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
     "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
