@@ -55,7 +55,7 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
 @pytest.mark.thorough
 def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
     """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
-    values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
+    values = ("image.pixels=256", "finish.process=best", "plan.hours=6", "machine.collet_mm=12")
     spec = resolve_spec(preset="recommended", overrides=values)
     found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
