@@ -6,7 +6,7 @@ From samples of the milled surface: the blur in pixels, and a picture that would
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from optics.spline import Array
 from optics.tubes.lattice import Aim
 
 _INNER = 0.5 / math.sqrt(3.0)  # Gauss points of a facet, from its middle, of its side
+_ENOUGH = 20_000  # slopes of a sample, to know how they are spread
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,21 +45,12 @@ class Deviations:
 
 def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int]) -> Deviations:
     """Return the deviations of facets (n, 4, 5); those beyond the aperture do not count."""
-    spline, aim, beam = heightfield.spline(), aim_at(bench, pixels), bench.beam()
+    aim, beam = aim_at(bench, pixels), bench.beam()
     sums, area = np.zeros(4), 0.0
-    for facets in samples:
-        middle = facets[:, :, :2].mean(axis=1)
-        inside = ((middle > 0.0) & (middle < (bench.width_mm, bench.height_mm))).all(axis=1)
-        chosen = facets[inside]
-        weight = _areas(chosen)
-        for u in (-_INNER, _INNER):
-            for v in (-_INNER, _INNER):
-                shares = ((0.5 - u) * (0.5 - v), (0.5 + u) * (0.5 - v), (0.5 + u) * (0.5 + v), (0.5 - u) * (0.5 + v))
-                points = np.einsum("nkd,k->nd", chosen, np.array(shares))
-                jets = spline.jets(points[:, 0], points[:, 1])
-                off = np.concatenate([(points[:, 3:] - jets[1:3].T).T, _thrown(points, jets, beam, aim)])
-                sums += np.nansum(weight * off**2, axis=1)
-        area += 4.0 * float(weight.sum())
+    for points, jets, weight in _points_of(samples, heightfield):
+        off = np.concatenate([(points[:, 3:] - jets[1:3].T).T, _thrown(points, jets, beam, aim)])
+        sums += np.nansum(weight * off**2, axis=1)
+        area += float(weight.sum())
     slope_x, slope_y, blur_x, blur_y = np.sqrt(sums / max(area, 1e-300))
     return Deviations(
         slope_x_mrad=1e3 * float(slope_x),
@@ -66,6 +58,45 @@ def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench,
         blur_x_px=float(blur_x),
         blur_y_px=float(blur_y),
     )
+
+
+def sample_slopes(samples: Iterable[Array], heightfield: Heightfield, count: int) -> Array:
+    """Return (about count, 2) by which slopes of facets (n, 4, 5) are off, each the mean of equally much of their area.
+
+    Parts are divided by their slope in x, each of these by that in y, by more where slopes differ more.
+    """
+    random, found = np.random.default_rng(0), []
+    for points, jets, weight in _points_of(samples, heightfield):
+        rows = np.column_stack([points[:, 3:] - jets[1:3].T, weight])
+        found.append(rows if len(rows) <= _ENOUGH else random.choice(rows, _ENOUGH, replace=False))
+    rows = np.concatenate(found)
+    spread = np.sqrt(np.average(rows[:, :2] ** 2, axis=0, weights=rows[:, 2])) + 1e-12
+    across = int(np.clip(round(math.sqrt(count * spread[0] / spread[1])), 1, count))
+    strips = _divide(rows, 0, across)
+    parts = [part for strip in strips for part in _divide(strip, 1, max(1, count // across))]
+    return np.array([np.average(part[:, :2], axis=0, weights=part[:, 2]) for part in parts])
+
+
+def _divide(rows: Array, axis: int, count: int) -> list[Array]:
+    """Return rows in order along an axis, as parts of about the same weight (the last column); none is empty."""
+    ordered = rows[np.argsort(rows[:, axis], kind="stable")]
+    before = np.cumsum(ordered[:, 2]) - 0.5 * ordered[:, 2]
+    ends = np.searchsorted(before, np.arange(1, count) / count * ordered[:, 2].sum())
+    return [part for part in np.split(ordered, ends) if len(part)]
+
+
+def _points_of(samples: Iterable[Array], heightfield: Heightfield) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield Gauss points (n, 5) of the facets within the aperture, the lens's jets (6, n) there, and areas (n,)."""
+    spline, size = heightfield.spline(), (heightfield.width_mm, heightfield.height_mm)
+    for facets in samples:
+        middle = facets[:, :, :2].mean(axis=1)
+        chosen = facets[((middle > 0.0) & (middle < size)).all(axis=1)]
+        weight = _areas(chosen)
+        for u in (-_INNER, _INNER):
+            for v in (-_INNER, _INNER):
+                shares = ((0.5 - u) * (0.5 - v), (0.5 + u) * (0.5 - v), (0.5 + u) * (0.5 + v), (0.5 - u) * (0.5 + v))
+                points = np.einsum("nkd,k->nd", chosen, np.array(shares))
+                yield points, spline.jets(points[:, 0], points[:, 1]), weight
 
 
 def _areas(facets: Array) -> Array:

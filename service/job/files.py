@@ -36,6 +36,7 @@ AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finis
 FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
 TOOLPATH, PLAN = "toolpath.png", "plan.png"
 SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
+LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED = "light.bin", "light-as-milled.bin", "light-as-finished.bin"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.npz")
@@ -45,6 +46,7 @@ _KNOWN = {
     *(SPEC, REPORT, REPORT_PAGE, HEIGHTFIELD, MAP, SOLID),
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
+_DRAWINGS = frozenset((SURFACE, FOCUS, THUMBNAIL, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")
@@ -108,7 +110,7 @@ def program_order(name: str) -> tuple[int, int, str]:
 
 def is_drawing(name: str) -> bool:
     """Return whether only the operator page reads the file: nobody wants it in a folder."""
-    return name in (SURFACE, FOCUS, THUMBNAIL) or _PATH.fullmatch(name) is not None
+    return name in _DRAWINGS or _PATH.fullmatch(name) is not None
 
 
 def is_known(name: str) -> bool:

@@ -13,12 +13,13 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
 from service.job import arrays
-from service.job.files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, MAP
+from service.job.files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, LIGHT_AS_FINISHED, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
+from service.job.stages.light import save_light
 
 _STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
@@ -28,7 +29,8 @@ _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 def run_as_finished(context: StageContext) -> None:
     """Simulate light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
-    comparison-as-finished.png. Nothing where nothing is finished by hand, or no pass finishes.
+    comparison-as-finished.png, light-as-finished.bin for the operator page. Nothing where nothing is finished by hand,
+    or no pass finishes.
     """
     finish, passes = finish_of(context.spec), list_finish_passes(context)
     if finish is None or not passes:
@@ -50,6 +52,8 @@ def run_as_finished(context: StageContext) -> None:
         finished = finish_departure(lens, finish, departure)
     with context.watch.stage("as finished: light"):
         seen = light_through(finished, bench, shape)
+        if context.is_shown:
+            save_light(context, LIGHT_AS_FINISHED, finished, target)
     _tell(context, finish, target, seen, bench.screen.width_mm / shape[1])
     if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
         context.note("passes", sentence)

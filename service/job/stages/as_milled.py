@@ -23,23 +23,26 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_detail_mm
 from optics.milled import simulate_milled
-from optics.milled_blur import Deviations, deviations, predict_light
+from optics.milled_blur import Deviations, deviations, predict_light, sample_slopes
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
+from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, names_of_pass, read_chunks
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.spec.resolve import cam_passes_of
 from service.job.stages.context import StageContext
+from service.job.stages.light import save_light
 
 _SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
+_SLOPES = 96  # by which the operator page knows it
 _FINER = 4.0  # a quarter of the pitch: as good as no grooves
 
 
 def run_as_milled(context: StageContext) -> None:
     """Simulate light through the surface that finishing programs leave: report `as_milled`, caustic-as-milled.png, and
-    as-milled.png, which shows it beside target and design. Nothing where no pass finishes.
+    as-milled.png, which shows it beside target and design, and light-as-milled.bin for the operator page. Nothing where
+    no pass finishes.
     """
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = context.receive(MAP, arrays.load_target)
@@ -57,6 +60,9 @@ def run_as_milled(context: StageContext) -> None:
     with context.watch.stage("as milled: light") as on_progress:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)
         found = deviations(_sample_facets(surface), heightfield, bench, shape)
+        if context.is_shown:
+            slopes = sample_slopes(_sample_facets(surface), heightfield, _SLOPES)
+            save_light(context, LIGHT_AS_MILLED, heightfield, target, slopes=slopes)
     del surface
     with context.watch.stage("as milled: causes") as on_progress:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(context.spec)), bench, pixels=shape)

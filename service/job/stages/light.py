@@ -22,7 +22,7 @@ from optics.tolerance import (
     sharp_light,
 )
 from service.job import arrays
-from service.job.files import FOCUS, HEIGHTFIELD, MAP
+from service.job.files import FOCUS, HEIGHTFIELD, LIGHT, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of
@@ -34,7 +34,7 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 def run_caustic(context: StageContext) -> None:
     """Simulate light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
-    caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
+    caustic.png, comparison.png, through-focus.png, and focus.bin and light.bin for the operator page.
     """
     heightfield = surface_in_light(context.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(context.spec))
     target = context.receive(MAP, arrays.load_target)
@@ -55,6 +55,7 @@ def run_caustic(context: StageContext) -> None:
         _draw(context, target, seen)
         if context.is_shown:
             _through_focus(context, heightfield, target)
+            save_light(context, LIGHT, heightfield, target)
     with context.watch.stage("tolerances") as on_progress:
         found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=on_progress)
         context.report["optics"]["tolerances"] = _figures(found)
@@ -65,6 +66,16 @@ def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) ->
     """Return the light on a screen far out of focus, at that factor of the throw."""
     moved = replace(bench, throw_mm=factor * bench.throw_mm)
     return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=1, beams=_BEAMS_OUT_OF_FOCUS)
+
+
+def save_light(
+    context: StageContext, name: str, surface: Heightfield, target: Array, *, slopes: Array | None = None
+) -> None:
+    """Save the surface with the light of the job for the operator page; slopes: by which it is off."""
+    from service.job.page_data.light import light_bytes  # what it stands on is slow to import
+
+    bench, viewed_from = bench_of(context.spec), context.spec.optics.viewed_from
+    context.save(name, light_bytes(surface, bench, white=float(target.max()), viewed_from=viewed_from, slopes=slopes))
 
 
 def _through_focus(context: StageContext, heightfield: Heightfield, target: Array) -> None:

@@ -44,7 +44,16 @@ def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
 @pytest.mark.thorough
 def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -> None:
     """But for what only the operator page draws."""
-    drawn = {"thumbnail.png", "surface.bin", "focus.bin", "pass-1.path", "pass-2.path", "pass-3.path"}
+    drawn = {
+        "thumbnail.png",
+        "surface.bin",
+        "focus.bin",
+        "light.bin",
+        "light-as-milled.bin",
+        "pass-1.path",
+        "pass-2.path",
+        "pass-3.path",
+    }
     offered = {name for name in job.outputs if not name.startswith(".")}
     assert offered == {path.name for path in made.iterdir()} | drawn
     for name in offered - drawn - {"report.json", "report.html"}:

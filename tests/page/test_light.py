@@ -1,0 +1,77 @@
+"""The light that the page finds by itself, against the server's: the same picture, the same way round."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.design import design_lens
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import target_irradiance
+from optics.light import Light
+from optics.settings import LensSettings
+from service.job.page_data.light import light_bytes
+
+PIXELS, SEEN = 64, 256
+PARALLEL = Bench.centre_on(width_mm=30.0, height_mm=30.0, throw_mm=100.0, refractive_index=1.49, thickness_mm=20.0)
+SUN = replace(PARALLEL, light=Light(kind="sun"))
+LAMP = replace(PARALLEL, light=Light(kind="point", distance_mm=300.0, size_mm=3.0))
+DRAW = """async ([data, pixels, change]) => {
+    const [{ lightOf }, gl] = await Promise.all([import("/page/job/drawing_file.js"), import("/page/job/light_gl.js")]);
+    const lens = await lightOf(Uint8Array.from(atob(data), (one) => one.charCodeAt(0)).buffer);
+    const setting = { ...gl.settingOf(lens), ...change }, beams = gl.beamsOf(lens, setting);
+    const picture = gl.lightPicture(new OffscreenCanvas(1, 1), lens, { pixels });
+    picture.add(setting, beams, { whole: beams.length, first: true, stride: 2 });
+    picture.turnOver();
+    const { values } = picture.read();
+    picture.free();
+    return [...values];
+}"""
+
+
+def letter() -> Array:
+    """An F on a slope of grey: no mirror of it looks the same."""
+    y, x = np.mgrid[:PIXELS, :PIXELS] / PIXELS
+    strokes = (
+        (x > 0.2)
+        & (y > 0.15)
+        & (y < 0.85)
+        & ((x < 0.35) | ((x < 0.8) & (y < 0.28)) | ((x < 0.6) & (abs(y - 0.5) < 0.06)))
+    )
+    return np.where(strokes, 1.0, 0.15 + 0.2 * x)
+
+
+def lens_for(bench: Bench, *, corrections: int = 1) -> tuple[Heightfield, float]:
+    target = target_irradiance(letter(), viewed_from="lens")
+    return design_lens(
+        target, LensSettings(bench=bench, skim_mm=0.1, corrections=corrections)
+    ).heightfield, target.max()
+
+
+def likeness(a: Array, b: Array) -> float:
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("made_for", "lit", "change"),
+    [(PARALLEL, replace(PARALLEL, throw_mm=85.0), {"throwMm": 85.0}), (SUN, SUN, {}), (LAMP, LAMP, {})],
+    ids=["wall nearer", "sun", "lamp"],
+)
+def test_the_page_sees_the_servers_caustic_and_no_mirror_of_it(
+    modules: Page, made_for: Bench, lit: Bench, change: dict[str, float]
+) -> None:
+    lens, white = lens_for(made_for)
+    data = base64.b64encode(light_bytes(lens, made_for, white=white, viewed_from="lens")).decode()
+    found = np.array(modules.evaluate(DRAW, [data, SEEN, change])).reshape(
+        PIXELS, SEEN // PIXELS, PIXELS, SEEN // PIXELS
+    )
+    seen, wanted = found.mean(axis=(1, 3)), simulate_caustic(lens, lit, pixels=(PIXELS, PIXELS)).irradiance
+    assert likeness(seen, wanted) >= 0.99
+    assert seen.mean() == pytest.approx(wanted.mean(), rel=0.01)
+    assert max(likeness(seen[::-1], wanted), likeness(seen[:, ::-1], wanted), likeness(seen.T, wanted)) < 0.8
