@@ -17,9 +17,11 @@ from PIL import Image
 
 from optics.heightfield import Heightfield
 from service.job.page_data.header import header_line
+from service.job.page_data.light import light_bytes
 from service.job.page_data.surface import surface_bytes
 from service.job.page_data.thumbnail import thumbnail_png
 from service.job.report.figures.base import picture_png
+from service.job.spec.lens_task import bench_of
 from service.job.spec.model import JobSpec
 from tests.page.paths import SIDE_MM, Thinned, write_path
 
@@ -57,6 +59,10 @@ def files() -> dict[str, bytes]:
     made["thumbnail.png"] = thumbnail_png(1 + np.sin(9 * rows) * columns, white=2.0)
     made["surface.bin"] = surface_bytes(_lens(), thickness_mm=40.0, margin_mm=8.0, outline_mm=None)
     made["focus.bin"] = _focus()
+    bench = bench_of(JobSpec.model_validate(_TOLD["job"]["spec"]))
+    made["light.bin"] = light_bytes(_lens(), bench, white=2.0, viewed_from="lens")
+    marks = np.array([[0.0, -0.002], [0.0, 0.0], [0.0, 0.002]])
+    made["light-as-milled.bin"] = light_bytes(_lens(), bench, white=2.0, viewed_from="lens", slopes=marks)
     return made
 
 

@@ -308,6 +308,9 @@ export function lightPicture(canvas, lens, { pixels = 512, margin = 1 } = {}) {
   /** What was being made is what is shown from now on. */
   function turnOver() {
     shown = 1 - shown;
+    showAgain();
+  }
+  function showAgain() {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
     walls[shown].use();
@@ -323,7 +326,11 @@ export function lightPicture(canvas, lens, { pixels = 512, margin = 1 } = {}) {
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, values);
     return { nx: width, ny: height, values: values.filter((_, k) => k % 4 === 0) };
   }
-  return { add, turnOver, read, free: () => release(gl) };
+  /** Gives back the memory of this picture, not the canvas: another may be made on it. */
+  function forget() {
+    for (const one of [nodes, arrivals, ...walls]) gl.deleteTexture(one.texture);
+  }
+  return { add, turnOver, showAgain, read, forget, free: () => release(gl) };
 }
 
 /** A picture in the browser's memory: {texture, use()}. */

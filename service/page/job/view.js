@@ -14,6 +14,7 @@ import { finishingPart } from "./finishing.js";
 import { focusPart } from "./focus.js";
 import { headPart } from "./head.js";
 import { lensPart } from "./lens.js";
+import { lightPart } from "./light.js";
 import { pathPart } from "./path.js";
 import { photoPart } from "./photo.js";
 import { picturesPart } from "./pictures.js";
@@ -44,6 +45,7 @@ export default async function view(root, params, app) {
     parts.warnings.update(job);
     parts.pictures.update(artifacts);
     parts.programs.update(job);
+    parts.light.update(artifacts, job);
     parts.focus.update(artifacts, job.report);
     parts.lens.update(artifacts);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
@@ -116,7 +118,7 @@ export default async function view(root, params, app) {
 function makeParts(app, changed) {
   return {
     head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
-    programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
+    programs: programsPart(), light: lightPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
     photo: photoPart(),
     files: filesPart(),
   };
@@ -130,7 +132,7 @@ function layout(parts, spec) {
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
     parts.head.node, parts.progress.node,
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
-    parts.plan.node,
+    parts.light.node, parts.plan.node,
     h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
     parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
   );
