@@ -13,7 +13,7 @@ from optics.heightfield import Heightfield
 from optics.light import Light
 from optics.metrics import psnr_db
 from optics.milled import simulate_milled
-from optics.milled_blur import deviations, predict_light
+from optics.milled_blur import deviations, predict_light, sample_slopes
 
 SIDE_MM = 10.0
 PIXELS = (32, 32)
@@ -107,3 +107,12 @@ def test_predicted_light_is_near_the_whole_simulation():
     inner = ((facets[:, :, :2].mean(axis=1) > 2) & (facets[:, :, :2].mean(axis=1) < 8)).all(axis=1)
     quick = predict_light(designed, [facets[inner]], over, BENCH)
     assert psnr_db(quick, designed) == pytest.approx(psnr_db(whole, designed), abs=1.5)
+
+
+def test_a_few_slopes_stand_for_all_of_a_surface() -> None:
+    """Grooves along x: none is off in x, and in y evenly from -3 to +3 mrad."""
+    found = sample_slopes(np.array_split(facets_of(lens(), groove_mrad=3.0), 5), lens(), 60)
+    whole = deviations([facets_of(lens(), groove_mrad=3.0)], lens(), BENCH, PIXELS)
+    assert 50 <= len(found) <= 70
+    assert np.abs(found.mean(axis=0)).max() < 1e-4
+    assert 1e3 * np.sqrt((found**2).mean(axis=0)) == pytest.approx([whole.slope_x_mrad, whole.slope_y_mrad], abs=0.1)

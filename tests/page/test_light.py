@@ -7,16 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Array, Heightfield
-from optics.irradiance import target_irradiance
+from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.light import Light
 from optics.settings import LensSettings
 from service.job.page_data.light import light_bytes
+from service.job.report.figures.base import srgb_levels
+from tests.page import canned_job
+from tests.page.conftest import Opened
+from tests.page.test_job import NO_WEBGL
 
 PIXELS, SEEN = 64, 256
 PARALLEL = Bench.centre_on(width_mm=30.0, height_mm=30.0, throw_mm=100.0, refractive_index=1.49, thickness_mm=20.0)
@@ -26,12 +30,15 @@ DRAW = """async ([data, pixels, change]) => {
     const [{ lightOf }, gl] = await Promise.all([import("/page/job/drawing_file.js"), import("/page/job/light_gl.js")]);
     const lens = await lightOf(Uint8Array.from(atob(data), (one) => one.charCodeAt(0)).buffer);
     const setting = { ...gl.settingOf(lens), ...change }, beams = gl.beamsOf(lens, setting);
-    const picture = gl.lightPicture(new OffscreenCanvas(1, 1), lens, { pixels });
+    const canvas = new OffscreenCanvas(1, 1), picture = gl.lightPicture(canvas, lens, { pixels });
     picture.add(setting, beams, { whole: beams.length, first: true, stride: 2 });
     picture.turnOver();
+    const ink = new OffscreenCanvas(pixels, pixels).getContext("2d");
+    ink.drawImage(canvas, 0, 0);
+    const shown = ink.getImageData(0, 0, pixels, pixels).data.filter((_, k) => k % 4 === 0);
     const { values } = picture.read();
     picture.free();
-    return [...values];
+    return [[...values], [...shown]];
 }"""
 
 
@@ -68,10 +75,52 @@ def test_the_page_sees_the_servers_caustic_and_no_mirror_of_it(
 ) -> None:
     lens, white = lens_for(made_for)
     data = base64.b64encode(light_bytes(lens, made_for, white=white, viewed_from="lens")).decode()
-    found = np.array(modules.evaluate(DRAW, [data, SEEN, change])).reshape(
-        PIXELS, SEEN // PIXELS, PIXELS, SEEN // PIXELS
-    )
-    seen, wanted = found.mean(axis=(1, 3)), simulate_caustic(lens, lit, pixels=(PIXELS, PIXELS)).irradiance
+    coarse = (PIXELS, SEEN // PIXELS, PIXELS, SEEN // PIXELS)
+    told = (np.array(one).reshape(coarse).mean(axis=(1, 3)) for one in modules.evaluate(DRAW, [data, SEEN, change]))
+    seen, shown = told
+    wanted = simulate_caustic(lens, lit, pixels=(PIXELS, PIXELS)).irradiance
     assert likeness(seen, wanted) >= 0.99
     assert seen.mean() == pytest.approx(wanted.mean(), rel=0.01)
     assert max(likeness(seen[::-1], wanted), likeness(seen[:, ::-1], wanted), likeness(seen.T, wanted)) < 0.8
+    assert likeness(shown, srgb_levels(picture_from_irradiance(wanted, viewed_from="lens"), white=white)) >= 0.98
+
+
+FRAMES = """() => { window.drawn = 0; const draw = WebGL2RenderingContext.prototype.drawArrays;
+    WebGL2RenderingContext.prototype.drawArrays = function (...more) {
+        window.drawn += 1;
+        return draw.apply(this, more);
+    };
+}"""
+AT_REST = """async () => {
+    for (let before = -1, tries = 0; before !== window.drawn; tries += 1) {
+        if (tries > 30) throw new Error("it draws on and on");
+        before = window.drawn;
+        await new Promise((done) => setTimeout(done, 1500));
+    }
+    return window.drawn;
+}"""
+
+
+def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_moves(opened: Opened) -> None:
+    page = opened(f"#/jobs/{canned_job.JOB_ID}", once=True)
+    page.evaluate(FRAMES)
+    canvas = page.locator(".light-canvas")
+    canvas.scroll_into_view_if_needed()
+    expect(page.locator(".light-words")).to_have_text("Wall at 100 mm, where it belongs")
+    before = page.evaluate(AT_REST)
+    canvas.press("ArrowUp")
+    expect(page.locator(".light-words")).to_have_text("Wall at 95 mm: 5 mm too near")
+    assert page.evaluate(AT_REST) > before
+    page.get_by_role("slider", name="Sun, width").fill("1")
+    expect(page.get_by_role("slider", name="Sun, width")).to_have_attribute("aria-valuetext", "1°")
+    page.get_by_label("Surface").select_option("As milled")
+    expect(page.locator(".light-live")).to_contain_text("single grooves are not drawn")
+    page.get_by_role("button", name="Set all back").click()
+    expect(page.locator(".light-words")).to_have_text("Wall at 100 mm, where it belongs")
+
+
+def test_without_webgl_a_sentence_stands_for_live_light(opened: Opened) -> None:
+    page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
+    page.locator("#light-title").scroll_into_view_if_needed()
+    expect(page.get_by_text("no WebGL2 for live light")).to_be_visible()
+    expect(page.locator(".light-canvas")).to_be_hidden()
