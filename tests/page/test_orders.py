@@ -304,6 +304,20 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     expect(alarm).to_be_empty()
 
 
+def test_a_stop_while_the_server_is_away_is_no_alarm_over_a_run_that_is_back_and_well(opened: Opened) -> None:
+    page, _ = watching(opened, {"taken": False, "detail": "no"}, errors=("ERR_FAILED",))
+    for path in ("**/events", "**/control/**", "**/v1/runs**"):
+        page.route(path, lambda route: route.abort())
+    page.evaluate("window.dispatchEvent(new Event('online'))")
+    expect(page.locator(".next")).to_contain_text("The server does not answer.")
+    page.get_by_role("button", name="HOLD").click()
+    alarm = page.locator(".arrived")
+    expect(alarm).to_contain_text("HOLD did not arrive")
+    told(page, "running")
+    expect(page.locator(".machine-state")).to_have_text("running")
+    expect(alarm).to_be_empty()
+
+
 @pytest.mark.thorough
 def test_nothing_can_be_loaded_while_an_order_is_on_its_way(opened: Opened) -> None:
     """Taken is not carried out: between the two the button said that it could, and then that it could not."""

@@ -201,6 +201,7 @@ export class MillLink {
 
   /** hold, abort or jog-cancel: from everybody, at any time, whatever else is on its way. True where it was taken. */
   async sendUrgent(what) {
+    const { away } = this;
     try {
       await this.sendStop(what);
       this.urgentWords = "";
@@ -208,7 +209,7 @@ export class MillLink {
     } catch ({ errors }) {
       this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
       this.urgentRun = this.machine?.run?.id ?? "";
-      this.urgentLost = false;
+      this.urgentLost = away !== ""; // a stream that is away says so once
       return false;
     } finally {
       this.changed();
