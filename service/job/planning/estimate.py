@@ -45,7 +45,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
+from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings, with_branch
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
@@ -101,10 +101,10 @@ def estimate(
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
     with translate_errors():
-        specs = [fine] if exactly else [coarse, fine]
+        specs = [fine, spec] if exactly else [coarse, fine, spec]
         targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
-        whole = targets[-1]
-        quick = quick_lens(job.with_spec(specs[0]), targets[0], None if exactly else whole)
+        whole, own = targets[-2:]
+        quick = quick_lens(job.with_spec(with_branch(specs[0], own)), targets[0], None if exactly else whole)
         passes = _with_around(quick.job, list(_hours(quick)))
         seen = _foretell_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
@@ -149,8 +149,11 @@ def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
     """Return what a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
     image = decode_picture(path, limits, name)
-    found = []
-    for spec in specs:
+    found: list[Array] = []
+    for number, spec in enumerate(specs):
+        if number and spec == specs[number - 1]:
+            found.append(found[-1])
+            continue
         width_mm, height_mm = spec.optics.screen_size_mm
         picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
         found.append(aim_at_picture(spec, picture.linear).target)
@@ -177,7 +180,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     planned: Planned | None = None
     if job.spec.to_be_planned:
         planned = plan_for_picture(job, target, whole=whole)
-        job = job.with_spec(with_plan(job.spec, {"plan": _make_plan(planned)}))
+        job = job.with_spec(with_plan(job.spec, {"plan": planned.settings()}))
     spec = job.spec
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
@@ -194,17 +197,6 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
         missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
     )
-
-
-def _make_plan(planned: Planned) -> dict[str, Any]:
-    """Return what `with_plan` takes of a plan, without its pictures and scores."""
-    return {
-        "passes": planned.rows(),
-        "foreseen_blur_mm": planned.foreseen_blur_mm(),
-        "min_radius_mm": planned.chosen.finish.radius_mm,
-        "whole_steps": planned.machine.whole_steps,
-        "finish": planned.finish_table(),
-    }
 
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:

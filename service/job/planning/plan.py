@@ -67,10 +67,23 @@ class Planned:
         rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
         return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
+    def settings(self) -> dict[str, Any]:
+        """Return what of the plan the job's lens and programs are made by: see `spec.resolve.with_plan`."""
+        return {
+            "passes": self.rows(),
+            "branch": self.light.bench.branch,
+            "min_radius_mm": self.chosen.marks.smallest_mm,
+            "foreseen_blur_mm": self.foreseen_blur_mm(),
+            "whole_steps": self.machine.whole_steps,
+            "finish": self.finish_table(),
+        }
+
     def fragment(self, candidate: Candidate | None = None) -> dict[str, Any]:
         """Return what laid over the job's spec, section by section, makes it this plan."""
         one = candidate or self.chosen
-        optics: dict[str, Any] = {"min_radius_mm": one.finish.radius_mm} if self.shapes_lens else {}
+        optics: dict[str, Any] = {"branch": self.light.bench.branch}
+        if self.shapes_lens:
+            optics["min_radius_mm"] = one.finish.radius_mm
         if any(blur_mm := self.foreseen_blur_mm(one)):
             optics["foreseen_blur_mm"] = blur_mm
         machine = {"whole_steps": True} if self.machine.whole_steps else {}

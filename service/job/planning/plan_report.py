@@ -17,11 +17,7 @@ def plan_figures(planned: Planned) -> dict[str, Any]:
     return plain(
         {
             **_figures(planned, chosen),
-            "passes": planned.rows(),
-            "min_radius_mm": chosen.marks.smallest_mm,
-            "foreseen_blur_mm": planned.foreseen_blur_mm(),
-            "whole_steps": planned.machine.whole_steps,
-            "finish": planned.finish_table(),
+            **planned.settings(),
             "psnr_db_unfinished": None if planned.unfinished is None else planned.unfinished.chosen.psnr_db,
             "goal": {key: value for key, value in asdict(planned.goal).items() if value is not None},
             "goal_met": planned.plan.met,

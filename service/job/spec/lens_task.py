@@ -62,6 +62,11 @@ def branch_of(spec: JobSpec, target: Array) -> Branch:
     return spec.optics.branch
 
 
+def with_branch(spec: JobSpec, target: Array) -> JobSpec:
+    """Return the spec with the branch that its picture suggests; target (ny, nx): as fine as the job's own."""
+    return spec.model_copy(update={"optics": spec.optics.model_copy(update={"branch": branch_of(spec, target)})})
+
+
 def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
     """Return the optical task of a job."""
     optics = spec.optics

@@ -101,6 +101,8 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
         return spec
     planned = report["plan"]
     optics = spec.optics
+    if optics.branch == "auto":  # the planner has lit lenses of one branch
+        optics = optics.model_copy(update={"branch": planned.get("branch", optics.branch)})
     if not any(optics.foreseen_blur_mm):
         optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
     if optics.min_radius_mm is None and not optics.creases:

@@ -19,6 +19,7 @@ from service.job.planning import estimate as estimating
 from service.job.planning.estimate import PIXELS, coarse_spec, estimate
 from service.job.planning.lens_facts import measure_lens
 from service.job.planning.planner import plan_for_picture
+from service.job.spec import lens_task
 from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
@@ -50,6 +51,24 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
     facts = measure_lens(lens)
     assert found["relief_mm"] == pytest.approx(facts.relief_mm, rel=0.05)
     assert found["max_slope_deg"] == pytest.approx(facts.max_slope_deg, rel=0.15)
+
+
+@pytest.mark.parametrize("exactly", [False, True])
+def test_the_lens_is_of_the_branch_that_the_job_s_own_picture_suggests(
+    monkeypatch: pytest.MonkeyPatch, exactly: bool
+) -> None:
+    """A coarser picture has less black: it suggested another lens, a third as deep."""
+    spec = small("image.pixels=600", "optics.throw_mm=80")
+    monkeypatch.setattr(estimating, "MOST_PIXELS", 100)
+    given = {
+        branch: estimated(small("image.pixels=600", "optics.throw_mm=80", f"optics.branch={branch}"), exactly=exactly)
+        for branch in ("direct", "inverted")
+    }
+    monkeypatch.setattr(
+        lens_task, "choose_branch", lambda target, *_: "inverted" if target.shape == (600, 600) else "direct"
+    )
+    found = estimated(spec, exactly=exactly)
+    assert found["relief_mm"] == given["inverted"]["relief_mm"] > given["direct"]["relief_mm"]
 
 
 @pytest.mark.thorough

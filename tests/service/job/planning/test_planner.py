@@ -28,6 +28,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import mill_of, plan_for_picture, shop_of
 from service.job.planning.sentences import blur_warning, reasons
+from service.job.spec import lens_task
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
@@ -86,6 +87,15 @@ def test_a_plan_makes_the_spec_whole_and_only_once(spec: JobSpec, planned: Plann
     assert with_plan(spec, {}) is spec
     again = resolve_spec(base=whole.plain())
     assert again == whole
+
+
+def test_the_lens_is_of_the_branch_that_its_passes_were_planned_for(
+    spec: JobSpec, planned: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the picture would suggest for the ball that was chosen: the plan is of no other lens."""
+    monkeypatch.setattr(lens_task, "choose_branch", lambda *_: "inverted")
+    assert planned.light.bench.branch == "direct"
+    assert lens_task.branch_of(with_plan(spec, report(planned)), np.ones((4, 4))) == "direct"
 
 
 def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, planned: Planned) -> None:
