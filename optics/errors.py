@@ -21,9 +21,9 @@ class TotalReflectionError(OpticsError):
         self.shift_mm = shift_mm
         self.shortest_throw_mm = shortest_throw_mm
         helps = math.isfinite(shortest_throw_mm)
-        cause = f"throw_mm = {throw_mm:g} is too short" if helps else "the light comes in too far from the axis"
+        cause = f"a throw of {throw_mm:g} mm is too short" if helps else "the light comes in too far from the axis"
         remedy = (
-            f"use a throw of about {shortest_throw_mm:.0f} mm or more, or a smaller screen"
+            f"use about {shortest_throw_mm:.0f} mm or more, or a smaller screen"
             if helps
             else "no throw helps: move the light away or tilt it less"
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Mapping
+from typing import Any
 
 EXIT_FAILURE = 1
 EXIT_INPUT = 2
@@ -25,11 +27,20 @@ class InputError(ServiceError):
 
 
 class SpecError(InputError):
-    """A job spec that cannot be used; `problems` holds (key, sentence) pairs."""
+    """A job spec that cannot be used; `problems` holds (key, sentence) pairs, `use` values that would do, by key."""
 
-    def __init__(self, problems: list[tuple[str, str]]) -> None:
+    def __init__(self, problems: list[tuple[str, str]], use: Mapping[str, float] | None = None) -> None:
         super().__init__(*(f"{key}: {sentence}" for key, sentence in problems))
         self.problems = problems
+        self.use = dict(use or {})
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the problems as the API tells them."""
+        return [
+            {"field": printable(f"spec.{key}"), "detail": printable(sentence)}
+            | ({"use": self.use[key]} if key in self.use else {})
+            for key, sentence in self.problems
+        ]
 
 
 class PictureError(InputError):

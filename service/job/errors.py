@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import ceil, isfinite
 
 from cam.errors import CamError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError
-from optics.errors import OpticsError
-from service.errors import FailedError, InputError
+from optics.errors import OpticsError, TotalReflectionError
+from service.errors import FailedError, InputError, SpecError
 
 _INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
+
+_THROW, _THICKNESS = "optics.throw_mm", "stock.thickness_mm"
 
 
 class SolidError(ValueError):
@@ -40,5 +43,10 @@ def translate_errors() -> Iterator[None]:
     except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError
         if not isinstance(error, (OpticsError, CamError, SolidError)):
             raise
-        kind = InputError if isinstance(error, (*_INPUT_ERRORS, ReliefTooDeep)) else FailedError
-        raise kind(" ".join(str(error).split())) from error
+        words = " ".join(str(error).split())
+        if isinstance(error, TotalReflectionError) and isfinite(error.shortest_throw_mm):
+            raise SpecError([(_THROW, words)], {_THROW: ceil(error.shortest_throw_mm)}) from error
+        if isinstance(error, ReliefTooDeep):
+            raise SpecError([(_THICKNESS, words)], {_THICKNESS: ceil(error.needed_mm)}) from error
+        kind = InputError if isinstance(error, _INPUT_ERRORS) else FailedError
+        raise kind(words) from error

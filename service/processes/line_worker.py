@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from service.errors import FailedError, PictureError, ServiceError
+from service.errors import FailedError, PictureError, ServiceError, SpecError
 from service.processes.linux import address_space_bytes, die_with_parent, name_process
 from service.processes.priority import give_way
 
@@ -53,6 +53,9 @@ def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return {"refused": str(error).split("\n"), "kind": "picture"}
     except (FailedError, OSError) as error:
         return {"refused": str(error).split("\n"), "kind": "failed"}
+    except SpecError as error:
+        refused = {"refused": str(error).split("\n"), "kind": "input"}
+        return refused | {"problems": error.problems, "use": error.use}
     except ServiceError as error:
         return {"refused": str(error).split("\n"), "kind": "input"}
     except Exception as error:  # the process that asked says so and goes on

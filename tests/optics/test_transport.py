@@ -196,7 +196,7 @@ def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: t
 def test_throw_too_short_names_the_shortest(settings: LensSettings) -> None:
     picture = np.full((32, 32), 0.01)
     picture[4:12, 4:12] = 1.0
-    with pytest.raises(TotalReflectionError, match="throw_mm = 3") as caught:
+    with pytest.raises(TotalReflectionError, match="throw of 3 mm") as caught:
         design_lens(target_irradiance(picture, viewed_from="lens"), settings.on_bench(throw_mm=3.0))
     longer = settings.on_bench(throw_mm=1.2 * caught.value.shortest_throw_mm)
     assert design_lens(target_irradiance(picture, viewed_from="lens"), longer).converged
@@ -209,7 +209,7 @@ def test_the_throw_that_is_named_is_enough_for_a_large_screen(settings: LensSett
         design_lens(target, hall)
     assert design_lens(target, hall.on_bench(throw_mm=caught.value.shortest_throw_mm)).converged
     facade = on_screen(settings, (4000.0, 4000.0), throw_mm=50.0)
-    with pytest.raises(TotalReflectionError, match="throw_mm = 50 is too short"):
+    with pytest.raises(TotalReflectionError, match="throw of 50 mm is too short"):
         design_lens(target, facade)
 
 

@@ -14,7 +14,7 @@ from service.wording import psnr_in_words
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit
-from tests.page.form import choose, fill, parts, picture, wall
+from tests.page.form import choose, fill, make_it, parts, picture, wall
 
 WRONG = {"field": "spec.optics.throw_mm", "detail": "0 is not allowed; allowed: a number more than 0"}
 
@@ -37,7 +37,7 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
         len(ESTIMATE_EXAMPLE["passes"])
     )
-    for words in (*ESTIMATE_EXAMPLE["warnings"], *ESTIMATE_EXAMPLE["refusals"]):
+    for words in ESTIMATE_EXAMPLE["warnings"]:
         expect(estimate).to_contain_text(words[1:])
     expect(page.locator(".submit-bar")).to_contain_text("of milling")
     sharp = page.get_by_label("with the blur that the tool's marks will leave")
@@ -47,6 +47,41 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     fill(page, Distance_to_the_wall="0")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
     expect(estimate.get_by_text("Machine time")).to_have_count(0)
+
+
+def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_pressed(opened: Opened) -> None:
+    """Whether the estimate refuses, or foretells that the job would fail; until it is answered otherwise."""
+    page = open_blank(opened, "new", errors=("status of 422",))
+
+    def answer(route: Route) -> None:
+        spec = parts(route)[0]
+        near = spec.get("optics", {}).get("throw_mm") == 10
+        thin = {"field": "spec.stock.thickness_mm", "detail": "it leaves 1 mm of the block", "use": 60}
+        if near:
+            row = {"field": "spec.optics.throw_mm", "detail": "10 mm is too near", "use": 32}
+            route.fulfill(**problem(422, detail="see there", problems=[row]))
+        else:
+            route.fulfill(json=ESTIMATE_EXAMPLE | {"refusals": [] if "stock" in spec else [thin]})
+
+    page.route("**/v1/estimates", answer)
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    bar, thickness = page.locator(".submit-bar"), page.get_by_label("Thickness")
+    expect(bar).to_contain_text("Thickness: such a lens cannot be made.")
+    expect(make_it(page)).to_be_disabled()
+    expect(thickness).to_be_hidden()
+    bar.get_by_role("button", name="Show").click()
+    expect(thickness).to_be_focused()
+    page.get_by_role("button", name="Use 60 mm").click()
+    expect(thickness).to_have_value("60")
+    expect(make_it(page)).to_be_enabled()
+    fill(page, Distance_to_the_wall="10")
+    expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("10 mm is too near"))
+    expect(make_it(page)).to_be_disabled()
+    page.get_by_role("button", name="Use 32 mm").click()
+    expect(make_it(page)).to_be_enabled()
+    expect(page.get_by_label("Distance to the wall")).to_have_value("32")
+    expect(bar).not_to_contain_text("cannot be made")
 
 
 def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_meanwhile(opened: Opened) -> None:
@@ -95,7 +130,7 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
         if spec.get("optics", {}).get("width_mm") == 150:
             seen["psnr_db"] = 22.0
         elif "throw_mm" in spec.get("optics", {}):
-            seen |= {"psnr_db": 30.0, "refusals": ["slopes cannot be milled"]}
+            seen |= {"psnr_db": 30.0, "refusals": [{"field": "spec.optics.throw_mm", "detail": "too near"}]}
         elif spec.get("image", {}).get("prepare") == "detail":
             seen["psnr_db"] = 24.0
         route.fulfill(json=ESTIMATE_EXAMPLE | seen)

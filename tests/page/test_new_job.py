@@ -149,7 +149,7 @@ def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(modules: Pag
 def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: list[Any]) -> None:
     _, content, _ = pressed(new_job, sent)
     assert content == picture()
-    expect(new_job.locator(".submit-bar")).to_contain_text("enough for this test")
+    expect(new_job.locator(".submit-bar")).to_contain_text("Enough for this test")
 
 
 def test_an_estimate_that_comes_late_leaves_the_words_of_a_refusal(opened: Opened) -> None:
@@ -162,15 +162,15 @@ def test_an_estimate_that_comes_late_leaves_the_words_of_a_refusal(opened: Opene
     after(asked, 1, page)
     make_it(page).click()
     bar = page.locator(".submit-bar")
-    expect(bar).to_contain_text("no room for it")
+    expect(bar).to_contain_text("No room for it")
     asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
     expect(bar).to_contain_text("of milling")
-    expect(bar).to_contain_text("no room for it")
+    expect(bar).to_contain_text("No room for it")
     fill(page, Width="30")
     asked.clear()
     after(asked, 1, page)
     asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
-    expect(bar).not_to_contain_text("no room for it")
+    expect(bar).not_to_contain_text("No room for it")
 
 
 def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:
@@ -367,9 +367,9 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
     expect(make_it(page)).to_be_disabled()
     expect(why).to_have_text("Choose a picture first.")
     refuse_picture(page)
-    expect(why).to_have_text("This picture cannot be used: choose another one.")
+    expect(why).to_have_text("This is not a picture that can be read.")
     expect(make_it(page)).to_be_disabled()
-    expect(make_it(page)).to_have_accessible_description(re.compile("cannot be used"))
+    expect(make_it(page)).to_have_accessible_description(re.compile("not a picture"))
     expect(page.get_by_role("region", name="Picture")).to_contain_text("not a picture that can be read")
     choose(page, picture())
     expect(make_it(page)).to_be_enabled()

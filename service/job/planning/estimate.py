@@ -28,7 +28,7 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
-from service.errors import InputError
+from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
@@ -126,7 +126,7 @@ def estimate(
         "psnr_db": None if seen is None else seen.psnr_db,
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
-        "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
+        "warnings": list(dict.fromkeys([*warnings, *_warnings(quick), *blur.words(own_px_mm)])),
         "changes": [asdict(change) for change in changes_of(job, detail_mm)],
         "picture": {"width": width, "height": height},
     }
@@ -332,21 +332,22 @@ def _floor_mm(quick: QuickLens) -> float:
     return quick.spec.stock.thickness_mm - quick.form.deepest_mm
 
 
-def _refusals(quick: QuickLens) -> Iterator[str]:
-    """Yield reasons why the job would fail before it has a program."""
+def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
+    """Yield reasons why the job would fail before it has a program, as the API tells problems."""
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
-        yield (
+        words = (
             f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
             f"{need_mm} mm, a wall farther away or a smaller lens"
         )
+        yield from SpecError([("stock.thickness_mm", words)], {"stock.thickness_mm": need_mm}).rows()
     try:
         require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
         require_flutes(quick.lens, passes)
         check_ball_fit(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
-    except InputError as error:
-        yield str(error)
+    except SpecError as error:
+        yield from error.rows()
 
 
 def _warnings(quick: QuickLens) -> Iterator[str]:

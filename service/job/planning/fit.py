@@ -6,7 +6,7 @@ All of this is asked before the first block is written.
 from __future__ import annotations
 
 import shutil
-from math import isfinite
+from math import ceil, floor, isfinite
 from pathlib import Path
 
 from cam.checking.collision import lens_over_flutes_mm
@@ -14,14 +14,14 @@ from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
-from service.errors import FailedError, InputError
+from service.errors import FailedError, SpecError
 from service.job.planning.lens_facts import LensFacts
 from service.job.planning.program_size import SURE, pass_bytes
 from service.wording import ball
 
 
 def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
-    """Return a warning when the finishing ball does not fit everywhere; InputError when it touches too little of the
+    """Return a warning when the finishing ball does not fit everywhere; SpecError when it touches too little of the
     lens.
     """
     radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
@@ -32,56 +32,55 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
         fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
     if share < LEAST_REACHED:
-        raise InputError(
-            f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * share:.0f} % of the lens; "
-            f"allowed: at least {100 * LEAST_REACHED:.0f} %; {fits}"
-        )
+        number = next(n for n, spec in enumerate(passes) if spec.finishes and spec.radius_mm == radius_mm)
+        words = f"{radius_mm:g} touches only {100 * share:.0f} % of the lens; allowed: at least"
+        raise SpecError([(f"passes.{number}.radius_mm", f"{words} {100 * LEAST_REACHED:.0f} %; {fits}")])
     remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
     return f"the finishing ball {ball(radius_mm)} does not fit {100 * (1 - share):.2g} % of the lens; {fits}{remedy}"
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
-    """Raise InputError where flutes are shorter than one bite, or the lens itself would stand against the shank.
+    """Raise SpecError where flutes are shorter than one bite, or the lens itself would stand against the shank.
 
     Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
     """
     for number, spec in enumerate(passes):
-        flutes_mm = spec.flute_length_mm
+        flutes_mm, key = spec.flute_length_mm, f"passes.{number}.flute_length_mm"
         if flutes_mm is None:
             continue
         if flutes_mm < spec.step_down_mm:
-            raise InputError(
-                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is shorter than one bite; allowed: at least the "
-                f"step-down of {spec.step_down_mm:g} mm"
-            )
+            words = f"{flutes_mm:g} mm is shorter than one bite; allowed: at least the step-down"
+            raise SpecError([(key, f"{words} of {spec.step_down_mm:g} mm")])
         if flutes_mm >= heightfield.relief_mm:  # nothing of the lens can stand above them
             continue
         over_mm = lens_over_flutes_mm(heightfield, spec)
         if over_mm > 0:
-            raise InputError(
-                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is too short: where it is deepest the lens beside "
-                f"the cutter stands {over_mm:.2f} mm above the flutes, within reach of a shank of radius "
-                f"{spec.shank_radius_mm or spec.radius_mm:g} mm; allowed: at least {flutes_mm + over_mm:.1f} mm"
+            least_mm = ceil(10 * (flutes_mm + over_mm)) / 10
+            words = (
+                f"{flutes_mm:g} mm is too short: where it is deepest the lens beside the cutter stands {over_mm:.2f} "
+                f"mm above the flutes, within reach of a shank of radius {spec.shank_radius_mm or spec.radius_mm:g} "
+                f"mm; allowed: at least {least_mm:g} mm"
             )
+            raise SpecError([(key, words)], {key: least_mm})
 
 
 def require_travel(
     heightfield: Heightfield, stock: Stock, passes: tuple[PassSpec, ...], machine: MachineProfile
 ) -> None:
-    """Raise InputError when the block, or what the tip travels over it, is longer than an axis of the mill."""
+    """Raise SpecError when the block, or what the tip travels over it, is longer than an axis of the mill."""
     around_mm = max(spec.radius_mm for spec in passes)
     lowest_mm = float(heightfield.z_mm.min())
     needed = (
-        ("X", "machine.travel_mm.0", stock.width_mm + 2 * around_mm, machine.travel_mm[0]),
-        ("Y", "machine.travel_mm.1", stock.height_mm + 2 * around_mm, machine.travel_mm[1]),
-        ("Z", "machine.travel_mm.2", machine.safe_z_mm - lowest_mm, machine.travel_mm[2]),
+        ("optics.width_mm", "X", stock.width_mm + 2 * around_mm, stock.width_mm),
+        ("optics.height_mm", "Y", stock.height_mm + 2 * around_mm, stock.height_mm),
+        ("machine.travel_mm.2", "Z", machine.safe_z_mm - lowest_mm, None),
     )
-    for axis, key, need_mm, have_mm in needed:
+    for (key, axis, need_mm, side_mm), (number, have_mm) in zip(needed, enumerate(machine.travel_mm), strict=True):
         if need_mm > have_mm:
-            raise InputError(
-                f"{key} = {have_mm:g} mm ({machine.name}) is too small: the job moves {need_mm:.1f} mm along {axis}; "
-                f"allowed: at least {need_mm:.1f} mm"
-            )
+            words = f"the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine.name} is"
+            most_mm = 0 if side_mm is None else floor(have_mm - need_mm + side_mm)
+            allowed = f"{have_mm:g} mm; allowed: at least {need_mm:.1f} mm"
+            raise SpecError([(key, f"{words} {allowed}")], {key: most_mm} if most_mm > 0 else {})
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import inf
+from math import ceil, inf
 
 from cam.materials import MATERIALS
 from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
@@ -13,7 +13,7 @@ from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
-from service.errors import InputError
+from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
     is_surely_worth_it,
@@ -136,9 +136,9 @@ def _choose_plan(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
         ) from None
     if goal.hours is not None and not plan.met:
-        raise InputError(
-            f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
-        )
+        least = ceil(10 * plan.quickest.hours) / 10
+        words = f"{goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
+        raise SpecError([("plan.hours", words)], {"plan.hours": least})
     planned = Planned(
         plan=plan, light=light, machine=mill_of(job), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
     )

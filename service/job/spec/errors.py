@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -22,14 +22,20 @@ _KEY_CHARS = 60
 
 def as_spec_error(error: ValidationError) -> SpecError:
     """Return one (key, sentence) pair for each thing pydantic found, in the order of the spec, of the first 50."""
-    details = error.errors(include_url=False, include_context=False)
+    details = error.errors(include_url=False)
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
     told = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
     problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in told]
+    limits = {join_place(one["loc"]): bound for one in told for bound in _bounds(one)}
     if count > MOST_PROBLEMS:
         problems.append(("spec", f"{count - MOST_PROBLEMS} more problems like these"))
-    return SpecError(list(dict.fromkeys(problems)))
+    return SpecError(list(dict.fromkeys(problems)), limits)
+
+
+def _bounds(detail: ErrorDetails) -> Iterator[float]:
+    """Yield the bound that a number is beyond, where it is allowed itself."""
+    yield from (bound for name, bound in detail.get("ctx", {}).items() if name in ("le", "ge"))
 
 
 def unknown_key(key: str, known: Sequence[str]) -> str:

@@ -76,7 +76,8 @@ export function estimator({ make, tell }) {
   }
 
   function describeError(error) {
-    if (error.status === 422 || error.field === "image") return { kind: "problems", problems: error.problems, words: error.detail };
+    const problems = error.problems?.length ? error.problems : [{ field: "", detail: error.detail }];
+    if (error.status === 422 || error.field === "image") return { kind: "problems", problems };
     absent = error.status === 404 || error.status === 405;
     return absent ? { kind: "absent" } : { kind: "fault", words: error.detail ?? error.message };
   }
@@ -116,10 +117,7 @@ export function estimateWords(estimate) {
           ),
         ),
       ),
-    (estimate.refusals ?? []).map((words) => notice("bad", words)),
-    (estimate.warnings ?? [])
-      .filter((words) => !estimate.refusals?.includes(words))
-      .map((words) => notice("warn", words)),
+    (estimate.warnings ?? []).map((words) => notice("warn", words)),
   );
 }
 
@@ -152,7 +150,7 @@ export function estimateCard() {
     none: "It appears as soon as there is a picture.",
     busy: BUSY,
     known: "",
-    problems: "A value cannot be used; it is marked.",
+    problems: "None, for what is said in red.",
   };
   function stateWords(result) {
     if (result.slow) return `${BUSY} ${FIRST}`;

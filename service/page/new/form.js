@@ -1,6 +1,7 @@
 /** The form of a new job: rows that make a spec, and a spec that fills the rows. */
 
 import { freshId, h } from "../lib/dom.js";
+import { sentence } from "../lib/words.js";
 import { EXPERT, LENS, LIGHT, MILL, PICTURE } from "./fields.js";
 import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
@@ -67,18 +68,23 @@ export function specForm({ profiles, onChange, planned }) {
     reveal();
   }
 
-  /** Puts each problem {field: "spec.KEY", detail} beside its row; gives back {unplaced, focus()}. */
+  /** Puts each problem {field: "spec.KEY", detail, use} beside its row; gives back {placed: rows, unplaced, focus()}. */
   function blame(problems) {
     const all = [...rows, ...milling.rows(), rest];
     const faults = new Map();
     const unplaced = [];
-    for (const { field, detail } of problems) {
-      const found = field.startsWith("spec.") && rowFor(all, field.slice("spec.".length));
-      if (found) faults.set(found, [...(faults.get(found) ?? []), detail].join(" "));
-      else unplaced.push({ field, detail });
+    for (const problem of problems) {
+      const found = problem.field.startsWith("spec.") && rowFor(all, problem.field.slice("spec.".length));
+      if (found) faults.set(found, [...(faults.get(found) ?? []), problem]);
+      else unplaced.push(problem);
     }
-    for (const one of all) one.blame(faults.get(one));
-    return { unplaced, focus: () => focusFirst([...faults.keys()]) };
+    for (const one of all) {
+      const own = faults.get(one) ?? [];
+      const { use } = own.find(({ field }) => field === `spec.${one.key}`) ?? {};
+      one.blame(own.map(({ detail }) => sentence(detail)).join(" "), use);
+    }
+    const placed = [...faults.keys()];
+    return { placed, unplaced, focus: () => focusFirst(placed) };
   }
 
   const fields = (made) =>

@@ -1,10 +1,10 @@
 /** One row of the form: label, input, hint, and the fault beside it. */
 
-import { freshId, h, write } from "../lib/dom.js";
+import { freshId, h, replace, write } from "../lib/dom.js";
 import { numberOf } from "./spec.js";
 
 /**
- * {element, key, field, read(), show(value), blame(words), focus()}.
+ * {element, key, field, read(), show(value), blame(words, use), focus()}.
  * read() gives the value, undefined where the usual counts; TypeError, with words for the person, where it is none.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
@@ -32,8 +32,10 @@ export function row(field, { onChange, key = field.key }) {
     ])
       element.setAttribute(name, value);
 
-  function blame(words) {
-    write(fault, words ?? "");
+  /** use: a value that would do, for one click. */
+  function blame(words, use) {
+    const take = () => (input.show(use), changed());
+    replace(fault, words, use != null && h("button", { type: "button", onclick: take }, `Use ${use} ${field.unit}`));
     for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
   }
 

@@ -4,6 +4,7 @@ import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
 import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
+import { capital, sentence } from "../lib/words.js";
 import { foretell } from "../job/foretold.js";
 import { couponPart } from "./coupon.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
@@ -22,7 +23,7 @@ const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
 const MAKE = "Make the lens";
 const NO_PICTURE = "Choose a picture first.";
-const BAD_PICTURE = "This picture cannot be used: choose another one.";
+const CANNOT = "such a lens cannot be made.";
 const WAITS = "The server does not answer. The job is sent as soon as it does; leave this page open.";
 
 export default async function view(root, params, app) {
@@ -67,7 +68,7 @@ async function knownProfiles() {
 
 /** {element, begin({spec, picture, edits, name, file}), draft(), stop(), leave()}. */
 function newJob(profiles, app) {
-  const now = { estimate: null, sent: false, refused: [] };
+  const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => now.estimate?.spec?.passes });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => ((now.refused = []), asks.ask(), ready()) });
   const priority = priorityRow();
@@ -106,7 +107,7 @@ function newJob(profiles, app) {
   /** No button for what cannot be made: why not stands beside it. */
   function ready() {
     coupon.show(valueAt(form.read().spec, "machine.profile") ?? MACHINE_USUAL);
-    foot.ready(!side.has() ? NO_PICTURE : side.fault() ? BAD_PICTURE : "");
+    foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.why && now.goThere);
   }
 
   async function begin({ spec, ...start }) {
@@ -134,7 +135,8 @@ function newJob(profiles, app) {
     const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
     card.show(state);
     if (state.kind === "known") now.estimate = state.estimate;
-    if (state.kind === "known" || state.kind === "problems") showProblems(bothOf(state.problems ?? [], now.refused));
+    if (state.kind !== "busy") now.told = state.problems ?? state.estimate?.refusals ?? [];
+    if (state.kind !== "busy" && state.kind !== "none") showProblems();
     if (state.kind !== "known") improve.stop();
     else if (state.after) improve.reconsider(state.estimate);
     else improve.show(state.estimate);
@@ -143,12 +145,15 @@ function newJob(profiles, app) {
   }
 
   /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
-  function showProblems(problems, { focus = false } = {}) {
+  function showProblems({ focus = false } = {}) {
     const own = form.read().faults.map(({ row, words }) => ({ field: `spec.${row.key}`, detail: words }));
-    const { unplaced, focus: goThere } = form.blame([...own, ...problems]);
+    const { placed, unplaced, focus: goThere } = form.blame([...own, ...bothOf(now.told, now.refused)]);
     const ofPicture = unplaced.filter(({ field }) => field === "image");
-    side.blame(ofPicture.map(({ detail }) => detail).join(" "));
-    foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ detail }) => detail));
+    side.blame(ofPicture.map(({ detail }) => sentence(detail)).join(" "));
+    foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ field, detail }) => sentence(`${field && `${field}: `}${detail}`)));
+    const names = placed.map(({ field }) => field.label).filter(Boolean);
+    now.why = now.told.length ? capital([...names, CANNOT].join(": ")) : "";
+    now.goThere = placed.length > 0 && goThere;
     ready();
     if (focus && !goThere()) (ofPicture.length ? side : foot).focus();
   }
@@ -156,7 +161,7 @@ function newJob(profiles, app) {
   async function submit(event) {
     event.preventDefault();
     const { spec, faults } = form.read();
-    if (faults.length) return showProblems([], { focus: true });
+    if (faults.length) return showProblems({ focus: true });
     if (!side.has() || side.fault()) return side.focus();
     if (foot.isBusy() || !(await api.need("jobs:write"))) return;
     foot.busy(true);
@@ -167,7 +172,7 @@ function newJob(profiles, app) {
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
-      showProblems(now.refused, { focus: true });
+      showProblems({ focus: true });
     } finally {
       foot.busy(false);
     }
@@ -200,28 +205,30 @@ function bothOf(estimated, refused) {
 function submitBar() {
   const line = h("p", { class: "line" });
   const why = h("p", { class: "line why", id: freshId("why") });
+  const show = h("button", { type: "button", class: "quiet", onclick: () => now.goThere() }, "Show");
   const button = h("button", { type: "submit", class: "primary big", "aria-describedby": why.id }, MAKE);
   const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
   const faults = h("div", { class: "stack tight", role: "alert" });
   const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
-  const now = { sending: false, why: "" };
-  function show() {
+  const now = { sending: false, why: "", goThere: null };
+  function update() {
     button.setAttribute("aria-disabled", String(now.sending));
     button.disabled = now.why !== "" && !now.sending;
     write(button, now.sending ? "Sending…" : MAKE);
     write(why, now.why);
     why.hidden = !now.why;
     line.hidden = Boolean(now.why);
+    show.hidden = !now.goThere;
   }
   return {
-    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
+    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, show, button)),
     say: (words) => write(line, words),
     blame: (details) => replace(faults, details.map(notice)),
     wait: (waiting) => (waits.hidden = !waiting),
     isBusy: () => now.sending,
-    busy: (sending) => ((now.sending = sending), show()),
-    /** why: what is missing before it can be sent; "" nothing. */
-    ready: (words) => ((now.why = words), show()),
+    busy: (sending) => ((now.sending = sending), update()),
+    /** why: what is missing before it can be sent, "" nothing; goThere(): where it is. */
+    ready: (why, goThere) => (Object.assign(now, { why, goThere }), update()),
     focus: () => button.focus(),
   };
 }

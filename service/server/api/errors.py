@@ -14,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from service.errors import FailedError, InputError, PictureError, SpecError, printable
+from service.errors import FailedError, InputError, PictureError, SpecError
 from service.http.problems import Kind, Problem, problem_response
 from service.server.database.records import KeyReusedError, UnknownArtifactError, UnknownJobError
 from service.server.database.states import JobStateError
@@ -53,8 +53,7 @@ def problem_of(error: Exception) -> Problem:
 
 
 def _of_spec(error: Exception) -> Problem:
-    problems = error.problems if isinstance(error, SpecError) else []
-    rows = [{"field": printable(f"spec.{key}"), "detail": printable(sentence)} for key, sentence in problems[:20]]
+    problems, rows = (error.problems, error.rows()[:20]) if isinstance(error, SpecError) else ([], [])
     detail = "; ".join(f"{key}: {sentence}" for key, sentence in problems[:5])
     field = rows[0]["field"] if rows else "spec"
     return Problem(422, detail or "the spec cannot be used", field=field, kind=Kind.SPEC, more={"problems": rows})

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from service.server.schemas.base import Body
+from service.server.schemas.jobs import ProblemField
 
 ESTIMATE_EXAMPLE: dict[str, Any] = {
     "relief_mm": 9.31,
@@ -70,7 +71,7 @@ class EstimateView(Body):
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
     psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]
     blur_by: BlurEstimate
-    refusals: Annotated[list[str], Field(description="why the job would fail; they are warnings, too")]
+    refusals: Annotated[list[ProblemField], Field(description="why the job would fail")]
     warnings: list[str]
     changes: Annotated[list[ChangeView], Field(description="single ones that may show more of the picture")]
     picture: PictureSize

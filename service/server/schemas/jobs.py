@@ -18,6 +18,7 @@ _JOB = f"/v1/jobs/{_ID}"
 class ProblemField(Body):
     field: str
     detail: str
+    use: Annotated[float | None, Field(description="a value that would do in its place")] = None
 
 
 class ProblemBody(BaseModel):

@@ -17,7 +17,7 @@ from typing import Any
 
 import structlog
 
-from service.errors import FailedError, InputError, PictureError
+from service.errors import FailedError, InputError, PictureError, SpecError
 from service.http.problems import Problem
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 from service.processes.line_child import ChildDied, ChildLate, LineChild
@@ -202,6 +202,8 @@ class Estimator:
             "input": InputError,
             "failed": FailedError,
         }
+        if "problems" in found:
+            return SpecError([(key, words) for key, words in found["problems"]], found["use"])
         if "refused" in found:
             return kinds[found["kind"]](*found["refused"])
         if "fault" in found:

@@ -12,6 +12,7 @@ from PIL import Image
 
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
+from service.errors import SpecError
 from service.job.picture import decoding, reading
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import read_picture
@@ -179,8 +180,28 @@ def test_passes_that_are_still_to_be_planned_are_planned() -> None:
 )
 def test_what_will_not_fit_is_said_before(change: str, words: str) -> None:
     found = estimated(small(change))
-    assert any(words in sentence for sentence in found["refusals"])
-    assert set(found["refusals"]) <= set(found["warnings"])
+    assert any(words in row["field"] + row["detail"] for row in found["refusals"])
+
+
+@pytest.mark.parametrize(
+    ("key", "given"),
+    [
+        ("optics.throw_mm", ("optics.throw_mm=3",)),
+        ("stock.thickness_mm", ("stock.thickness_mm=2.5",)),
+        ("optics.width_mm", ("machine.travel_mm=[20, 300, 80]",)),
+        ("passes.1.flute_length_mm", ("passes.1.flute_length_mm=0.45",)),
+    ],
+)
+def test_a_value_that_is_offered_in_place_of_a_refused_one_does(key: str, given: tuple[str, ...]) -> None:
+    def refused(*values: str) -> dict[str, Any]:
+        try:
+            rows = estimated(small(*values))["refusals"]
+        except SpecError as error:
+            rows = error.rows()
+        return {row["field"]: row["use"] for row in rows if "use" in row}
+
+    use = refused(*given)[f"spec.{key}"]
+    assert f"spec.{key}" not in refused(*given, f"{key}={use}")
 
 
 @pytest.mark.parametrize("size", [(100, 100), (150, 50), (40, 110)])

@@ -27,13 +27,13 @@ def test_what_is_not_stated_is_not_asked(ridge):
 
 
 def test_flutes_shorter_than_one_bite_are_refused(ridge):
-    with pytest.raises(InputError, match=r"passes\.1\.flute_length_mm = 0\.3 .* at least the step-down of 0\.4"):
+    with pytest.raises(InputError, match=r"passes\.1\.flute_length_mm: 0\.3 mm .* at least the step-down of 0\.4"):
         require_flutes(ridge, (SPEC, replace(SPEC, flute_length_mm=0.3)))
 
 
 def test_a_thick_shank_beside_the_lens_is_refused_with_the_length_that_would_do(ridge):
     thick = replace(SPEC, flute_length_mm=0.5, shank_radius_mm=1.5)
-    with pytest.raises(InputError, match=r"passes\.0\.flute_length_mm .* radius 1\.5 mm") as refused:
+    with pytest.raises(InputError, match=r"passes\.0\.flute_length_mm: .* radius 1\.5 mm") as refused:
         require_flutes(ridge, (thick,))
     enough = float(str(refused.value).split("at least ")[1].split(" mm")[0])
     require_flutes(ridge, (replace(thick, flute_length_mm=enough + 0.1),))

@@ -122,5 +122,14 @@ def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path)
     short = SMALL | {"stock": {"thickness_mm": 2.1}, "machine": {"travel_mm": [10, 300, 80]}}
     found = sent(estimating, "/v1/estimates", spec=short).json()
     assert found["thickness_ok"] is (found["relief_mm"] < 0.01)
-    assert any("machine.travel_mm.0" in sentence for sentence in found["refusals"])
-    assert set(found["refusals"]) <= set(found["warnings"])
+    (travel,) = [row for row in found["refusals"] if row["field"] == "spec.optics.width_mm"]
+    assert "machine.travel_mm.0" in travel["detail"]
+
+
+def test_a_wall_too_near_is_refused_beside_its_field_with_one_that_does(estimating: ApiServer) -> None:
+    near = SMALL | {"optics": SMALL["optics"] | {"throw_mm": 1}}
+    answer = sent(estimating, "/v1/estimates", spec=near)
+    assert answer.status_code == 422
+    (row,) = answer.json()["problems"]
+    assert row["field"] == answer.json()["field"] == "spec.optics.throw_mm"
+    assert row["use"] > 1 and f"{row['use']:.0f} mm" in row["detail"]
