@@ -98,6 +98,10 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     assert due(ALL_SET)[0] == "load"
     assert due(ALL_SET, run=RUN)[0] == "tick"
     assert due(ALL_SET, run=RUN, ticked=True)[0] == "start"
+    for ticked in (False, True):
+        words = due(ALL_SET, run=RUN | {"travel_in_doubt": True}, ticked=ticked)[2]
+        assert "may not fit the travel" in words
+        assert "may not" not in due(ALL_SET, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
     after_another = ALL_SET | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]

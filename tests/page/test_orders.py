@@ -15,7 +15,7 @@ from tests.page.answers import problem
 from tests.page.browser import open_blank
 from tests.page.conftest import Opened
 from tests.page.driving import setup, tick_all
-from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
+from tests.page.machine_states import GRANT, PLAN, STOPS, machine_in, taken, told, with_control
 from tests.page.machine_states import NAME as MILL
 from tests.page.test_words import JARGON
 from tests.waiting import until
@@ -302,6 +302,30 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     told(page, "running")
     expect(page.locator(".machine-state")).to_have_text("running")
     expect(alarm).to_be_empty()
+
+
+def test_a_start_refused_for_many_reasons_says_one_and_folds_the_others(opened: Opened) -> None:
+    page = at_mill(opened, "parked", errors=("status of 409",))
+    reasons = "; ".join(f"{axis} would leave the travel" for axis in "XYZ")
+    record_orders(page, lambda route: route.fulfill(**problem(409, detail=reasons)))
+    press_start(page)
+    said = page.locator(".running .said")
+    expect(said).to_contain_text("X would leave the travel.")
+    expect(said.get_by_text("Z would")).to_be_hidden()
+    said.get_by_text("2 more").click()
+    expect(said.get_by_text("Z would")).to_be_visible()
+
+
+def test_a_zero_that_is_set_anew_asks_for_the_warnings_of_the_program_anew(opened: Opened) -> None:
+    page = with_control(opened, "parked", mill={"needs": []})
+    expect(page.locator(".next")).to_contain_text("may not fit the travel")
+    fits = machine_in("parked")[1] | {"travel_in_doubt": False, "warnings": []}
+    page.route("**/v1/runs/*", lambda route: route.fulfill(json=fits))
+    entry = {"number": 9, "at_s": 1795284539.5, "kind": "command", "words": "Zero: done", "by": "Ada"}
+    body = f"event: log\ndata: {json.dumps(entry)}\n\n"
+    page.route("**/events", lambda route: route.fulfill(body=body, content_type="text/event-stream"))
+    page.evaluate("window.dispatchEvent(new Event('online'))")
+    expect(page.locator(".next")).not_to_contain_text("may not fit")
 
 
 def test_a_stop_while_the_server_is_away_is_no_alarm_over_a_run_that_is_back_and_well(opened: Opened) -> None:

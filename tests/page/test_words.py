@@ -141,6 +141,7 @@ def test_a_program_that_may_not_fit_the_travel_is_said_before_its_start(opened: 
     told(page, "parked")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     expect(page.locator(".warned.warn summary")).to_have_text("It may not fit the travel")
+    expect(page.locator(".warned.warn li").first).to_be_visible()
 
 
 def test_a_slope_is_told_in_what_one_can_measure_beside_its_unit() -> None:

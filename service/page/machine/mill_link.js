@@ -114,7 +114,10 @@ export class MillLink {
     if (entry.code === "order_taken") return; // what came of it is said, too
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);
-    if (entry.kind === "command") this.commands += 1;
+    if (entry.kind === "command") {
+      this.commands += 1;
+      if (this.run?.state === "parked") this.lookAtRun(this.run.id); // its warnings were of another zero
+    }
     if (this.log.length > MOST_LOG) this.log.shift();
   }
 

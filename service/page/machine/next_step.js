@@ -13,6 +13,7 @@ const ZERO_XY = { label: "X and Y = 0 here", what: "zero", body: { axes: "XY" } 
 const ZERO_Z = { label: "Z = 0 here", what: "zero", body: { axes: "Z" } };
 const RESUME = "Resume when all is clear, or STOP.";
 const RAISE = "raise Z first.";
+const IN_DOUBT = "From this zero the program may not fit the travel: set the zero where it does.";
 const RAISE_MM_PER_MIN = 500;
 
 /**
@@ -23,7 +24,7 @@ const RAISE_MM_PER_MIN = 500;
 export function findNextStep(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
   const standsStill = trouble && !["home", "recover"].includes(trouble.step);
-  if (!link.machine && !trouble) return makeStep("wait", "ask the server.");
+  if (!link.machine && !trouble) return makeStep("wait", "Asking the server.", { whole: true });
   if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
   if (!link.mine) return { ...findControlStep(link), trouble };
@@ -90,8 +91,9 @@ function findSetupStep(machine, run, load, ticked) {
   if (!run?.open) return findLoadStep(run, load);
   if (run.state === "preparing") return makeStep("wait", "wait, the program is on its way to the mill.", { kind: "busy" });
   if (run.state !== "parked") return makeStep("wait", "see what is said of the program.", { go: "program" });
-  if (ticked) return makeStep("start", "start the program.", { go: "program" });
-  return findZeroStep(machine, run.setup ?? {}) ?? makeStep("tick", "look, tick the list, then start.", { go: "program" });
+  const doubt = run.travel_in_doubt && { words: IN_DOUBT, kind: "warn", whole: true };
+  if (ticked) return { ...makeStep("start", "start the program.", { go: "program" }), ...doubt };
+  return findZeroStep(machine, run.setup ?? {}) ?? { ...makeStep("tick", "look, tick the list, then start.", { go: "program" }), ...doubt };
 }
 
 /** null where the zero holds, or where nobody can say: a link that tells no position. */

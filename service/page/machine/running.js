@@ -91,7 +91,7 @@ function notes(run) {
 function warningsNode({ warnings = [], travel_in_doubt: travel }) {
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), "No warnings");
   const words = travel ? "It may not fit the travel" : count(warnings.length, "warning");
-  return h("details", { class: "warned warn" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
+  return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
 }
 
 /** What becomes of the spindle in a hold, and without the computer: to be known before one walks away. */
