@@ -88,6 +88,14 @@ def test_the_list_goes_on_by_itself_and_leaves_the_focus_where_it_is(opened: Ope
     expect(page.get_by_role("link", name="picture-2")).to_have_count(0)
 
 
+def test_what_works_stands_first_and_a_failure_does_not_look_perfect(opened: Opened) -> None:
+    waits = [summary(number, "queued") for number in range(18)]
+    page = shown(opened, [*waits, summary(18, "running"), summary(19, "failed")])
+    expect(page.locator(".job .name").first).to_have_text("picture-18")
+    failed = page.get_by_role("link", name="picture-19").locator(".thumb")
+    assert "grayscale" in failed.evaluate("one => getComputedStyle(one).filter")
+
+
 @pytest.mark.thorough
 def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
     page = shown(opened, [summary(number, state) for number, state in enumerate(STATES)])

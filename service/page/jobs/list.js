@@ -61,6 +61,11 @@ function filterBar(current) {
   return h("nav", { class: "filters row", "aria-label": "Which jobs", hidden: true }, links);
 }
 
+/** What works stands before what waits. */
+function inOrder(jobs) {
+  return [...jobs.filter(({ state }) => state === "running"), ...jobs.filter(({ state }) => state !== "running")];
+}
+
 /** The cards, or `none` in words, and what keeps them true: a light question every now and then, more often while something is going on. */
 function jobList(states, none) {
   const query = states.map((state) => `&state=${state}`).join("");
@@ -117,7 +122,7 @@ function jobList(states, none) {
     const there = new Set(page.jobs.map((job) => job.id));
     const last = page.jobs.at(-1)?.created_at ?? "";
     for (const [id, { job }] of cards) if (!there.has(id) && (!page.next || job.created_at >= last)) drop(id);
-    put(page.jobs, { atTop: true });
+    put(inOrder(page.jobs), { atTop: true });
     if (!paged) next = page.next;
     tell();
   }
