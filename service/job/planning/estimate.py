@@ -28,7 +28,7 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
-from service.errors import InputError, SpecError
+from service.errors import InputError, PictureError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
@@ -156,6 +156,8 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
             continue
         width_mm, height_mm = spec.optics.screen_size_mm
         picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
+        if picture.is_one_tone:
+            raise PictureError(f"{name}: the picture is one tone all over: the lens would be flat")
         found.append(aim_at_picture(spec, picture.linear).target)
     return found, image.size
 

@@ -88,7 +88,7 @@ export function pictureSide({ spec, values, onChange }) {
   }
 
   return {
-    element: h("section", { class: "picture-side", "aria-label": "Picture" }, place, fault),
+    element: h("section", { class: "picture-side", "aria-label": "Picture" }, fault, place),
     begin,
     has: () => now.picture !== null,
     draw,

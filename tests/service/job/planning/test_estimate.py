@@ -12,7 +12,7 @@ from PIL import Image
 
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
-from service.errors import SpecError
+from service.errors import PictureError, SpecError
 from service.job.picture import decoding, reading
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import read_picture
@@ -202,6 +202,13 @@ def test_a_value_that_is_offered_in_place_of_a_refused_one_does(key: str, given:
 
     use = refused(*given)[f"spec.{key}"]
     assert f"spec.{key}" not in refused(*given, f"{key}={use}")
+
+
+def test_a_picture_of_one_tone_is_refused(tmp_path: Path) -> None:
+    """Its lens is flat: it was called recognisable, with details of atoms' size."""
+    Image.new("L", (40, 40), 255).save(path := tmp_path / "white.png")
+    with pytest.raises(PictureError, match="one tone"):
+        estimate(look_up(small()), path, limits=PictureLimits(), name="white.png")
 
 
 @pytest.mark.parametrize("size", [(100, 100), (150, 50), (40, 110)])
