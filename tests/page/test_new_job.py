@@ -310,7 +310,7 @@ def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Pag
     new_job.go_back()
     expect(new_job.get_by_label("Width", exact=True)).to_have_value("33")
     expect(new_job.get_by_role("button", name="Mirror")).to_have_attribute("aria-pressed", "true")
-    new_job.get_by_role("button", name="Begin anew").click()
+    new_job.get_by_role("button", name="Start over").click()
     expect(new_job.get_by_label("Width", exact=True)).to_have_value("100")
     expect(wall(new_job)).to_have_count(0)
 
@@ -371,6 +371,8 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
     expect(make_it(page)).to_be_disabled()
     expect(make_it(page)).to_have_accessible_description(re.compile("not a picture"))
     expect(page.get_by_role("region", name="Picture")).to_contain_text("not a picture that can be read")
+    first = page.get_by_role("region", name="Picture").locator(":scope > *").first
+    expect(first).to_contain_text("not a picture")  # above all that is as high as the picture
     choose(page, picture())
     expect(make_it(page)).to_be_enabled()
     expect(why).to_be_hidden()

@@ -68,7 +68,7 @@ class ImageSpec(Section):
     tone: Annotated[
         Literal["srgb", "linear"],
         shown(
-            "Tones are meant",
+            "Brightness values",
             choices={"srgb": "as photos are (sRGB)", "linear": "linear light"},
             card="picture",
             wide=True,
@@ -77,7 +77,7 @@ class ImageSpec(Section):
     fit: Annotated[
         Literal["crop", "pad", "stretch"],
         shown(
-            "Where proportions differ",
+            "If the shapes differ",
             choices={"crop": "choose a part", "pad": "whole picture, dark around", "stretch": "stretch"},
             card="picture",
             wide=True,

@@ -53,7 +53,10 @@ class OpticsSpec(Section):
     surface: Annotated[Literal["lens", "mirror"], shown("Surface")] = "lens"
     branch: Annotated[
         Literal["auto", "direct", "inverted"],
-        shown("Rays", choices={"auto": "automatic", "direct": "straight", "inverted": "crossing"}),
+        shown(
+            "Black areas",
+            choices={"auto": "automatic", "direct": "shallow lens, greyer", "inverted": "deep lens, blacker"},
+        ),
     ] = "auto"
     outline: Annotated[str | list[list[float]], shown("Outline", choices={shape: shape for shape in _SHAPES})] = (
         "rectangle"

@@ -34,7 +34,7 @@ export default async function view(root, params, app) {
   const put = (beginWith) => {
     page = newJob(profiles, app);
     const title = h("h1", {}, "New job");
-    const again = h("button", { type: "button", class: "quiet", onclick: anew }, "Begin anew");
+    const again = h("button", { type: "button", class: "quiet", onclick: anew }, "Start over");
     const notice = beginWith.notice && h("p", { class: "notice" }, h("span", {}, beginWith.notice));
     replace(root, h("div", { class: "row spread title" }, title, again), notice, page.element);
     return page.begin(beginWith);
