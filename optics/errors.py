@@ -23,7 +23,7 @@ class TotalReflectionError(OpticsError):
         helps = math.isfinite(shortest_throw_mm)
         cause = f"a throw of {throw_mm:g} mm is too short" if helps else "the light comes in too far from the axis"
         remedy = (
-            f"use about {shortest_throw_mm:.0f} mm or more, or a smaller screen"
+            f"use about {math.ceil(shortest_throw_mm)} mm or more, or a smaller screen"
             if helps
             else "no throw helps: move the light away or tilt it less"
         )

@@ -378,6 +378,28 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
     expect(why).to_be_hidden()
 
 
+@pytest.mark.parametrize("planned", [True, False])
+def test_passes_by_hand_begin_with_those_that_would_be_milled(opened: Opened, planned: bool) -> None:
+    """And go on with another like the last, by a name of its own, which has the focus."""
+    page = open_blank(opened, "new")
+    own = canned_job.job()["spec"]["passes"]
+    answer = ESTIMATE_EXAMPLE | {"spec": {"preset": "recommended", "passes": own if planned else []}}
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=answer))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    expect(page.get_by_text("Machine time")).to_be_visible()
+    page.get_by_text("Expert:").click()
+    page.get_by_label("Set every pass by hand").check()
+    expect(page.locator(".passes").get_by_label("Pitch").first).to_have_value(
+        f"{own[0]['pitch_mm']:g}" if planned else "0.5"
+    )
+    page.get_by_role("button", name="Add a pass").click()
+    names = page.locator(".passes").get_by_label("Name")
+    expect(names.last).to_be_focused()
+    values = names.evaluate_all("all => all.map((one) => one.value)")
+    assert len(set(values)) == len(values) == 3
+
+
 @pytest.mark.thorough
 def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
     page = open_blank(opened, "new", errors=("status of 422",))
@@ -390,8 +412,8 @@ def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
     page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     rough, finish = page.locator(".passes > li").all()
-    expect(rough.get_by_label("Pitch")).to_have_accessible_description("more than 0 is needed")
-    expect(finish.locator(":scope > .fault")).to_have_text("it cuts nothing")
+    expect(rough.get_by_label("Pitch")).to_have_accessible_description("More than 0 is needed.")
+    expect(finish.locator(":scope > .fault")).to_have_text("It cuts nothing.")
     expect(finish.get_by_label("Name")).to_have_accessible_description("")
     expect(rough.locator(":scope > .fault")).to_have_text("")
 

@@ -95,7 +95,7 @@ class QuickLens:
 def estimate(
     job: ResolvedJob, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False
 ) -> dict[str, Any]:
-    """Return the answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at
+    """Return the answer of POST /v1/estimates. InputError, PictureError where a job would fail at
     once.
     """
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
@@ -129,6 +129,7 @@ def estimate(
         "warnings": list(dict.fromkeys([*warnings, *_warnings(quick), *blur.words(own_px_mm)])),
         "changes": [asdict(change) for change in changes_of(job, detail_mm)],
         "picture": {"width": width, "height": height},
+        "spec": spec.model_copy(update={"passes": quick.spec.passes}).plain(),
     }
 
 

@@ -64,7 +64,8 @@ async function runAndReport(work) {
   }
 }
 
-function presetWords({ preset }) {
+function presetWords({ preset, passes }) {
+  if (preset === "recommended" && passes.length) return "passes as given";
   return { recommended: "passes as recommended", draft: "draft", paper: "passes of the paper" }[preset] ?? "";
 }
 

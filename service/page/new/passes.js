@@ -4,7 +4,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { PASS } from "./fields.js";
 import { row } from "./row.js";
 
-const FIRST = [
+export const FIRST = [
   { name: "rough", radius_mm: 3, pitch_mm: 0.5, stock_to_leave_mm: 0.2 },
   { name: "finish", radius_mm: 3, pitch_mm: 0.1 },
 ];
@@ -13,8 +13,8 @@ const FIRST = [
 export function passes({ onChange, known }) {
   let cards = [];
   const list = h("ol", { class: "passes" });
-  const add = h("button", { type: "button", onclick: () => change([...values(), { ...FIRST[1] }]) }, "Add a pass");
-  const byHand = h("input", { type: "checkbox", onchange: () => change(byHand.checked ? (known() ?? FIRST) : null) });
+  const add = h("button", { type: "button", onclick: () => change([...values(), another()], values().length) }, "Add a pass");
+  const byHand = h("input", { type: "checkbox", onchange: () => change(byHand.checked ? known() : null) });
   const element = h(
     "div",
     { class: "stack" },
@@ -28,10 +28,18 @@ export function passes({ onChange, known }) {
     add,
   );
 
-  function change(rows) {
+  /** focus: number of the pass that a person is at. */
+  function change(rows, focus = 0) {
     show(rows);
     onChange();
-    cards[0]?.rows[0].focus();
+    cards[focus]?.rows[0].focus();
+  }
+
+  /** Like the last one, by a name of its own. */
+  function another() {
+    const all = values(), last = all.at(-1);
+    const stem = (last.name ?? FIRST[1].name).replace(/-\d+$/, "");
+    return { ...last, name: `${stem}-${all.length + 1}` };
   }
 
   function show(rows) {
@@ -66,7 +74,7 @@ export function passes({ onChange, known }) {
   }
 
   function without(at) {
-    change(values().filter((_, number) => number !== at));
+    change(values().filter((_, number) => number !== at), Math.max(0, at - 1));
   }
 
   /** What stands there, as far as it can be read. */

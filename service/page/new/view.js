@@ -12,6 +12,7 @@ import { specForm } from "./form.js";
 import { usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
+import { FIRST } from "./passes.js";
 import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
@@ -69,7 +70,7 @@ async function knownProfiles() {
 /** {element, begin({spec, picture, edits, name, file}), draft(), stop(), leave()}. */
 function newJob(profiles, app) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
-  const form = specForm({ profiles, onChange: changed, planned: () => now.estimate?.spec?.passes });
+  const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => ((now.refused = []), asks.ask(), ready()) });
   const priority = priorityRow();
   const card = estimateCard();

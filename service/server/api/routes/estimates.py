@@ -70,7 +70,7 @@ async def post_estimate(
                 estimates.leave(caller)
         found = await answer
     response.headers["Cache-Control"] = "no-store"
-    return {**found, "spec": wanted.spec}
+    return {"spec": wanted.spec, **found}
 
 
 def _check_picture(services: Services, form: JobForm) -> None:

@@ -167,6 +167,7 @@ def test_a_slower_machine_takes_longer_and_a_wider_step_blurs_more() -> None:
 def test_passes_that_are_still_to_be_planned_are_planned() -> None:
     found = estimated(small(preset="recommended"))
     assert found["planned"] is True
+    assert [row["name"] for row in found["spec"]["passes"]] == [row["name"] for row in found["passes"]]
     assert len(found["passes"]) >= 1
     assert found["hours"] > 0
 
