@@ -2,11 +2,12 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { mm } from "../lib/words.js";
+import { blurred, greyOf, toLinear } from "../new/tones.js";
 import { focusOf } from "./drawing_file.js";
 import { focusSentence } from "./figures.js";
 import { whenSeen } from "./when_seen.js";
 
-/** {node, update(artifacts, report), free()} */
+/** {node, update(artifacts, job), free()} */
 export function focusPart() {
   const canvas = h("canvas", { class: "focus-picture", role: "img", "aria-label": "The caustic on the wall" });
   const words = h("p", { class: "focus-words", "aria-live": "polite" });
@@ -19,7 +20,7 @@ export function focusPart() {
     h("h2", { id: "focus-title" }, "Distance of the wall"), canvas, range, ends,
     h("div", { class: "row spread" }, words, back), sentence,
   );
-  let frames = null, known = "";
+  let frames = null, known = "", blurShare = 0;
   const stop = whenSeen(node, load);
   let wanted = null;
 
@@ -48,16 +49,22 @@ export function focusPart() {
   function draw() {
     if (!frames) return;
     const k = Number(range.value), factor = frames.factors[k];
-    const picture = new ImageData(frames.nx, frames.ny), grey = frames.frame(k);
-    grey.forEach((level, i) => picture.data.fill(level, 4 * i, 4 * i + 3));
-    for (let i = 3; i < picture.data.length; i += 4) picture.data[i] = 255;
+    const picture = new ImageData(frames.nx, frames.ny), sigma = factor * blurShare * frames.nx;
+    const light = Float32Array.from(frames.frame(k), (level) => toLinear(level / 255));
+    picture.data.set(greyOf(sigma > 0 ? blurred(light, frames.nx, frames.ny, sigma) : light));
     canvas.getContext("2d").putImageData(picture, 0, 0);
-    const text = distanceWords(factor, frames.throwMm);
+    const text = `${distanceWords(factor, frames.throwMm)}; ${blurShare ? "about as milled" : "as designed"}`;
     write(words, text);
     range.setAttribute("aria-valuetext", text);
     back.disabled = factor === 1;
   }
-  function update(artifacts, report) {
+  /** The pictures are of the lens as designed; what is left on it blurs them in proportion to the distance. */
+  function update(artifacts, { report, spec }) {
+    const share = (report?.as_finished ?? report?.as_milled)?.blur_px / Math.SQRT2 / spec.image.pixels || 0; // over both axes
+    if (share !== blurShare) {
+      blurShare = share;
+      draw();
+    }
     wanted = artifacts.get("focus.bin") ?? null;
     node.hidden = !wanted;
     write(sentence, focusSentence(report) ?? "");

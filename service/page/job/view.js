@@ -46,7 +46,7 @@ export default async function view(root, params, app) {
     parts.pictures.update(artifacts);
     parts.programs.update(job);
     parts.light.update(artifacts, job);
-    parts.focus.update(artifacts, job.report);
+    parts.focus.update(artifacts, job);
     parts.lens.update(artifacts);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
     parts.photo.update(job, artifacts);
