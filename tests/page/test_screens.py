@@ -75,7 +75,7 @@ def of_a_new_job(opened: Opened) -> Page:
 def of_a_picture_that_is_none(opened: Opened) -> Page:
     page = opened("#/new", errors=("status of 422",))
     refuse_picture(page)
-    expect(page.locator(".submit-bar .why")).to_contain_text("cannot be used")
+    expect(page.locator(".submit-bar .why")).to_contain_text("not a picture")
     return page
 
 
