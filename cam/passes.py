@@ -37,6 +37,7 @@ class PassSpec:
     where             : everywhere, or only where the pass before could not reach (cam.rows.rest)
     flute_length_mm   : how high the cutter cuts, from its tip; None: not stated
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
+    max_rate_mm_per_min : of the mill's axes X, Y, Z, which feeds that follow the load keep to
     """
 
     name: str
@@ -53,6 +54,7 @@ class PassSpec:
     spindle_rpm: float
     flute_length_mm: float | None = None
     shank_radius_mm: float | None = None
+    max_rate_mm_per_min: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
     @property
     def layer_mm(self) -> float:

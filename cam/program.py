@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 from math import inf
 
@@ -18,7 +19,8 @@ from cam.posts.dialects import Dialect
 from cam.posts.post import number
 from cam.posts.setup import ProgramSetup
 from cam.rows.entries import enter, enter_onward, leave
-from cam.rows.layers import Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
+from cam.rows.layers import Field, Layer, LayerPlan, layer_paths, plan_layers
+from cam.rows.loads import most_feed_mm_per_min
 from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
@@ -199,10 +201,11 @@ def _paths_along_x(
         raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
     field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
     plan = plan_layers(field, met, spec)
-    if plan.layers and plan.exact_rows:
-        field = field.coarser(layer_row_distance_mm(spec))  # only the exact rows need the pitch
+    field = field.every(plan.stride)  # only the exact rows need the pitch
     above = plan.layers[-1] if plan.layers else None
     report = on_progress or (lambda fraction: None)
+    if plan.only_between:
+        rows = rows.between(plan.stride)
     share = _layer_share(field, rows, plan)
     yield from _all_layers(field, surface, met, plan, spec, safe_z_mm, lambda done: report(share * done))
     del field
@@ -216,6 +219,9 @@ def _paths_along_x(
             on_progress=lambda done: report(share + (1 - share) * done),
         )
     elif plan.exact_rows:
+        if plan.only_between:  # cusps alone stand there
+            steepest = float(np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm)).max())
+            spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, steepest)))
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
         yield from _polyline_paths(polylines, met, above, spec, safe_z_mm=safe_z_mm)
     report(1.0)

@@ -16,8 +16,11 @@ import numpy as np
 from scipy.ndimage import grey_dilation, grey_opening
 
 from cam.duration import Kinematics
+from cam.materials import SLOT_FEED
 from cam.passes import Direction, PassSpec
 from cam.rows.entries import RAMP_SLOPE
+from cam.rows.layers import plane_row_distance_mm
+from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.surface.cutter import concave_curvature
 from optics.heightfield import Array, Heightfield
@@ -28,6 +31,7 @@ _USED = 0.85  # of the length that the rule allows a chord
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
 _BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
 _ENTRIES = 4.0  # of a layer
+_FEED_STEPS = 0.95  # of the feed at load, which is rounded down to one of a few
 _LEAST_GAP = 0.25  # of 1 - kR: nearer to 0 the ball hardly fits, and its grooves are no longer those of rows
 LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
 
@@ -222,14 +226,19 @@ def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
-    feed = spec.feed_mm_per_min / 60
+    spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
+    distance_mm = spec.pitch_mm * max(1, int(plane_row_distance_mm(spec) / spec.pitch_mm))
+    feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
     gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
     beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
     crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
     planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
-    rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / spec.pitch_mm
-    turns_s = rows_mm / min(sides) * feed / min(mill.acceleration_mm_per_s2[:2])
-    return float(rows_mm / feed + turns_s + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
+    rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / distance_mm
+    slots = SLOT_FEED * spec.feed_mm_per_min / 60
+    turns_s = rows_mm / min(sides) * (feed / min(mill.acceleration_mm_per_s2[:2]) + distance_mm / slots)
+    between_mm = sides[0] * sides[1] * (1 / spec.pitch_mm - 1 / distance_mm)
+    seconds = rows_mm / feed + turns_s + between_mm / (float(most_feed_mm_per_min(spec)) / 60)
+    return float(seconds + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
 
 
 def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:

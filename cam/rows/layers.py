@@ -20,6 +20,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
+from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, slot_section_mm2
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.stock_touch import StockTouch
@@ -31,12 +32,9 @@ SKIM_MM = 0.05
 TOUCH_MM = 1e-6
 """Stock less than this above a tip is not worth a cut."""
 
-LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
-"""Of the step-down: a layer's cusps and chords. Those of two layers may add up, and the check allows 5 % for them."""
-
-
-SLOT_DEPTH_SHARE = 0.3
-"""Of the step-down: stock that stands this much higher on both sides makes a slot."""
+LAYER_CUSP_SHARE, PLANE_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.03, 0.01
+"""Of the step-down: a layer's cusps, those of planes, and its chords. Those of two layers may add up, and the check
+allows 5 % for them, and the cusps of the pass's own pitch besides."""
 
 _HERE_AND_THERE = 0.1
 """Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
@@ -94,11 +92,10 @@ class Field:
         exact[rows, columns] = stock.exactly(self.x_mm[columns], self.rows.y_mm[rows])
         return replace(self, stock_mm=exact)
 
-    def coarser(self, distance_mm: float) -> Field:
-        """Return rows no farther apart than distance_mm; the stock over each is the most up to its neighbours, so
-        that nothing between two rows is overlooked.
+    def every(self, stride: int) -> Field:
+        """Return every stride-th row, and the last; the stock over each is the most up to its neighbours, so that
+        nothing between two rows is overlooked.
         """
-        stride = max(1, int(distance_mm / max(1e-9, float(np.diff(self.rows.y_mm).max()))))
         if stride == 1:
             return self
         rows = self.rows.every(stride)
@@ -110,10 +107,14 @@ class Field:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerPlan:
-    """Layers from the top down, and whether exact rows over everything follow."""
+    """Layers from the top down, on every stride-th row, and whether exact rows follow over everything: all of them, or
+    only those between the rows of the layers.
+    """
 
     layers: tuple[Layer, ...]
     exact_rows: bool
+    stride: int = 1
+    only_between: bool = False
 
 
 def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
@@ -124,19 +125,29 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     if not stock.flat:
         count = ceil(depth / spec.layer_mm) - 1
         parallel = (Layer(offset_mm=k * spec.layer_mm, level_mm=-inf) for k in range(count, 0, -1))
-        return LayerPlan(layers=tuple(parallel), exact_rows=True)
+        return LayerPlan(layers=tuple(parallel), exact_rows=True, stride=_stride_before_exact_rows(field, spec))
     exact = spec.finishes or spec.strategy == "contour"
     keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0
     top = float(stock.height_mm.max())
     lowest = float(field.target_mm[field.stock_mm > field.target_mm].min()) + keep
     count = ceil((top - lowest) / spec.step_down_mm)
     planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
-    return LayerPlan(layers=tuple(planes), exact_rows=exact)
+    if exact:
+        return LayerPlan(layers=tuple(planes), exact_rows=True, stride=_stride_before_exact_rows(field, spec))
+    stride = field.rows.stride_within(plane_row_distance_mm(spec))
+    between = field.rows.between(stride).y_mm.size > 0
+    return LayerPlan(layers=tuple(planes), exact_rows=between, stride=stride, only_between=between)
 
 
-def layer_row_distance_mm(spec: PassSpec) -> float:
-    """Return the distance of layer rows that exact rows follow: cusps, p^2 / 8R, of 2 % of the step-down at most."""
-    return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
+def plane_row_distance_mm(spec: PassSpec) -> float:
+    """Return how far apart rows of planes may lie at most: what they leave is for rows between them to take off."""
+    return sqrt(8 * spec.radius_mm * PLANE_CUSP_SHARE * spec.step_down_mm)
+
+
+def _stride_before_exact_rows(field: Field, spec: PassSpec) -> int:
+    """Return the stride of layers that exact rows of the pass's own pitch follow: their cusps are p^2 / 8R."""
+    cusped_mm = sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm)
+    return field.rows.stride_within(min(spec.radius_mm / 5, cusped_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +231,7 @@ def layer_paths(
     now = left.copy()
     total = sum(map(len, by_row))
     pocket = _pocket(field, surface, layer)
+    top_mm = float(stock.height_mm.max())
     before: Run | None = None
     place = np.empty(3)
     linked = spec.link == "u-turn"
@@ -229,18 +241,20 @@ def layer_paths(
         points = np.column_stack(
             [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
         )
-        slot = _slots(now, tips, run, least_mm=SLOT_DEPTH_SHARE * spec.step_down_mm, pad=pad)
+        along = tips[run.row, samples]
+        bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, radius_mm=surface.radius_mm, top_mm=top_mm)
+        feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
         if not run.upward:
-            points, slot = points[::-1], slot[::-1]
-        now[run.row, samples] = np.minimum(now[run.row, samples], tips[run.row, samples])
+            points, feeds = points[::-1], feeds[::-1]
         if run.joined and before is not None:
-            yield cut(_link(field, surface, layer, before, run, sag), SLOT_FEED * spec.feed_mm_per_min)
+            yield cut(_link(field, surface, layer, before, run, sag), _link_feed(now, tips, before, run, pad, spec))
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
             height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
             yield from enter(thin_points(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
-        yield from _cuts(points, slot, sag, spec)
+        yield from _cuts(points, feeds, sag)
+        now[run.row, samples] = np.minimum(now[run.row, samples], along)
         before, place = run, points[-1]
         on_progress(done / total)
     if before is not None:
@@ -249,28 +263,22 @@ def layer_paths(
         yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
 
 
-def _slots(now: Array, tips: Array, run: Run, *, least_mm: float, pad: int) -> npt.NDArray[np.bool_]:
-    """Return (n,) samples of a run where stock stands on both sides of it, least_mm above it or more.
-
-    now : tips (n rows, n samples) at which the ball would meet the stock of the moment; on a steep surface a row
-          beside, though cut, may lie that much higher
+def _link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
+    """Return the feed of the way from one run to the next, where a wall may stand beside a slot as deep as the stock
+    about it.
     """
-    samples = slice(run.first, run.last + 1)
-    below, above = max(run.row - 1, 0), min(run.row + 1, len(now) - 1)
-    lowest = np.minimum(np.minimum(now[below, samples], now[above, samples]), now[run.row, samples])
-    both = lowest - tips[run.row, samples] > least_mm
-    slot = np.zeros_like(both)
-    for first, last in spans(both, pad=pad, gap=2 * pad):
-        slot[first : last + 1] = True
-    return slot
+    first, last = sorted((before.end, run.start))
+    about = (slice(before.row, run.row + 1), slice(max(0, first - pad), last + pad + 1))
+    depth_mm = max(0.0, float((now[about] - tips[about]).max()))
+    section = slot_section_mm2(depth_mm, spec.radius_mm) / 2 + depth_mm * spec.radius_mm
+    return min(float(feed_at_load(section, spec)), SLOT_FEED * spec.feed_mm_per_min)
 
 
-def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassSpec) -> Iterator[Path]:
-    """Yield the points of a run, thinned; slots at their slower feed."""
-    edges = np.flatnonzero(np.diff(slot)) + 1
+def _cuts(points: Array, feeds: Array, sag_mm: float) -> Iterator[Path]:
+    """Yield the points of a run at their feeds, thinned."""
+    edges = np.flatnonzero(np.diff(feeds)) + 1
     for first, end in pairwise([0, *edges.tolist(), len(points)]):
-        feed = spec.feed_mm_per_min * (SLOT_FEED if slot[first] else 1.0)
-        yield cut(thin_points(points[first:end], sag_mm), feed)
+        yield cut(thin_points(points[first:end], sag_mm), float(feeds[first]))
 
 
 def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:

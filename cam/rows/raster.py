@@ -6,9 +6,10 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from cam.moves import Array
@@ -52,10 +53,22 @@ class Rows:
     def length_mm(self) -> float:
         return self.right_mm - self.left_mm
 
+    def stride_within(self, distance_mm: float) -> int:
+        """Return of how many rows one is enough for rows no farther apart than distance_mm."""
+        return max(1, int(distance_mm / max(1e-9, float(np.diff(self.y_mm).max()))))
+
     def every(self, stride: int) -> Rows:
         """Return every stride-th row, and the last."""
-        chosen = np.unique(np.append(np.arange(0, self.y_mm.size, stride), self.y_mm.size - 1))
-        return Rows(y_mm=self.y_mm[chosen], left_mm=self.left_mm, right_mm=self.right_mm, turn_mm=self.turn_mm)
+        return replace(self, y_mm=self.y_mm[self._chosen(stride)])
+
+    def between(self, stride: int) -> Rows:
+        """Return the rows that `every` leaves out."""
+        return replace(self, y_mm=self.y_mm[~self._chosen(stride)])
+
+    def _chosen(self, stride: int) -> npt.NDArray[np.bool_]:
+        chosen = np.arange(self.y_mm.size) % stride == 0
+        chosen[-1] = True
+        return chosen
 
 
 def on_ticks(values: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
-from cam.rows.layers import SLOT_DEPTH_SHARE
+from cam.rows.loads import SLOT_DEPTH_SHARE
 
 Meets = Callable[[Array], Array]
 """(n, 3) tips -> (n,) tip heights at which the ball would meet stock there."""

@@ -53,6 +53,7 @@ def run_pass(context: StageContext) -> None:
     """
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
     spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
+    spec = replace(spec, max_rate_mm_per_min=context.machine.max_rate_mm_per_min)
     if context.number == 1:
         require_millable(context, heightfield)
         stock_top = (

@@ -223,11 +223,10 @@ def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
     """On a flat block: stock on both sides of a row happens once per stretch, on the way in."""
     lens, top = make_bumps(1, relief_mm=0.4), StockGrid.block(STOCK, 0.1)
     spec = replace(ROUGH, step_down_mm=0.9)
-    paths = list(pass_paths(lens, spec, STOCK, stock_top=top))
-    length = {
-        feed: sum(float(np.hypot(*np.diff(p.points_mm[:, :2], axis=0).T).sum()) for p in paths
-                  if p.feed_mm_per_min == feed)
-        for feed in (spec.feed_mm_per_min, SLOT_FEED * spec.feed_mm_per_min)
-    }  # fmt: skip
-    slots, rows = length[SLOT_FEED * spec.feed_mm_per_min], length[spec.feed_mm_per_min]
+    slots = rows = 0.0
+    for path in pass_paths(lens, spec, STOCK, stock_top=top):
+        if path.feed_mm_per_min not in (None, spec.plunge_mm_per_min):
+            length = float(np.hypot(*np.diff(path.points_mm[:, :2], axis=0).T).sum())
+            slow = path.feed_mm_per_min <= SLOT_FEED * spec.feed_mm_per_min
+            slots, rows = slots + length * slow, rows + length * (not slow)
     assert 0 < slots < 4 * (STOCK.width_mm + 2 * spec.radius_mm) < rows

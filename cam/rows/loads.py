@@ -1,0 +1,125 @@
+"""Feeds by load: the rows of layers take off about as much stock a minute at every place.
+
+What a move takes off is measured across its row. There the stock of the moment is the lower envelope of balls standing
+at the tips of the rows about it: as deep as their last cut where they have been cut, as the layer above left them where
+they have not. Between it and the ball lies the section of the cut; section times feed is stock a minute. A feed holds
+for a stretch as long as the ball's radius at least, is the least that its places and those half a radius beside them
+allow, and is rounded down to one of a few.
+"""
+
+from __future__ import annotations
+
+from math import ceil, inf, log, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from cam.materials import SLOT_FEED
+from cam.moves import Array
+from cam.passes import PassSpec
+
+LOAD_SHARE = 0.42
+"""Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it
+gives 0.5, and beside a wall more: `camera` with R = 3 mm, 0.5 mm takes 45 % of the time of that, at 3/4 of its peak."""
+
+LEAST_FEED, MOST_FEED = 0.2, 2.0
+"""Shares of the feed between which it follows the load: below, edges rub; above, chips would be thicker than in a slot,
+as a row's narrow bite thins them to a half."""
+
+SLOT_SIDES, SLOT_DEPTH_SHARE = 0.4, 0.3
+"""Of a slot's section, on both sides alike, and of the step-down: from there on a cut counts as a slot."""
+
+_STEP = 1.1  # from one feed to the next
+_WHOLE_FROM = 10.0  # mm/min
+_POINTS = 24  # across the ball
+_LEFT, _RIGHT, _DEEP = range(3)
+
+
+def slot_section_mm2(depth_mm: ArrayLike, radius_mm: float) -> Array:
+    """Return the section of a ball's slot in a plane, its walls upright above the ball's middle."""
+    above = np.maximum(np.asarray(depth_mm) - radius_mm, 0.0)
+    rise = np.clip(radius_mm - np.asarray(depth_mm), 0.0, radius_mm)
+    return radius_mm**2 * np.arccos(rise / radius_mm) - rise * np.sqrt(radius_mm**2 - rise**2) + 2 * radius_mm * above
+
+
+def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
+    """Return the feed at which cuts take off as much a minute as the pass may. steep: slope of the way."""
+    allowed = LOAD_SHARE * slot_section_mm2(spec.step_down_mm, spec.radius_mm) * spec.feed_mm_per_min
+    wanted = np.maximum(allowed / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
+    return round_feed(np.minimum(wanted, most_feed_mm_per_min(spec, steep)))
+
+
+def round_feed(feed_mm_per_min: ArrayLike) -> Array:
+    """Return whole mm/min, from 10 mm/min up."""
+    feed = np.asarray(feed_mm_per_min)
+    return np.where(feed < _WHOLE_FROM, feed, np.floor(feed))
+
+
+def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
+    """Return the feed where next to nothing is cut, within what the axes can go; steep: slope of the way."""
+    x, y, z = spec.max_rate_mm_per_min
+    climbing = z * np.hypot(1.0, steep) / np.maximum(steep, 1e-9)
+    return round_feed(np.minimum(climbing, min(MOST_FEED * spec.feed_mm_per_min, x, y)))
+
+
+@njit(cache=True, nogil=True)
+def _measure(now, tips, y, row, others, first, radius, top, out):  # type: ignore[no-untyped-def]
+    """Measure the cut along tips (n,), which begin at sample `first` of a row: out (n, 3) left, right, deepest.
+
+    now (n rows, n samples) : tips at which the ball would meet stock; others: the rows that are looked at
+    """
+    width = 2.0 * radius / _POINTS
+    rise, own = np.full((_POINTS, others.size), inf), np.empty(_POINTS)
+    for k in range(_POINTS):
+        w = (k + 0.5) * width - radius
+        own[k] = radius - sqrt(radius * radius - w * w)
+        for m in range(others.size):
+            square = radius * radius - (w - y[others[m]] + y[row]) ** 2
+            if square > 0.0:
+                rise[k, m] = radius - sqrt(square)
+    met = np.empty(others.size)
+    for i in range(tips.size):
+        out[i] = 0.0
+        for m in range(others.size):
+            met[m] = now[others[m], first + i]
+        for k in range(_POINTS):
+            height = top
+            for m in range(others.size):
+                height = min(height, met[m] + rise[k, m])
+            depth = height - tips[i] - own[k]
+            if depth > 0.0:
+                out[i, _LEFT if 2 * k >= _POINTS else _RIGHT] += depth * width
+                out[i, _DEEP] = max(out[i, _DEEP], depth)
+
+
+def measure_cut(
+    now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, radius_mm: float, top_mm: float
+) -> Array:
+    """Return (n, 3) sections beside a row towards greater and smaller Y [mm2] and the deepest cut, sample by sample.
+
+    now (n rows, n samples) : tips at which the ball would meet stock, of rows at y_mm; top_mm: none stands higher
+    tips_mm (n,)            : of the row, from its sample `first` on
+    """
+    near = np.flatnonzero(np.abs(y_mm - y_mm[row]) < 2 * radius_mm)
+    stride = ceil(near.size / _POINTS)
+    others = near[((near - row) % stride == 0) | (np.abs(near - row) == 1)]
+    out = np.empty((tips_mm.size, 3))
+    _measure(now, tips_mm, y_mm, row, others, first, radius_mm, top_mm, out)
+    return out
+
+
+def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
+    """Return (n,) feeds along a row whose cut (n, 3) and tips (n,) are known at samples step_mm apart."""
+    steep = np.abs(np.diff(tips_mm, append=tips_mm[-1])) / step_mm
+    feed = feed_at_load(cut[:, _LEFT] + cut[:, _RIGHT], spec, steep)
+    sides = 2 * np.minimum(cut[:, _LEFT], cut[:, _RIGHT])
+    in_slot = sides > SLOT_SIDES * slot_section_mm2(cut[:, _DEEP], spec.radius_mm)
+    in_slot &= cut[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
+    feed[in_slot] = np.minimum(feed[in_slot], SLOT_FEED * spec.feed_mm_per_min)
+    most = most_feed_mm_per_min(spec)
+    feed = round_feed(most * _STEP ** -np.ceil(np.log(most / feed) / log(_STEP) - 1e-9))
+    stretch = ceil(spec.radius_mm / step_mm) | 1
+    least = minimum_filter1d(feed, stretch + 2 * (stretch // 2), mode="nearest")
+    return np.asarray(maximum_filter1d(least, stretch, mode="nearest"))

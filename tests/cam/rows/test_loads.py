@@ -1,0 +1,130 @@
+"""Feeds by load: what a row takes off is known before it is cut, and the written programs take off as much a minute."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cam.checking.removal import RemovalGrid
+from cam.checking.sweep import LEFT, RIGHT
+from cam.passes import PassSpec, Stock, ball_pass
+from cam.posts.grbl import GRBL
+from cam.program import generate_program, pass_paths
+from cam.reading.gcode import MoveBatch, read_program
+from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, feed_at_load, measure_cut, slot_section_mm2
+from cam.surface.stock_grid import StockGrid
+from tests.cam.checks import checked
+
+STOCK = Stock(width_mm=12, height_mm=9, thickness_mm=10, margin_mm=3)
+FINE = ball_pass("rough", radius_mm=1.0, pitch_mm=0.1, stock_to_leave_mm=0.1, step_down_mm=0.6)
+
+
+@pytest.fixture(scope="module")
+def hills():
+    from tests.cam.conftest import bumps
+
+    return bumps(5, relief_mm=2.0, width_mm=12.0, height_mm=9.0, spread_mm=2.0)
+
+
+@pytest.mark.parametrize("radius_mm", [0.5, 3.0])
+@pytest.mark.parametrize("depth_share", [0.1, 0.5])
+def test_sections_of_slots_and_of_rows_beside_others(radius_mm, depth_share):
+    """In a plane a slot is a segment of the ball's circle, and a row beside one that is cut takes pitch by depth."""
+    pitch, depth = radius_mm / 6, depth_share * radius_mm
+    y = pitch * np.arange(30)
+    now, tips = np.zeros((30, 4)), np.full(4, -depth)
+    slot = measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0)
+    np.testing.assert_allclose(slot[:, 0], slot[:, 1])
+    np.testing.assert_allclose(slot[:, :2].sum(axis=1), slot_section_mm2(depth, radius_mm), rtol=0.03)
+    np.testing.assert_allclose(slot[:, 2], depth, rtol=0.03)
+    now[:15] = -depth
+    beside = measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0)
+    np.testing.assert_allclose(beside[:, :2].sum(axis=1), pitch * depth, rtol=0.05)
+    assert (beside[:, 0] > 5 * beside[:, 1]).all()  # towards greater Y, where no row has been cut
+    now[15:] = -depth
+    assert measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0).max() < 1e-12
+
+
+def shorten(batch: MoveBatch, most_mm: float) -> MoveBatch:
+    """Return the same way in moves no longer than that."""
+    step = batch.end_mm - batch.start_mm
+    counts = np.maximum(1, np.ceil(np.linalg.norm(step, axis=1) / most_mm)).astype(int)
+    move = np.repeat(np.arange(len(batch)), counts)
+    part = np.concatenate([np.arange(1, n + 1) / n for n in counts])
+    return replace(
+        batch,
+        points_mm=np.vstack([batch.points_mm[:1], batch.start_mm[move] + part[:, None] * step[move]]),
+        is_rapid=batch.is_rapid[move],
+        feed_mm_per_min=batch.feed_mm_per_min[move],
+        line=batch.line[move],
+        spindle_on=batch.spindle_on[move],
+        pause_s=batch.pause_s[move],
+    )
+
+
+def loads_of(text, spec: PassSpec, top: StockGrid):
+    """Volume and stock a minute of each stretch of a written program as long as the ball's radius, by simulation."""
+    grid, found = RemovalGrid(top, radius_mm=spec.radius_mm), []
+    for batch in read_program(text):
+        batch = shorten(batch, spec.radius_mm / 4)
+        taken = grid.cut(batch).tally[1:, LEFT : RIGHT + 1].sum(axis=1)
+        length = np.linalg.norm(batch.end_mm - batch.start_mm, axis=1)
+        volume = minutes = along = 0.0
+        for k in range(len(batch)):
+            if batch.is_rapid[k]:
+                volume = minutes = along = 0.0
+            if batch.is_rapid[k] or length[k] == 0.0:
+                continue
+            volume, along = volume + taken[k], along + length[k]
+            minutes += length[k] / batch.feed_mm_per_min[k]
+            if along >= spec.radius_mm:
+                found.append((volume, volume / minutes))
+                volume = minutes = along = 0.0
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("pitch_mm", [0.1, 0.3])
+@pytest.mark.parametrize("direction", ["x", "y"])
+def test_a_rough_pass_takes_off_as_much_a_minute_everywhere(hills, pitch_mm, direction):
+    spec = replace(FINE, pitch_mm=pitch_mm, direction=direction)
+    top = StockGrid.block(STOCK, 0.05)
+    volume, load = loads_of(generate_program(hills, spec, STOCK, stock_top=top, post=GRBL), spec, top)
+    allowed = LOAD_SHARE * slot_section_mm2(spec.step_down_mm, spec.radius_mm) * spec.feed_mm_per_min
+    order = np.argsort(load)
+    share = np.cumsum(volume[order]) / volume.sum()
+    median, nearly_all = (load[order][np.searchsorted(share, part)] for part in (0.5, 0.98))
+    assert 0.6 * allowed < median < allowed
+    assert nearly_all < 1.1 * allowed
+    assert load.max() < 1.4 * allowed
+
+
+def test_feeds_stay_within_their_bounds_and_within_the_mill_s(hills):
+    top = StockGrid.block(STOCK, 0.05)
+    for rates in ((5000.0, 5000.0, 1500.0), (FINE.feed_mm_per_min, 900.0, 200.0)):
+        spec, here, feeds = replace(FINE, max_rate_mm_per_min=rates), np.zeros(3), set()
+        for path in pass_paths(hills, spec, STOCK, stock_top=top):
+            way = np.abs(np.diff(np.vstack([here, path.points_mm]), axis=0))
+            here, feed = path.points_mm[-1], path.feed_mm_per_min
+            if feed not in (None, spec.plunge_mm_per_min):
+                assert (feed * way <= 1.02 * np.linalg.norm(way, axis=1)[:, None] * rates + 1e-6).all()
+                assert LEAST_FEED * spec.feed_mm_per_min - 1 <= feed <= MOST_FEED * spec.feed_mm_per_min
+                feeds.add(feed)
+        assert len(feeds) > 5
+        assert max(feeds) <= feed_at_load(0.0, spec)
+
+
+def test_planes_are_cut_on_rows_farther_apart_and_those_between_follow_once(hills, monkeypatch):
+    """No farther apart than the next plane may meet their cusps: the check passes, with no gap wider than the pitch."""
+    top = StockGrid.block(STOCK, 0.05)
+    sparse = checked(hills, FINE, STOCK, top)
+    monkeypatch.setattr("cam.rows.layers.PLANE_CUSP_SHARE", 0.0)
+    dense = checked(hills, FINE, STOCK, top)
+    for verdict in (sparse, dense):
+        assert verdict.ok, verdict.faults
+        assert verdict.max_gap_mm <= 1.01 * FINE.pitch_mm
+    assert sparse.path_length_mm < 0.75 * dense.path_length_mm
+    assert sparse.time_s < 0.8 * dense.time_s
+    over_um = [max(window.highest_um for window in verdict.windows) for verdict in (sparse, dense)]
+    assert over_um[0] <= over_um[1] + 1000 * FINE.pitch_mm**2 / (8 * FINE.radius_mm)
