@@ -22,7 +22,7 @@ from cam.passes import PassSpec
 
 LOAD_SHARE = 0.42
 """Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it
-gives 0.5, and beside a wall more: `camera` with R = 3 mm, 0.5 mm takes 45 % of the time of that, at 3/4 of its peak."""
+gives 0.5, and more beside a wall: `camera`, R = 3 mm, 0.5 mm, takes 45 % of that time, at 0.7 of its peak."""
 
 LEAST_FEED, MOST_FEED = 0.2, 2.0
 """Shares of the feed between which it follows the load: below, edges rub; above, chips would be thicker than in a slot,
