@@ -40,7 +40,7 @@ SHAPED_SLOPE_ERROR_RAD = 8e-3
 """Of a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.92 dB at
 2 mrad and at 8, with five sixths of the lines; a soft photograph in steps of 2 um: 34.21 and 34.19 dB."""
 
-SAFE_Z_MM = 5.0
+SAFE_Z_MM = 5.0  # where a caller names none; jobs name their mill's, in machines/profiles
 CHUNK_BYTES = 1_000_000
 CUSP_MM = 0.05
 """More than the layers' tolerance and cusps can leave above their tips."""

@@ -1,6 +1,6 @@
 """The commands as sequences of stages: picture -> lens -> light -> programs -> pictures -> report.
 
-The stages are those of the job server (`stages/plan.py`), all run in this process on one folder. Every command works
+The stages are those of the job server (`stages/table.py`), all run in this process on one folder. Every command works
 in a staging folder that takes the output's place only when all of it has succeeded.
 """
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 import logging
 import sqlite3
 import threading
-import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
 from dbos._dbos import _get_dbos_instance
 
-from service.server.queue.engine import Busy, Fenced, Ticket
+from service.server.queue.engine import Ticket
+from service.server.queue.ticket_runner import TicketRunner
 from service.settings import ServerSettings
 
 NAME = "causticmill"
@@ -27,8 +26,6 @@ WORKFLOW = "job"
 # Of what is in the engine's rows, not of the program: another number would leave the jobs of the old one lying.
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
-FENCED_PAUSE_S = 0.5
-STRAY_S = 5.0
 # A job may be begun so often before it counts as one that kills its workers.
 MAX_STARTS = 1000
 POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
@@ -45,7 +42,7 @@ class DbosEngine:
         self._client: DBOSClient | None = None
         self._lock = threading.Lock()
         self._serving = False
-        self._runner: _Runner | None = None
+        self._runner: TicketRunner | None = None
 
     def prepare(self) -> None:
         if self._path is not None:
@@ -82,7 +79,7 @@ class DbosEngine:
             self._clients().delete_workflows([ticket.text for ticket in ended])
 
     def serve(self, attempt: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
-        runner = self._runner = _Runner(attempt, self, executor)
+        runner = self._runner = TicketRunner(attempt, self, executor)
         DBOS(config=self._config(executor))
 
         @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_STARTS)
@@ -153,56 +150,6 @@ class DbosEngine:
             "run_migrations": False,
             "db_engine_kwargs": engine,
         }
-
-
-class _Runner:
-    """What DBOS calls: the attempt, again and again while it is fenced and the ticket is still ours."""
-
-    def __init__(self, attempt: Callable[[Ticket], None], engine: DbosEngine, executor: str) -> None:
-        self._attempt = attempt
-        self._engine = engine
-        self._executor = executor
-        self._pause = threading.Event()
-        self._running: Counter[Ticket] = Counter()
-        self._strays: dict[Ticket, float] = {}
-
-    def run(self, text: str) -> None:
-        ticket = Ticket.of(text)
-        self._running[ticket] += 1
-        try:
-            self._go_on(ticket)
-        finally:
-            self._running[ticket] -= 1
-
-    def list_strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
-        """List tickets that have been ours for a while, and are not running: DBOS may just be about to call us."""
-        now = time.monotonic()
-        mine = {t for t, owner in owners.items() if owner == self._executor and not self._running[t]}
-        self._strays = {ticket: self._strays.get(ticket, now) for ticket in mine}
-        return [ticket for ticket, since in self._strays.items() if now - since > STRAY_S]
-
-    def _go_on(self, ticket: Ticket) -> None:
-        while True:
-            try:
-                return self._attempt(ticket)
-            except Fenced as error:
-                self._pause.wait(FENCED_PAUSE_S)
-                if (isinstance(error, Busy) and self._try_give_back(ticket)) or self._is_lost(ticket):
-                    # DBOS sees for itself that the ticket is no longer ours, and records nothing.
-                    return None
-
-    def _try_give_back(self, ticket: Ticket) -> bool:
-        try:
-            self._engine.give_back(ticket, self._executor)
-        except Exception:  # the database is away: it stays ours
-            return False
-        return True
-
-    def _is_lost(self, ticket: Ticket) -> bool:
-        try:
-            return not self._engine.owns(ticket, self._executor)
-        except Exception:  # the database is away: the attempt finds out
-            return False
 
 
 def _cut_to_first_line(record: logging.LogRecord) -> bool:

@@ -28,14 +28,14 @@ class Ticket:
 
 
 class Fenced(Exception):
-    """Raised by a attempt that may not go on: another worker owns the job, or this one may have lost its lease.
+    """Raised by an attempt that may not go on: another worker owns the job, or this one may have lost its lease.
 
     The ticket has not ended. As long as it is still this executor's, the attempt is called again a little later.
     """
 
 
 class Busy(Fenced):
-    """Raised by a attempt when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
+    """Raised by an attempt when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
 
 
 class JobEngine(Protocol):
