@@ -304,18 +304,6 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     expect(alarm).to_be_empty()
 
 
-def test_a_start_refused_for_many_reasons_says_one_and_folds_the_others(opened: Opened) -> None:
-    page = at_mill(opened, "parked", errors=("status of 409",))
-    reasons = "; ".join(f"{axis} would leave the travel" for axis in "XYZ")
-    record_orders(page, lambda route: route.fulfill(**problem(409, detail=reasons)))
-    press_start(page)
-    said = page.locator(".running .said")
-    expect(said).to_contain_text("X would leave the travel.")
-    expect(said.get_by_text("Z would")).to_be_hidden()
-    said.get_by_text("2 more").click()
-    expect(said.get_by_text("Z would")).to_be_visible()
-
-
 def test_a_zero_that_is_set_anew_asks_for_the_warnings_of_the_program_anew(opened: Opened) -> None:
     page = with_control(opened, "parked", mill={"needs": []})
     expect(page.locator(".next")).to_contain_text("may not fit the travel")

@@ -1,12 +1,10 @@
 /** A line under a group of controls that says what the last order was refused for. */
 
-import { h, replace, write } from "../lib/dom.js";
+import { h, write } from "../lib/dom.js";
 import { refusal } from "./words.js";
 
-const FOLDED = 2; // further reasons, as of axes that leave the travel
-
 export function refusalLine() {
-  const node = h("div", { class: "said", role: "status" });
+  const node = h("p", { class: "said", role: "status" });
   return {
     node,
     /** Runs an order and shows what it was refused for, in sight, until the next one. True where it was taken. */
@@ -17,9 +15,7 @@ export function refusalLine() {
         await order();
         return true;
       } catch (error) {
-        const [first, ...others] = refusal(error).split("; ");
-        const all = [first, others.join("; ")].filter(Boolean);
-        replace(node, others.length < FOLDED ? all.join("; ") : [`${first}.`, h("details", {}, h("summary", {}, `${others.length} more`), h("p", {}, all[1]))]);
+        write(node, refusal(error));
         node.classList.add("bad");
         node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding
         return false;
