@@ -61,7 +61,7 @@ def _set(owner: object, name: str, step: str) -> None:
 
 
 def _everywhere() -> None:
-    _set(form._Reader, "_data", "part")
+    _set(form._Reader, "_take_content", "part")
     _set(submit, "job_request", "request")
     _set(submit, "read_view", "answer")
     _set(jobs, "write_event", "event")  # inside the transaction
