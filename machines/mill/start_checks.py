@@ -8,6 +8,7 @@ elsewhere what does not fit is said, and the operator decides.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
@@ -94,11 +95,12 @@ def check_way_down(
 def _first_height(reader: ProgramReader) -> tuple[str, float] | None:
     """Return work offset and height to which the first move of a program goes, where it goes there straight."""
     interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
-    for line in islice(reader.lines(1), _BEGINNING_LINES):
-        step, state = interpreter.take(line.text), interpreter.state
-        if step.moves:
-            x, y, z = step.end_mm
-            return None if z is None or (x, y) != (None, None) or state.shifted else (state.wcs, z)
+    with suppress(ProgramChangedError):  # the run says so when it comes to that piece, and sends nothing of it
+        for line in islice(reader.lines(1), _BEGINNING_LINES):
+            step, state = interpreter.take(line.text), interpreter.state
+            if step.moves:
+                x, y, z = step.end_mm
+                return None if z is None or (x, y) != (None, None) or state.shifted else (state.wcs, z)
     return None
 
 

@@ -153,7 +153,12 @@ def test_one_tone_is_a_plain_window_and_refused(capsys: pytest.CaptureFixture[st
         (["machine.travel_mm=[12,300,80]"], ["machine.travel_mm.0", "12", "X", "at least 16.0 mm"]),
         (["machine.travel_mm=[300,300,5]"], ["machine.travel_mm.2", "Z", "at least"]),
         (
-            ["passes=[{radius_mm=25,pitch_mm=0.5}]", "machine.travel_mm=[900,900,90]", "optics.min_radius_mm=0.5"],
+            [
+                "passes=[{radius_mm=25,pitch_mm=0.5}]",
+                "machine.travel_mm=[900,900,90]",
+                "machine.collet_mm=50",
+                "optics.min_radius_mm=0.5",
+            ],
             ["25", "largest that fits"],
         ),
     ],
