@@ -12,7 +12,6 @@
 import { programOf, release } from "./gl.js";
 
 const BEAMS = 19; // of light from a disc, as the server has it
-const MANY_BEAMS = 32; // from which their blur hides a coarser net
 const COARSE_NODES = 33; // along a side, by which the light on all of the lens is summed up
 
 const RAYS = `#version 300 es

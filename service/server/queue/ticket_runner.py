@@ -12,7 +12,7 @@ from typing import Protocol
 
 from service.server.queue.engine import Busy, Fenced, Ticket
 
-FENCED_PAUSE_S = 0.5  # after a lost lease, a full disk, a database that is away, or a stage that another still runs
+RETRY_PAUSE_S = 0.5  # after a lost lease, a full disk, a database that is away, or a stage that another still runs
 STRAY_S = 5.0
 
 
@@ -55,7 +55,7 @@ class TicketRunner:
             try:
                 return self._attempt(ticket)
             except Fenced as error:
-                self._pause.wait(FENCED_PAUSE_S)
+                self._pause.wait(RETRY_PAUSE_S)
                 if (isinstance(error, Busy) and self._try_give_back(ticket)) or self._is_lost(ticket):
                     # DBOS sees for itself that the ticket is no longer ours, and records nothing.
                     return None
