@@ -10,7 +10,10 @@ UPLOAD_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureLimits:
-    """What is decoded at all; a server says its own `max_megapixels` (service/settings). formats: Pillow's names; empty: all that need no other program."""
+    """What is decoded at all; a server gives its own `max_megapixels`, of service/settings.
+
+    formats : Pillow's names; empty: all that need no other program
+    """
 
     max_pixels: int = 40_000_000
     formats: tuple[str, ...] = UPLOAD_FORMATS
