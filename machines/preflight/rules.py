@@ -15,7 +15,7 @@ _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "shifted", "machine")
 _AXES = "XYZ"
 
 Events = Sequence[Sequence[int]]
-_STARVED_SHARE = 0.1  # of the time, from which waiting for lines is worth a word
+STARVED_SHARE = 0.1  # of the time, from which waiting for lines is worth a word
 
 _WORDS = (
     (tally.SPINDLE_OFF, "cuts with the spindle off or at S0"),
@@ -98,7 +98,7 @@ def warn_of_starving(
     limits: MillLimits, feeds: tuple[float, float] | None, *, path_length_mm: float, time_s: float, starved_s: float
 ) -> Iterator[str]:
     """Yield what the link carries of the feed, where the mill stands for much of its time waiting for lines."""
-    if feeds is not None and starved_s >= _STARVED_SHARE * time_s > 0:
+    if feeds is not None and starved_s >= STARVED_SHARE * time_s > 0:
         wire = "" if limits.bytes_per_s is None else f" and {limits.bytes_per_s:.0f} bytes"
         yield (
             f"the link is too slow: F{feeds[1]:g} is asked for, and {limits.lines_per_s:g} lines{wire} a second carry "

@@ -19,6 +19,7 @@ from cam.posts.digits import Digits
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
+from machines.preflight.rules import STARVED_SHARE
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError
@@ -41,7 +42,6 @@ from service.job.spec.resolved import ResolvedJob, setup_of
 from service.job.stages.context import StageContext
 from service.wording import duration
 
-_STARVED_SHARE = 0.1  # of a program's time, from which waiting for lines is worth a word
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
@@ -165,7 +165,7 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
 
 def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[str]:
     """Yield what feed the link carries, and what would help, where the mill stands waiting for lines."""
-    if verdict.starved_s < _STARVED_SHARE * verdict.time_s:
+    if verdict.starved_s < STARVED_SHARE * verdict.time_s:
         return
     carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
     yield (
