@@ -49,7 +49,7 @@ class ProgramWriter(Writer):
         return b"".join(
             [
                 self._blocks(post.tape, values),
-                *(post.remark(remark) for remark in (*remarks, zero, _beginning(setup, safe_z_mm)) if remark),
+                *(post.remark(remark) for remark in (*remarks, zero, _word_beginning(setup, safe_z_mm)) if remark),
                 self._blocks((*post.start, self._way_up(setup)), begin),
                 *(piece for path in trace for piece in self.write(path)),
                 self._blocks(post.spin, begin),
@@ -132,7 +132,7 @@ class ProgramWriter(Writer):
         return self.post.feed + number(units / scale, self.post.least_decimals if self.post.feed_decimals else 0)
 
 
-def _beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
+def _word_beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
     """Return in words where the tool may stand when the program begins."""
     if setup.top_z_mm is None:
         return f"start: with the tool over the block, or not above Z{safe_z_mm:g}, where it goes first"

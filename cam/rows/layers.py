@@ -247,7 +247,9 @@ def layer_paths(
         if not run.upward:
             points, feeds = points[::-1], feeds[::-1]
         if run.joined and before is not None:
-            yield cut(_link(field, surface, layer, before, run, sag), _link_feed(now, tips, before, run, pad, spec))
+            yield cut(
+                _link(field, surface, layer, before, run, sag), _choose_link_feed(now, tips, before, run, pad, spec)
+            )
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
@@ -263,7 +265,7 @@ def layer_paths(
         yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
 
 
-def _link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
+def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
     """Return the feed of the way from one run to the next, where a wall may stand beside a slot as deep as the stock
     about it.
     """

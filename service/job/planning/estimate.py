@@ -28,7 +28,7 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
-from service.errors import InputError, PictureError, SpecError
+from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
@@ -45,7 +45,14 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings, with_branch
+from service.job.spec.lens_task import (
+    branch_of,
+    explain_blocked_light,
+    finish_of,
+    lens_settings,
+    require_contrast,
+    with_branch,
+)
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
@@ -157,9 +164,8 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
             continue
         width_mm, height_mm = spec.optics.screen_size_mm
         picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
-        if picture.is_one_tone:
-            raise PictureError(f"{name}: the picture is one tone all over: the lens would be flat")
         found.append(aim_at_picture(spec, picture.linear).target)
+        require_contrast(spec, found[-1])
     return found, image.size
 
 

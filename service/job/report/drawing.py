@@ -45,7 +45,7 @@ class SetUp:
         return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
 
     @property
-    def is_clamped(self) -> bool:
+    def has_room_for_clamps(self) -> bool:
         """Whether clamps find room on that ring."""
         return self.swept_mm is not None and self.ring_mm >= CLAMP_MM
 
@@ -83,7 +83,7 @@ def _hatch_for_clamps(job: SetUp, left: float, top: float, w: float, h: float) -
     """Hatch where clamps may stand, or say that they may not; what cutters sweep is drawn over it."""
     if job.swept_mm is None:
         return []
-    if not job.is_clamped:
+    if not job.has_room_for_clamps:
         return [_text(left + w + 6, top + h / 2, "no clamp on top", colour=_ACCENT)]
     pattern = (
         '<defs><pattern id="clamps" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'

@@ -37,7 +37,7 @@ def plan_holding(
     faced      : the whole top is milled, from beside the block
     """
     under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
-    clamped = job is not None and job.is_clamped
+    clamped = job is not None and job.has_room_for_clamps
     clearance_mm = max(CLEARANCE_MM, under_rapids_mm) if clamped else CLEARANCE_MM
     highest_mm = min(clearance_mm, under_rapids_mm)
     sentences: tuple[str, ...]
@@ -55,7 +55,7 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
 
 
 def _word_holding(job: SetUp, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool) -> Iterator[str]:
-    if job.is_clamped:
+    if job.has_room_for_clamps:
         yield (
             f"Around it a ring {number(job.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "
             f"else (hatched in the drawing), outside the dashed line and at most {number(highest_mm)} mm high. For "

@@ -16,7 +16,7 @@ from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
 from optics.light import Light
 from optics.settings import LensSettings
-from service.errors import InputError
+from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.light import LIGHT_WORDS
 from service.job.spec.model import JobSpec
@@ -124,7 +124,7 @@ def explain_blocked_light(spec: JobSpec) -> str | None:
 
 
 def require_contrast(spec: JobSpec, target: Array) -> None:
-    """Raise InputError where light is even without a lens, and shall be: for a target (ny, nx) of one tone.
+    """Raise PictureError where light is even without a lens, and shall be: for a target (ny, nx) of one tone.
 
     An even screen of another size or place, or from a lamp, is a task for a lens.
     """
@@ -133,7 +133,7 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
     unshifted = optics.screen_shift_x_mm == 0 == optics.screen_shift_y_mm
     same_size = optics.screen_size_mm == (optics.width_mm, optics.height_mm)
     if straight and unshifted and same_size and np.ptp(target) <= _ONE_TONE * target.max():
-        raise InputError(
+        raise PictureError(
             "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
             "with contrast, or one tone on a screen of another size"
         )

@@ -85,7 +85,7 @@ def require_up_first(parked_mm: Triple, places: list[Triple], first_mm: tuple[fl
     pytest.fail("never over its first place")
 
 
-def shifted(place: Triple, by_mm: float) -> Triple:
+def shift(place: Triple, by_mm: float) -> Triple:
     return (place[0], place[1], place[2] + by_mm)
 
 
@@ -97,7 +97,7 @@ def test_a_program_first_goes_up_from_any_parked_position(dialect, parked, zero,
     if dialect.startswith(("roland", "rml")):
         origin = -TRAVEL_MM[2]
     top_mm = TRAVEL_MM[2] + origin
-    parked, zero = shifted(parked, origin), shifted(zero, origin)
+    parked, zero = shift(parked, origin), shift(zero, origin)
     setup, trace = ProgramSetup(top_z_mm=top_mm), TRACE if traced else ()
     places = run(dialect, program(dialect, setup, trace), parked, zero)
     x, y, _ = (trace or WAY)[0].points_mm[0]
@@ -111,7 +111,7 @@ def test_a_program_first_goes_up_from_any_parked_position(dialect, parked, zero,
 @given(parked=PARKED, zero=ZERO, traced=st.booleans())
 def test_without_a_known_top_it_goes_up_from_below_the_safe_height(dialect, parked, zero, traced):
     """From above that, `machines.mill` starts it over the block alone."""
-    parked, zero = shifted(parked, -TRAVEL_MM[2]), shifted(zero, -TRAVEL_MM[2])
+    parked, zero = shift(parked, -TRAVEL_MM[2]), shift(zero, -TRAVEL_MM[2])
     parked = (parked[0], parked[1], min(parked[2], zero[2] + SAFE_Z))
     trace = TRACE if traced else ()
     places = run(dialect, program(dialect, ProgramSetup(), trace), parked, zero)
