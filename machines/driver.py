@@ -224,6 +224,16 @@ class Reset:
     """Soft reset. Refused while the mill moves: hold first."""
 
 
+# What a person may ask for; lowest and highest.
+JOG_MM = (-5000.0, 5000.0)
+JOG_FEED = (1.0, 20_000.0)  # [mm/min]
+PROBE_DEPTH_MM = (0.001, 200.0)
+PROBE_FEED = (1.0, 1000.0)  # [mm/min]
+PLATE_MM = (-100.0, 100.0)
+RETRACT_MM = (0.0, 100.0)
+ZERO_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
+
+
 @dataclass(frozen=True, slots=True)
 class Jog:
     """Move by `by_mm` (or to work coordinates, `to_mm`, None = stay) at a feed; ended by JogCancel or arrival."""

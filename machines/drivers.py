@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from machines.driver import Driver
 from machines.errors import MachineError, NotAllowedError
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 
 
 def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
@@ -36,7 +36,7 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
 
 def _open_grbl(profile: MachineProfile, url: str) -> Driver:
     from machines.grbl.driver import GrblDriver
-    from machines.grbl.link import GrblOptions
+    from machines.grbl.options import GrblOptions
     from machines.port import open_port
 
     options = GrblOptions(rx_bytes=profile.link.rx_bytes, dialect=profile.dialect)

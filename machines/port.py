@@ -22,7 +22,7 @@ import serial
 from serial.tools import list_ports
 
 from machines.errors import PortError, PortLostError
-from machines.profiles import LinkSettings
+from machines.profile import LinkSettings
 
 BY_ID = Path("/dev/serial/by-id")
 READ_BYTES = 4096

@@ -19,9 +19,9 @@ from optics.advice import Advice
 from optics.bench import Bench, Branch
 from optics.errors import OpticsError
 from optics.outline import share_notched
-from optics.path.grid_levels import box_averaged
 from optics.spline import Array
-from optics.transport import solve_transport
+from optics.transport.grid_levels import box_averaged
+from optics.transport.solver import solve_transport
 
 DARK = 0.02  # of the brightest pixel: below is black
 _LEAK_WORTH_A_WORD = 0.01

@@ -22,7 +22,7 @@ from optics.metrics import CausticScore, score_caustic
 from optics.polish import DESIGN_BEAMS
 from optics.settings import LensSettings
 from optics.spline import Array
-from optics.transport import OpticalPath, solve_transport
+from optics.transport.solver import OpticalPath, solve_transport
 
 _CLOSING_PER_BALL = 1.25  # wider than the ball, for what a closing lets through; 1 or 1.5 score less after the fit
 _CLOSING_UNDER_FINISH = 0.6  # which rounds the rest; k0 2.7 rad/mm, ball 1.5 mm: 28.9 dB, 1.25: 28.4, none: 27.9

@@ -14,7 +14,7 @@ from optics.heightfield import Heightfield
 from optics.polish import PolishRecord, polish_lens
 from optics.settings import LensSettings
 from optics.spline import Array
-from optics.transport import TOLERANCE, OpticalPath
+from optics.transport.solver import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from docs import site
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.cli.main import run
 from service.job.spec.loading import resolve_spec
 

@@ -20,7 +20,7 @@ from machines.errors import NotAllowedError, ProgramRefusedError
 
 if TYPE_CHECKING:
     from machines.port import Port
-    from machines.profiles import LinkSettings
+    from machines.profile import LinkSettings
 
 DC1, DC3 = 0x11, 0x13
 BYTES_AFTER_STOP = 16

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from machines.driver import Command, DriverFacts, Event, FaultCause, Faulted, MillStatus, ProgramLine, StreamProgress
 from machines.errors import MachineError, NotAControllerError, PortError
-from machines.grbl.link import GrblOptions
+from machines.grbl.options import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.settings import ControllerSettings
 from machines.port import Port

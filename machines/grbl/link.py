@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from machines.driver import Event, FaultCause, Faulted, Restarted, Stopped
+from machines.grbl.options import GrblOptions
 from machines.grbl.replies import Empty, Reply
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
@@ -19,20 +20,6 @@ SILENT = (
     "answer either: look at the mill; where it stands, send a reset"
 )
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GrblOptions:
-    """poll_s, run_poll_s: between status requests, and while a program runs; rx_bytes: receive buffer, None = ask $I;
-    corridor_mm: how far a reported position may be off the programmed path, on top of rounding, steps and arc chords
-    ($12); identify_s: until a port on which nothing like a controller answers is given up."""
-
-    poll_s: float = 0.2
-    run_poll_s: float = 0.1
-    rx_bytes: int | None = None
-    corridor_mm: float = 0.010
-    identify_s: float = 6.0
-    dialect: str = "grbl"
 
 
 class Greeting:

@@ -33,14 +33,15 @@ from machines.grbl import replies
 from machines.grbl.commands import CommandChannel
 from machines.grbl.flow_control import Pacer
 from machines.grbl.handshake import Handshake
-from machines.grbl.link import GrblLink, GrblOptions
-from machines.grbl.monitoring import StreamMonitor
+from machines.grbl.link import GrblLink
+from machines.grbl.options import GrblOptions
 from machines.grbl.overrides import OverrideControl
 from machines.grbl.permits import check_command, check_start
 from machines.grbl.resetting import ResetControl
 from machines.grbl.states import Phase
 from machines.grbl.status import StatusReporter
 from machines.grbl.stopping import StopControl
+from machines.grbl.stream_monitor import StreamMonitor
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import OFFER_S
 from machines.grbl.transmitting import Transmitter

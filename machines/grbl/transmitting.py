@@ -9,10 +9,10 @@ from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.commands import CommandChannel
 from machines.grbl.flow_control import Pacer
 from machines.grbl.link import GrblLink
-from machines.grbl.monitoring import StreamMonitor
 from machines.grbl.resetting import BUSY_S, ResetControl
 from machines.grbl.states import Phase
 from machines.grbl.stopping import StopControl
+from machines.grbl.stream_monitor import StreamMonitor
 from machines.grbl.streaming import Stream, Streamer
 
 HAIL_S = 0.25  # between status requests while nobody has answered

@@ -30,7 +30,7 @@ from machines.mill.starting import RecoveryPlanner, RunStarter
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPublisher
 from machines.preflight.preflight import Preflight
-from machines.recovery.plan import RecoveryPlan, Reentry
+from machines.recovery.plan_model import RecoveryPlan, Reentry
 from machines.runs import Confirmation, RunView
 
 T = TypeVar("T")

@@ -31,8 +31,8 @@ from machines.mill.start_checks import (
 from machines.mill.unattended import STILL_S, UnattendedRuns
 from machines.mill.view import MillContext
 from machines.preflight.limits import top_of_travel_mm
-from machines.recovery.plan import Present, RecoveryPlan, Reentry
-from machines.recovery.planning import plan_recovery
+from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
+from machines.recovery.planner import plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 
 

@@ -16,8 +16,8 @@ from machines.mill.link import get_settings
 from machines.mill.run import OWNER_LOST, Run
 from machines.mill.view import MillContext
 from machines.recovery.needs import position_doubt
-from machines.recovery.plan import Present
-from machines.recovery.planning import GRBL_DIALECTS
+from machines.recovery.plan_model import Present
+from machines.recovery.planner import GRBL_DIALECTS
 from machines.recovery.standing import LINES_AFTER_LAST_MARK, count_executed_at_rest, tolerance_at_rest_mm
 
 STILL_S = 0.5  # two status reports at the same place

@@ -9,7 +9,7 @@ from typing import Any
 from machines.driver import Triple
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 
 AT_PRESENT_ZERO = "at the present work zero"
 """So begins a warning that holds until the work zero is set again."""

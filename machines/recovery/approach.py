@@ -11,7 +11,7 @@ from machines.gcode.modal import ModalState
 from machines.preflight.limits import work_zero_mm
 from machines.preflight.preflight import Preflight
 from machines.recovery.entry import EntryPoint
-from machines.recovery.plan import Present, Reentry
+from machines.recovery.plan_model import Present, Reentry
 
 
 def height_mm(present: Present, wcs: str) -> float | None:

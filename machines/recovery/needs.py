@@ -8,7 +8,7 @@ from typing import Any
 from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
 from machines.recovery.entry import EntryPoint
-from machines.recovery.plan import Need, Present
+from machines.recovery.plan_model import Need, Present
 
 _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals

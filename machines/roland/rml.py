@@ -17,7 +17,7 @@ from machines.errors import ProgramRefusedError
 from machines.gcode.modal import UNKNOWN, Position
 from machines.gcode.step import Step
 from machines.gcode.words import shown, strip_ends
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, NO_HEIGHT, UNIT_MM, Command, RmlFault, parse, spindle_rpm
 
 _ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)

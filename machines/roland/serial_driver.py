@@ -18,7 +18,7 @@ from machines.errors import ProgramRefusedError
 
 if TYPE_CHECKING:
     from machines.port import Port
-    from machines.profiles import LinkSettings
+    from machines.profile import LinkSettings
 
 ESC_FREE, ESC_ERROR, ESC_ABORT = b"\x1b.B", b"\x1b.E", b"\x1b.K"
 ERRORS = {

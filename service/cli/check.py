@@ -12,7 +12,7 @@ from cam.around.specs import CutOut, Facing
 from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
 from service.job import files as job_files

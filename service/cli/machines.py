@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from machines.profiles import (
+from machines.profile import (
     MachineProfile,
     ProfileError,
     UnknownProfileError,

@@ -153,7 +153,7 @@ def machines(
 def _translate_errors() -> Iterator[None]:
     """Translate errors of the machine layer into errors of the service: what the person gave, or what failed."""
     from machines.errors import JournalError, MachineError, PortLostError
-    from machines.profiles import UnknownProfileError
+    from machines.profile import UnknownProfileError
 
     try:
         yield

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from machines.profiles import user_folders
+from machines.profile import user_folders
 from service.errors import InputError, printable, sentence_of_os_error
 
 DEFAULT_URL = "http://127.0.0.1:8000"

@@ -18,6 +18,7 @@ EVENT_HEADERS = {
 }
 FIRST = b"retry: 1000\n\n"
 PING = b": still here\n\n"
+HEARTBEAT_S = 15.0  # that a stream is silent at most; page/lib/sse.js gives one up after three
 _SEND_WAIT_S = 20.0
 
 

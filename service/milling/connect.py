@@ -8,7 +8,7 @@ from machines.errors import ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
 from machines.port import stable_name
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile, load_profile
+from machines.profile import MachineProfile, load_profile
 from service.errors import InputError
 
 _FIND_THEMSELVES = ("roland-usb", "none")  # "none" says itself that it cannot be driven

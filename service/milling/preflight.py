@@ -23,7 +23,7 @@ from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placement_problems
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
 from service.processes.python_path import python_path

@@ -23,7 +23,7 @@ from cam.passes import PAPER_PASSES, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield

@@ -23,7 +23,7 @@ from cam.posts.dialects import POSTS
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule
 from cam.surface.tool_surface import ToolSurface
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.design import design_lens
 from optics.foreseen import sharpen
 from optics.heightfield import Heightfield

@@ -17,7 +17,7 @@ from optics.errors import TotalReflectionError
 from optics.irradiance import target_irradiance
 from optics.metrics import score_caustic
 from optics.settings import LensSettings
-from optics.transport import solve_transport
+from optics.transport.solver import solve_transport
 from tests.benchmarks.hard_pictures import Hard, hard_pictures
 from tests.benchmarks.timing import Figure
 

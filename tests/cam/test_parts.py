@@ -22,7 +22,7 @@ from cam.reading.gcode import LANGUAGES, read_program
 from cam.rows.entries import CLEARANCE_MM
 from cam.surface.stock_grid import StockGrid
 from machines.preflight.limits import limits_of
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.milling.preflight_child import examine
 
 SAFE_Z = 5.0

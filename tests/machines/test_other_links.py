@@ -16,7 +16,7 @@ from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.preflight.preflight import Preflight
-from machines.profiles import LinkSettings, MachineProfile, load_profile
+from machines.profile import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
 from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver

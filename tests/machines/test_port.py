@@ -18,7 +18,7 @@ from machines.driver import MillState, ProgramDone, ProgramLine
 from machines.errors import PortError, PortLostError
 from machines.grbl.driver import GrblDriver
 from machines.port import SerialPort, open_port, stable_name
-from machines.profiles import LinkSettings
+from machines.profile import LinkSettings
 from tests.waiting import PATIENCE_S
 
 LINK = LinkSettings()

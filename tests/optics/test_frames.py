@@ -17,8 +17,8 @@ from optics.light import Light
 from optics.map_inversion import screen_positions
 from optics.metrics import score_caustic
 from optics.outline import is_inside
-from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
-from optics.transport import OpticalPath, solve_transport
+from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
+from optics.transport.solver import OpticalPath, solve_transport
 
 PIXELS = 48
 GAUSS = np.exp(-1.5 * (np.linspace(-1, 1, 21)[:, None] ** 2 + np.linspace(-1, 1, 21)[None, :] ** 2))

@@ -7,8 +7,8 @@ import pytest
 
 from optics.bench import Bench
 from optics.irradiance import target_irradiance
-from optics.path.optical_path import Preimages
-from optics.transport import solve_transport
+from optics.transport.optical_path import Preimages
+from optics.transport.solver import solve_transport
 from tests.benchmarks.hard_pictures import KINDS, hard_pictures
 from tests.benchmarks.targets import MOST_TURNED, ending
 

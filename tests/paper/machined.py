@@ -17,7 +17,7 @@ from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import MoveBatch, read_program
 from cam.surface.stock_grid import StockGrid
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from optics.heightfield import Heightfield
 from service.job.spec.kinematics import kinematics_of
 from tests.paper.cases import SIDE_MM, by_transport

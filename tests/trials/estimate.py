@@ -9,7 +9,7 @@ from pathlib import Path
 from machines.driver import Faulted, MillState, ProgramDone
 from machines.gcode.program import ProgramReader
 from machines.grbl.driver import GrblDriver
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from machines.simulated import GRBL_11, MemoryPort, Recording, SimulatedMill
 from service.job import pipeline
 from service.job.spec.loading import resolve_job

@@ -14,7 +14,7 @@ from machines.grbl.driver import GrblDriver
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.preflight.preflight import Preflight
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
 from service.milling.preflight import run_preflight

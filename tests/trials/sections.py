@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from machines.gcode.program import ProgramReader
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.milling.preflight import run_preflight
 from tests.benchmarks.timing import Figure
 from tests.service.server.fleet.test_order_laws import run_histories

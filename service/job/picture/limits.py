@@ -15,7 +15,7 @@ class PictureLimits:
     formats : Pillow's names; empty: all that need no other program
     """
 
-    max_pixels: int = 40_000_000
+    max_pixels: int
     formats: tuple[str, ...] = UPLOAD_FORMATS
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
-from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
+from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolve import without_derived
 from service.job.spec.resolved import ResolvedJob

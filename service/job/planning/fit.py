@@ -12,7 +12,7 @@ from pathlib import Path
 from cam.checking.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError, SpecError
 from service.job.planning.lens_facts import LensFacts

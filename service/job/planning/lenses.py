@@ -27,7 +27,7 @@ from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.threads import thread_count
-from optics.transport import OpticalPath, solve_transport
+from optics.transport.solver import OpticalPath, solve_transport
 from service.job.picture.resampling import resize
 from service.job.planning.finished_light import Design
 from service.job.planning.predicted_light import PictureLight, Valleys

@@ -8,7 +8,7 @@ from typing import Any
 
 from cam.planning.planner import Candidate, Goal, Plan
 from cam.tools import Tool
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.heightfield import Array
 from optics.metrics import CausticScore
 from service.job.planning.finish_choice import Finishing

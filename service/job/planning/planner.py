@@ -11,7 +11,7 @@ from cam.materials import MATERIALS
 from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.heightfield import Array, Heightfield
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (

@@ -5,52 +5,15 @@ Only numbers go into them, so they are safe to place in the page as they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 from markupsafe import Markup
 
-CLAMP_MM = 8.0  # that a clamp needs to stand on
+from service.job.report.holding import BlockSizes
+
 _ROOM_FOR_WORDS = 110.0
 _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetUp:
-    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
-
-    outline_mm : corners of a lens that is no rectangle
-    swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
-    """
-
-    width_mm: float
-    height_mm: float
-    thickness_mm: float
-    margin_mm: float
-    throw_mm: float
-    deepest_mm: float | None = None
-    is_mirror: bool = False
-    lamp_mm: float | None = None
-    outline_mm: Sequence[Sequence[float]] = ()
-    swept_mm: tuple[float, float, float, float] | None = None
-
-    @property
-    def ring_mm(self) -> float:
-        """Width of the block's top that no cutter touches, at its narrowest; None of it: below 0."""
-        return self.margin_mm if self.swept_mm is None else self.ring_beside_mm(self.swept_mm)
-
-    def ring_beside_mm(self, swept_mm: tuple[float, float, float, float]) -> float:
-        """Return the same beside what only some programs go over."""
-        left, right, front, back = swept_mm
-        return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
-
-    @property
-    def has_room_for_clamps(self) -> bool:
-        """Whether clamps find room on that ring."""
-        return self.swept_mm is not None and self.ring_mm >= CLAMP_MM
-
-
-def top_view(job: SetUp) -> Markup:
+def top_view(job: BlockSizes) -> Markup:
     """Draw the block as the operator sees it from above, the front of the mill at the bottom."""
     block_w, block_h = job.width_mm + 2 * job.margin_mm, job.height_mm + 2 * job.margin_mm
     scale = 230.0 / max(block_w, block_h)
@@ -79,7 +42,7 @@ def top_view(job: SetUp) -> Markup:
     return _svg(left + 340, top + h + 58, "The block from above", parts)
 
 
-def _hatch_for_clamps(job: SetUp, left: float, top: float, w: float, h: float) -> list[str]:
+def _hatch_for_clamps(job: BlockSizes, left: float, top: float, w: float, h: float) -> list[str]:
     """Hatch where clamps may stand, or say that they may not; what cutters sweep is drawn over it."""
     if job.swept_mm is None:
         return []
@@ -93,7 +56,7 @@ def _hatch_for_clamps(job: SetUp, left: float, top: float, w: float, h: float) -
     return [pattern, hatched, _text(left + w + 6, top + h / 2, "clamps: hatched")]
 
 
-def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
+def _swept(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw what the cutter's flanks go over, where a ring is left around it."""
     if job.swept_mm is None or job.ring_mm <= 0:
         return []
@@ -103,7 +66,7 @@ def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
     return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
 
 
-def _lens(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
+def _lens(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw the aperture, and in it the outline of a lens that is no rectangle."""
     w, h = scale * job.width_mm, scale * job.height_mm
     if not job.outline_mm:
@@ -116,7 +79,7 @@ def _lens(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
     ]
 
 
-def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
+def _lens_size(job: BlockSizes, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
     """Return the lens's size: in its middle where that is clear of the axes, else beside the block."""
     words = f"{job.width_mm:g} × {job.height_mm:g} mm"
     if min(w, h) - 2 * m > _ROOM_FOR_WORDS:
@@ -126,7 +89,7 @@ def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float
     return _text(x, y - 18, "lens", anchor=anchor), _text(x, y - 3, words, anchor=anchor)
 
 
-def side_view(job: SetUp) -> Markup:
+def side_view(job: BlockSizes) -> Markup:
     """Draw light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
     left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
     deepest = job.deepest_mm or 0.0
@@ -158,7 +121,7 @@ def side_view(job: SetUp) -> Markup:
     return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
 
 
-def _draw_light(job: SetUp, left: float, width: float, zero: float, back: float) -> list[str]:
+def _draw_light(job: BlockSizes, left: float, width: float, zero: float, back: float) -> list[str]:
     """Draw arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
     middle = left + width / 2
     spread = 1.0 if job.lamp_mm is None else 0.35

@@ -5,12 +5,47 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from service.job.report.drawing import CLAMP_MM, SetUp
 from service.wording import number
 
+CLAMP_MM = 8.0  # that a clamp needs to stand on
 CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
 _UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
 _JAWS_MM = 5.0  # of the block that a vice needs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockSizes:
+    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
+
+    outline_mm : corners of a lens that is no rectangle
+    swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
+    """
+
+    width_mm: float
+    height_mm: float
+    thickness_mm: float
+    margin_mm: float
+    throw_mm: float
+    deepest_mm: float | None = None
+    is_mirror: bool = False
+    lamp_mm: float | None = None
+    outline_mm: Sequence[Sequence[float]] = ()
+    swept_mm: tuple[float, float, float, float] | None = None
+
+    @property
+    def ring_mm(self) -> float:
+        """Width of the block's top that no cutter touches, at its narrowest; None of it: below 0."""
+        return self.margin_mm if self.swept_mm is None else self.ring_beside_mm(self.swept_mm)
+
+    def ring_beside_mm(self, swept_mm: tuple[float, float, float, float]) -> float:
+        """Return the same beside what only some programs go over."""
+        left, right, front, back = swept_mm
+        return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
+
+    @property
+    def has_room_for_clamps(self) -> bool:
+        """Whether clamps find room on that ring."""
+        return self.swept_mm is not None and self.ring_mm >= CLAMP_MM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +63,7 @@ class Holding:
 
 
 def plan_holding(
-    job: SetUp | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
+    job: BlockSizes | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
 ) -> Holding:
     """Plan it from the ring that programs leave.
 
@@ -54,7 +89,9 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
     return f"the cutters sweep X {left} to {right}, Y {front} to {back} mm, flanks included (dashed in the drawing)."
 
 
-def _word_holding(job: SetUp, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool) -> Iterator[str]:
+def _word_holding(
+    job: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
+) -> Iterator[str]:
     if job.has_room_for_clamps:
         yield (
             f"Around it a ring {number(job.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "

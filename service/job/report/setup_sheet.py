@@ -19,9 +19,9 @@ from service.job.files import CUT_OUT, FACE
 from service.job.finite_json import table
 from service.job.report.around import around_sentences, explain_zero_before_facing
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import SetUp, side_view, top_view
+from service.job.report.drawing import side_view, top_view
 from service.job.report.finishing import make_finishing_card
-from service.job.report.holding import plan_holding
+from service.job.report.holding import BlockSizes, plan_holding
 from service.job.report.milled import sentences_as_milled
 from service.job.report.optics import (
     lens_rows,
@@ -58,7 +58,7 @@ def render_report(
     spec = spec or {}
     programs = _programs(report, spec)
     passes = [row for row in programs if not row["is_around"]]
-    job = _set_up(report, spec, programs)
+    job = _block_of(report, spec, programs)
     highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
     rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
     holding = plan_holding(job, _lows(programs, job), rapid_z_mm, faced=bool(table(spec.get("stock")).get("face")))
@@ -126,18 +126,20 @@ def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
 
 
-def _lows(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> list[tuple[float, float]]:
+def _lows(programs: Sequence[Mapping[str, Any]], job: BlockSizes | None) -> list[tuple[float, float]]:
     """Return (ring that it leaves around the block, lowest Z) of each program [mm]."""
     swept = [(one, _z_bounds(row)[0]) for row in programs if (one := _swept([row])) and _z_bounds(row)]
     return [] if job is None else [(job.ring_beside_mm(one), low_mm) for one, low_mm in swept]
 
 
-def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
+def _block_of(
+    report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]
+) -> BlockSizes | None:
     """Return the sizes to draw; None where the spec does not give them."""
     optics, stock = table(spec.get("optics")), table(spec.get("stock"))
     relief_mm = table(report.get("optics")).get("relief_mm")
     try:
-        return SetUp(
+        return BlockSizes(
             width_mm=float(optics["width_mm"]),
             height_mm=float(optics["height_mm"]),
             throw_mm=float(optics["throw_mm"]),
@@ -268,7 +270,7 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]], clearance_mm: float) -> 
 
 
 def _throw(
-    job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
+    job: BlockSizes | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
 ) -> dict[str, Any] | None:
     """Return figures for the paragraph on the distance to the wall and the lamp."""
     if job is None:

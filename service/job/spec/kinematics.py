@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cam.duration import Kinematics
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 
 
 def kinematics_of(machine: MachineProfile) -> Kinematics:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.errors import SpecError, sentence_of_os_error
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.errors import SpecError
 from service.job.spec.loading import resolve_spec
 from service.job.spec.resolved import LoadProfile

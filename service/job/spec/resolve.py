@@ -11,7 +11,7 @@ from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, PassSpec, Stock
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from service.errors import SpecError
 from service.job.spec.around import CutOutSpec, FaceSpec
 from service.job.spec.finish import FinishSpec, resolve_finish

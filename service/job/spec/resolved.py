@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from cam.posts.dialects import find_unsupported
 from cam.posts.setup import Coolant, HighPrecision, ProgramSetup
 from cam.tools import Tool
-from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from service.errors import FailedError, SpecError
 from service.job.spec.finish import find_processes
 from service.job.spec.finish_library import Process

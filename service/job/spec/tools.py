@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from cam.tools import Tool
+from machines.profile import user_folders
 from machines.profile_values import BadValueError, Rule, Rules, number, whole
-from machines.profiles import user_folders
 from service.errors import InputError, sentence_of_os_error
 
 BUILT_IN = Path(__file__).with_name("tools.toml")

@@ -16,7 +16,7 @@ from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, read_parts
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.caustic import Caustic, simulate_caustic
 from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield

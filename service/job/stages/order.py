@@ -46,10 +46,10 @@ class StageOrder:
     image_sha256: str
     image_name: str
     scratch: str
+    limits: PictureLimits
     inputs: dict[str, FileRef] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)
-    limits: PictureLimits = field(default_factory=PictureLimits)
 
     def plain(self) -> dict[str, Any]:
         """Return JSON-able values."""

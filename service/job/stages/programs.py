@@ -20,7 +20,7 @@ from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
 from machines.preflight.rules import STARVED_SHARE
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError
 from service.job import arrays

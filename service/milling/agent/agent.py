@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from service.milling.agent.audit import AuditLog
 from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys

@@ -24,8 +24,8 @@ from machines.errors import PortError
 from machines.mill.mill import Mill
 from machines.mill.orders import Caller, Stop
 from machines.mill.thread import MillThread
-from machines.profiles import MachineProfile
-from machines.recovery.plan import Reentry
+from machines.profile import MachineProfile
+from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
 from service.errors import InputError, printable
 from service.http.uvicorn_protocol import HEADER_BYTES, ProblemProtocol, allow_open_files

@@ -12,6 +12,7 @@ from pathlib import Path
 from machines.port import stable_name
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.http.hosts import is_loopback, require_unread
+from service.http.streaming import HEARTBEAT_S
 from service.milling.agent.auth import TOKEN_FILE, make_token, read_token
 from service.processes.private import keep_private
 
@@ -36,7 +37,7 @@ class AgentSettings:
     token_file: Path
     max_program_bytes: int = 4 << 30
     ring_events: int = 1000
-    heartbeat_s: float = 15.0
+    heartbeat_s: float = HEARTBEAT_S
     subscribers: int = 32
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from machines.driver import DriverFacts, MillState, MillStatus
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from machines.runs import RunView
 from service.errors import printable
 from service.milling.terminal.screen import position_words

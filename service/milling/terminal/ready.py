@@ -16,7 +16,7 @@ from machines.grbl.link import SILENT
 from machines.mill.commands import command_words
 from machines.mill.thread import MillThread
 from machines.recovery.needs import needs_of_standing_mill
-from machines.recovery.plan import Need
+from machines.recovery.plan_model import Need
 from service.errors import FailedError, InputError
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from service.milling.terminal.orders import give_order

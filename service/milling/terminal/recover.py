@@ -7,7 +7,7 @@ from pathlib import Path
 
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
-from machines.recovery.plan import Need, RecoveryPlan
+from machines.recovery.plan_model import Need, RecoveryPlan
 from machines.runs import RECOVERABLE, RunView
 from service.errors import FailedError, InputError
 from service.milling.terminal.leaving import Buffers

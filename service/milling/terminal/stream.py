@@ -25,8 +25,8 @@ from machines.mill.mill import Mill
 from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile
-from machines.recovery.plan import Reentry
+from machines.profile import MachineProfile
+from machines.recovery.plan_model import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
 from service.milling.agent.settings import mill_folder, report_disk_errors

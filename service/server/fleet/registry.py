@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from machines.profiles import (
+from machines.profile import (
     MachineProfile,
     ProfileError,
     UnknownProfileError,

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from urllib.parse import quote
 
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
 from service.server.database.records import Job

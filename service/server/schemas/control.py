@@ -1,6 +1,6 @@
 """What the routes about pairing and control of a mill take and answer.
 
-The ranges are those of the mill's agent, which looks at everything again.
+The ranges are those of machines.driver, by which the mill's agent looks at everything again.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from machines.driver import JOG_FEED, JOG_MM, PLATE_MM, PROBE_DEPTH_MM, PROBE_FEED, RETRACT_MM
 from service.server.schemas.base import Body, Time
 from service.server.schemas.runs import Holder, Scopes
 
@@ -17,7 +18,14 @@ Person = Annotated[
     str,
     Field(min_length=1, max_length=60, pattern=_PERSON, description="who it is, for others to see", examples=["Ada"]),
 ]
-_Mm = Annotated[float, Field(ge=-5000, le=5000)]
+
+
+def _within(low_high: tuple[float, float], **more: Any) -> Any:
+    low, high = low_high
+    return Field(ge=low, le=high, **more)
+
+
+_Mm = Annotated[float, _within(JOG_MM)]
 
 
 class WhoamiView(Body):
@@ -71,16 +79,16 @@ class OrderView(Body):
 
 class JogBody(Body):
     by_mm: Annotated[list[_Mm], Field(min_length=3, max_length=3, examples=[[1.0, 0.0, 0.0]])]
-    feed_mm_per_min: Annotated[float, Field(ge=1, le=20000)] = 500.0
+    feed_mm_per_min: Annotated[float, _within(JOG_FEED)] = 500.0
 
 
 class ProbeBody(Body):
     """Down until it touches, work Z set there to the plate's thickness, up again."""
 
-    depth_mm: Annotated[float, Field(ge=0.001, le=200, examples=[20.0])]
-    feed_mm_per_min: Annotated[float, Field(ge=1, le=1000)] = 50.0
-    plate_mm: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    retract_mm: Annotated[float, Field(ge=0, le=100)] = 2.0
+    depth_mm: Annotated[float, _within(PROBE_DEPTH_MM, examples=[20.0])]
+    feed_mm_per_min: Annotated[float, _within(PROBE_FEED)] = 50.0
+    plate_mm: Annotated[float, _within(PLATE_MM)] = 0.0
+    retract_mm: Annotated[float, _within(RETRACT_MM)] = 2.0
 
 
 class ZeroBody(Body):

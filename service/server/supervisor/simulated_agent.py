@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from machines.errors import MachineError
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.errors import ServiceError
 from service.milling.agent.main import run_agent
 from service.milling.agent.settings import make_agent_settings

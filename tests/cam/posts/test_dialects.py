@@ -19,7 +19,7 @@ from cam.posts.setup import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.preflight.limits import limits_of
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from machines.roland.rml import check_rml
 from service.milling.preflight_child import examine
 

@@ -24,7 +24,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import NotAllowedError
-from machines.profiles import LinkSettings
+from machines.profile import LinkSettings
 from tests.machines.drip.simulated_control import SimulatedControl
 
 

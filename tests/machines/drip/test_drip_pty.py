@@ -11,7 +11,7 @@ import tty
 from machines.drip.driver import DripDriver
 from machines.driver import MillState, ProgramDone, ProgramLine
 from machines.port import open_port
-from machines.profiles import LinkSettings
+from machines.profile import LinkSettings
 from tests.waiting import PATIENCE_S
 
 LINK = LinkSettings(driver="drip", baud=38400, flow="none")

@@ -131,7 +131,7 @@ def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, tex
 def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
     from machines.preflight import rules
     from machines.preflight.limits import limits_of
-    from machines.profiles import load_profile
+    from machines.profile import load_profile
 
     limits = limits_of(load_profile("okuma-osp", ()))
     for text, told in ((OKUMA, True), (OKUMA.replace("G90", "N10 G90"), False)):

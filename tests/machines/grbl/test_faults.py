@@ -22,7 +22,7 @@ from machines.driver import (
 )
 from machines.errors import ProgramChangedError
 from machines.grbl.driver import GrblDriver
-from machines.grbl.link import GrblOptions
+from machines.grbl.options import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import BANNER_S, REPORT_SILENCE_S

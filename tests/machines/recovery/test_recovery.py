@@ -16,8 +16,8 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
-from machines.recovery.plan import Present, RecoveryPlan, Reentry
-from machines.recovery.planning import plan_recovery
+from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
+from machines.recovery.planner import plan_recovery
 
 HEAD = ["G21 G90 G94 G17 G54", "M3 S12000", "M8", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200"]
 RASTER = [

@@ -10,7 +10,7 @@ from machines.drip.driver import DripDriver
 from machines.driver import Driver
 from machines.drivers import open_driver
 from machines.errors import MachineError, NotAllowedError, PortError
-from machines.profiles import LinkSettings, MachineProfile, load_profile
+from machines.profile import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
 
 GRBL = load_profile("grbl", ())

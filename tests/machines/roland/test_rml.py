@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from machines.errors import ProgramRefusedError
-from machines.profiles import MachineProfile
+from machines.profile import MachineProfile
 from machines.roland.rml import RmlFacts, RmlInterpreter, check_rml
 from machines.roland.rml_commands import parse
 

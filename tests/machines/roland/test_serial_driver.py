@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machines.driver import Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine, Stopped
-from machines.profiles import LinkSettings
+from machines.profile import LinkSettings
 from machines.roland.serial_driver import OS_QUEUE_BYTES, RolandSerialDriver, RolandSerialOptions
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 

@@ -23,7 +23,7 @@ import pytest
 from machines.driver import Driver, Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine
 from machines.drivers import open_driver
 from machines.port import SerialPort
-from machines.profiles import LinkSettings, load_profile
+from machines.profile import LinkSettings, load_profile
 from tests.waiting import PATIENCE_S
 
 PROFILE = replace(

@@ -8,8 +8,8 @@ import pytest
 
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES
+from machines.profile import profile_names
 from machines.profile_values import DIALECTS
-from machines.profiles import profile_names
 from service.cli.machines import list_machines, run_machines
 from service.errors import InputError, SpecError
 from service.job.spec.loading import resolve_job

@@ -16,7 +16,7 @@ from machines.errors import ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.limits import limits_of, placement_problems
 from machines.preflight.preflight import Preflight
-from machines.profiles import MachineProfile, load_profile
+from machines.profile import MachineProfile, load_profile
 from service.milling import preflight as module
 from service.milling.preflight import PreflightError, run_preflight
 from service.milling.preflight_child import examine
@@ -34,7 +34,7 @@ STREAMER = """
 import json, sys
 from pathlib import Path
 from machines.gcode.program import ProgramReader
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.milling.preflight import run_preflight
 path, shares = Path(sys.argv[1]), []
 facts = run_preflight(path, load_profile("grbl", []), cache=Path(sys.argv[2]), on_progress=shares.append)

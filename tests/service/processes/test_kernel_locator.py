@@ -97,7 +97,7 @@ def test_words_and_code_beside_it_are_not(hash_after, name, old, new):
 def test_numba_keeps_a_kernel_under_that_name(tmp_path):
     code = (
         "import numpy as np\nfrom service.processes.kernel_cache import use_current_kernels\nuse_current_kernels()\n"
-        "from optics.path.anderson import _remember\n"
+        "from optics.transport.anderson import _remember\n"
         "a = np.zeros(2)\n_remember(0, 1, a, a, np.zeros((1, 2)), 0, True)\nprint(_remember.stats.cache_hits)\n"
     )
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "PATH": ""}
@@ -108,7 +108,7 @@ def test_numba_keeps_a_kernel_under_that_name(tmp_path):
 
     assert [hits(), hits()] == [0, 1]
     (folder,) = tmp_path.iterdir()
-    assert folder.name == f"optics.path.anderson._remember-{kernel_hash('optics.path.anderson', '_remember')}"
+    assert folder.name == f"optics.transport.anderson._remember-{kernel_hash('optics.transport.anderson', '_remember')}"
     # A type of an argument that stands elsewhere now: compiled anew, and found again afterwards.
     (index,) = folder.glob("*.nbi")
     with index.open("rb") as file:

@@ -9,6 +9,13 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from machines.driver import (
+    JOG_FEED,
+    JOG_MM,
+    PLATE_MM,
+    PROBE_DEPTH_MM,
+    PROBE_FEED,
+    RETRACT_MM,
+    ZERO_AXES,
     CheckMode,
     Command,
     Home,
@@ -30,8 +37,6 @@ from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
 from service.milling.agent.request_fields import Fields, read_fields
 
-_MOST_MM = 5000.0
-_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
 _RANGES = {"feed": (10, 200), "rapid": (25, 100), "spindle": (10, 200)}
 _STOPS = frozenset(Stop)
 
@@ -67,15 +72,17 @@ class ControlRoutes:
 
 
 def _jog(fields: Fields) -> Command:
-    return Jog(by_mm=fields.triple("by_mm", _MOST_MM), feed_mm_per_min=fields.number("feed_mm_per_min", 1, 20000, 500))
+    return Jog(
+        by_mm=fields.triple("by_mm", JOG_MM[1]), feed_mm_per_min=fields.number("feed_mm_per_min", *JOG_FEED, 500)
+    )
 
 
 def _probe(fields: Fields) -> Command:
     return ProbeZ(
-        depth_mm=fields.number("depth_mm", 0.001, 200),
-        feed_mm_per_min=fields.number("feed_mm_per_min", 1, 1000, 50),
-        plate_mm=fields.number("plate_mm", -100, 100, 0),
-        retract_mm=fields.number("retract_mm", 0, 100, 2),
+        depth_mm=fields.number("depth_mm", *PROBE_DEPTH_MM),
+        feed_mm_per_min=fields.number("feed_mm_per_min", *PROBE_FEED, 50),
+        plate_mm=fields.number("plate_mm", *PLATE_MM, 0),
+        retract_mm=fields.number("retract_mm", *RETRACT_MM, 2),
     )
 
 
@@ -106,7 +113,7 @@ _COMMANDS: dict[str, Callable[[Fields], Command]] = {
     "home": lambda fields: Home(),
     "jog": _jog,
     "probe": _probe,
-    "zero": lambda fields: SetZero(fields.text("axes", "XYZ", allowed=_AXES)),
+    "zero": lambda fields: SetZero(fields.text("axes", "XYZ", allowed=ZERO_AXES)),
     "trust-position": lambda fields: TrustPosition(),
     "override": _override,
     "check": lambda fields: CheckMode(fields.flag("on")),

@@ -8,7 +8,7 @@ import contextlib
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.http.streaming import PING, begin_events, send_piece, while_connected
+from service.http.streaming import HEARTBEAT_S, PING, begin_events, send_piece, while_connected
 from service.server.api.answers.event_feed import Feed, Follower
 from service.server.database.jobs import JobBook
 from service.server.database.records import UnknownJobError
@@ -19,7 +19,7 @@ _MOST_AT_ONCE = 64
 class EventStream(Response):
     """Sends what the feed hands to one follower."""
 
-    def __init__(self, feed: Feed, book: JobBook, job_id: str, after: int, *, heartbeat_s: float = 15.0) -> None:
+    def __init__(self, feed: Feed, book: JobBook, job_id: str, after: int, *, heartbeat_s: float = HEARTBEAT_S) -> None:
         super().__init__()
         self._feed = feed
         self._book = book

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Request, Response
 from fastapi import Path as InPath
 
-from machines.profiles import profile_names
+from machines.profile import profile_names
 from service.errors import PictureError
 from service.http.problems import Kind, Problem
 from service.job import files as job_files

@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 from fastapi import APIRouter, Request, Response
 
-from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
+from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from service.job.spec.minimal import reduce_spec
 from service.server.api.access.scopes import Reader
 from service.server.api.openapi import answers, example

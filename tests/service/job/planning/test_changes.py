@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.job.planning.changes import changes_of
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolved import ResolvedJob

@@ -14,7 +14,7 @@ from optics.design import design_lens
 from optics.irradiance import target_irradiance
 from service.errors import PictureError, SpecError
 from service.job.picture import decoding, reading
-from service.job.picture.limits import PictureLimits
+from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.reading import read_picture
 from service.job.planning import estimate as estimating
 from service.job.planning.estimate import PIXELS, coarse_spec, estimate
@@ -33,7 +33,7 @@ SMALL = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=30", "ima
 
 def estimated(spec: JobSpec, picture: str = "camera", *, exactly: bool = False) -> dict[str, Any]:
     path = PICTURES / f"{picture}.png"
-    return estimate(look_up(spec), path, limits=PictureLimits(), name=path.name, exactly=exactly)
+    return estimate(look_up(spec), path, limits=OWN_PICTURE, name=path.name, exactly=exactly)
 
 
 def small(*values: str, preset: str = "draft") -> JobSpec:
@@ -209,7 +209,7 @@ def test_a_picture_of_one_tone_is_refused(tmp_path: Path) -> None:
     """Its lens is flat: it was called recognisable, with details of atoms' size."""
     Image.new("L", (40, 40), 255).save(path := tmp_path / "white.png")
     with pytest.raises(PictureError, match="one tone"):
-        estimate(look_up(small()), path, limits=PictureLimits(), name="white.png")
+        estimate(look_up(small()), path, limits=OWN_PICTURE, name="white.png")
 
 
 @pytest.mark.parametrize("size", [(100, 100), (150, 50), (40, 110)])
@@ -228,7 +228,7 @@ def test_a_small_picture_stays_as_it_is() -> None:
 @pytest.mark.thorough
 def test_nothing_of_the_answer_depends_on_the_pictures_place(tmp_path: Path) -> None:
     twin: Callable[[Path], dict[str, Any]] = lambda path: estimate(  # noqa: E731
-        look_up(small()), path, limits=PictureLimits(), name="picture"
+        look_up(small()), path, limits=OWN_PICTURE, name="picture"
     )
     (tmp_path / "copy").write_bytes((PICTURES / "logo.png").read_bytes())
     assert twin(tmp_path / "copy") == twin(PICTURES / "logo.png")

@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 
 from cam.planning.pass_time import LensForm
 from cam.planning.planner import find_candidates
-from machines.profiles import profile_names
+from machines.profile import profile_names
 from optics.irradiance import target_irradiance
 from service.cli.main import run
 from service.errors import SpecError

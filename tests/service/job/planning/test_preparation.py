@@ -16,7 +16,7 @@ from optics.irradiance import target_irradiance
 from service.errors import SpecError
 from service.job import files as job_files
 from service.job.arrays import load_original, load_target
-from service.job.picture.limits import PictureLimits
+from service.job.picture.limits import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.preparation import (
     aim_at_picture,
@@ -127,7 +127,7 @@ def test_a_job_keeps_both_pictures_and_scores_against_both(tmp_path: Path) -> No
 def test_estimates_and_plans_aim_at_the_prepared_picture_too(tmp_path: Path) -> None:
     picture = save_picture(tmp_path / "blob.png")
     keys = ([], [DETAIL, "image.prepare_detail_mm=0.5"])
-    found = [estimate(look_up(tiny_spec(*own)), picture, limits=PictureLimits(), name="blob") for own in keys]
+    found = [estimate(look_up(tiny_spec(*own)), picture, limits=OWN_PICTURE, name="blob") for own in keys]
     assert found[0]["psnr_db"] != found[1]["psnr_db"]
     assert found[0]["relief_mm"] != found[1]["relief_mm"]
 

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import CLAMP_MM, SetUp, top_view
+from service.job.report.drawing import top_view
+from service.job.report.holding import CLAMP_MM, BlockSizes
 from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_spec
 from service.job.spec.outline import ellipse_mm
@@ -114,7 +115,7 @@ def test_higher_clamps_ask_for_tools_that_stick_out_farther():
 def test_the_top_view_draws_the_outline_inside_the_block(width_mm, height_mm, margin_mm):
     """To scale, and the right way up: seen from above with the front of the mill at the bottom."""
     corners = [(0, 0), (width_mm, 0), (0.5 * width_mm, height_mm)]
-    job = SetUp(
+    job = BlockSizes(
         width_mm=width_mm,
         height_mm=height_mm,
         thickness_mm=10,

@@ -11,8 +11,9 @@ from PIL import Image
 
 from optics.tolerance import BlurPoint, FocusPoint, TiltPoint, Tolerances
 from service.cli.summary import summary_lines
-from service.job.report.drawing import SetUp, side_view
+from service.job.report.drawing import side_view
 from service.job.report.figures.light import tolerances_png
+from service.job.report.holding import BlockSizes
 from service.job.report.optics import lens_rows, light_sentences, score_rows, screen_sentence, tolerance_sentences
 from service.job.report.setup_sheet import render_report
 from service.job.spec.lens_task import source_spread_mm
@@ -140,7 +141,7 @@ def test_the_page_shows_the_lens_s_own_tolerances_in_place_of_the_general_ones()
 @pytest.mark.parametrize("is_mirror", [False, True])
 @pytest.mark.parametrize("lamp_mm", [None, 500.0])
 def test_the_drawing_shows_where_light_comes_from(is_mirror: bool, lamp_mm: float | None) -> None:
-    job = SetUp(
+    job = BlockSizes(
         width_mm=100, height_mm=100, thickness_mm=40, margin_mm=5, throw_mm=200, is_mirror=is_mirror, lamp_mm=lamp_mm
     )
     drawing = str(side_view(job))

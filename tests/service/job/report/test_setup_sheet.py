@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.job.report.drawing import SetUp, side_view, top_view
+from service.job.report.drawing import side_view, top_view
+from service.job.report.holding import BlockSizes
 from service.job.report.setup_sheet import render_report
 from service.wording import duration, number, psnr_in_words, size, whole, word_misplaced
 
@@ -188,7 +189,7 @@ def test_words_for_numbers():
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.6, 0.9, 0.95])
 def test_the_labels_beside_the_side_view_stand_apart(share):
-    job = SetUp(width_mm=100, height_mm=100, thickness_mm=40, margin_mm=8, throw_mm=100, deepest_mm=40 * share)
+    job = BlockSizes(width_mm=100, height_mm=100, thickness_mm=40, margin_mm=8, throw_mm=100, deepest_mm=40 * share)
     drawing = str(side_view(job))
     lines = [
         float(re.search(rf'<text x="[\d.]+" y="([\d.]+)"[^>]*>{words}', drawing)[1])
@@ -200,7 +201,7 @@ def test_the_labels_beside_the_side_view_stand_apart(share):
 @pytest.mark.parametrize(("width_mm", "height_mm", "inside"), [(100, 100, True), (10, 10, False), (100, 20, False)])
 def test_the_size_of_a_small_lens_stands_beside_the_block(width_mm, height_mm, inside):
     """Inside it would lie over the axes."""
-    job = SetUp(width_mm=width_mm, height_mm=height_mm, thickness_mm=40, margin_mm=8, throw_mm=100)
+    job = BlockSizes(width_mm=width_mm, height_mm=height_mm, thickness_mm=40, margin_mm=8, throw_mm=100)
     anchor = re.search(rf'text-anchor="(\w+)"[^>]*>{width_mm} × {height_mm} mm', str(top_view(job)))[1]
     assert (anchor == "middle") is inside
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.errors import SpecError
 from service.job.spec import minimal as module
 from service.job.spec.loading import resolve_spec

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.profiles import profile_names
+from machines.profile import profile_names
 from service.errors import FailedError, SpecError
 from service.job.spec.finish import BEST, NONE
 from service.job.spec.finish_library import built_in_processes

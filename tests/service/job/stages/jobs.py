@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from service.job.picture.limits import OWN_PICTURE
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
@@ -65,6 +66,7 @@ class StagedJob:
             image_sha256=self.image_sha256,
             image_name=self.image_name,
             scratch=str(self.scratch / f"job.1.{stage}"),
+            limits=OWN_PICTURE,
             inputs=dict(self.outputs),
             report=self.report,
             notes=merge_notes(result.notes for result in self.results.values()),

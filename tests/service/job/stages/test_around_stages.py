@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cam.reading.gcode import read_program
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.errors import ServiceError, SpecError
 from service.job.files import is_program, program_order, programs_in_order
 from service.job.report.around import around_sentences

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from machines.profiles import load_profile, profile_names
+from machines.profile import load_profile, profile_names
 from service.server.api.routes.profiles import mills_by_profile
 from service.server.fleet.registry import KnownMachine
 from tests.service.server.api.server import ApiServer, png, problem, sha256

@@ -117,7 +117,7 @@ def test_the_content_says_what_it_is_and_not_the_name(checker: PictureChecker, t
 def test_what_passes_here_passes_in_the_image_stage(facts, tmp_path: Path) -> None:
     """One implementation decodes in both places: also an upright turn by EXIF, and a note too long to be kept."""
     from service.job.picture.decoding import decode_picture
-    from service.job.picture.limits import PictureLimits
+    from service.job.picture.limits import OWN_PICTURE
 
     exif = Image.Exif()
     exif[0x0112] = 6
@@ -125,7 +125,7 @@ def test_what_passes_here_passes_in_the_image_stage(facts, tmp_path: Path) -> No
     found = facts(data)
     assert (found.width, found.height) == (64, 32)
     (tmp_path / "again").write_bytes(data)
-    assert decode_picture(tmp_path / "again", PictureLimits(), "again").size == (32, 64)
+    assert decode_picture(tmp_path / "again", OWN_PICTURE, "again").size == (32, 64)
 
 
 # --- what cannot ---------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from machines.mill.orders import NOBODY, Caller, OrderGate, Permit, Stop
 from machines.mill.run import Run
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.memory_port import MemoryPort

@@ -18,7 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, Stop
 from machines.preflight.preflight import Preflight
-from machines.profiles import load_profile
+from machines.profile import load_profile
 from service.milling.preflight import run_preflight
 from tests.service.server.fleet.order_network import Weather
 from tests.service.server.fleet.order_people import ASK_S

@@ -19,7 +19,7 @@ from machines.recovery.approach import height_mm, travel_height_mm, unreadable, 
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
-from machines.recovery.plan import Present, RecoveryPlan, Reentry
+from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
 
 GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
 

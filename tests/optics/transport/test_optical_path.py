@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optics.bench import Bench
 from optics.light import Beam, Light, leave, meet, strength_on_face
-from optics.path.beam_path import heights_on_beam, trace_back
+from optics.transport.beam_path import heights_on_beam, trace_back
 
 WIDTH, THROW = 50.0, 120.0
 aside = st.floats(-0.2, 0.2)

@@ -22,12 +22,12 @@ from scipy.ndimage import gaussian_filter
 from optics.bench import Bench
 from optics.errors import NoSurfaceError
 from optics.map_inversion import screen_positions
-from optics.path.anderson import Anderson
-from optics.path.grid_levels import box_averaged, level_shapes, prolong
-from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
-from optics.path.total_reflection import move_far_away, refuse_wide_turns
-from optics.path.transport_level import Misses, TransportLevel
 from optics.spline import Array
+from optics.transport.anderson import Anderson
+from optics.transport.grid_levels import box_averaged, level_shapes, prolong
+from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
+from optics.transport.total_reflection import move_far_away, refuse_wide_turns
+from optics.transport.transport_level import Misses, TransportLevel
 from optics.transport_map import TransportMap
 
 TOLERANCE = 1e-3  # rms of det - g over the rms of g, at which a level is done

@@ -22,11 +22,11 @@ from optics.bench import Bench
 from optics.errors import NoSurfaceError
 from optics.light import Beam, meet
 from optics.outline import dim_outside, lower_outside, rim_curves
-from optics.path.beam_path import corner_points, face_areas, heights_on_beam, trace_back
-from optics.path.even_light import preimage_areas, preimages_of_corners, rim_slopes
-from optics.path.rims import Rims, corner_rays, solve_rims
 from optics.spline import Array, BicubicSpline
 from optics.threads import run_on_rows
+from optics.transport.beam_path import corner_points, face_areas, heights_on_beam, trace_back
+from optics.transport.even_light import preimage_areas, preimages_of_corners, rim_slopes
+from optics.transport.rims import Rims, corner_rays, solve_rims
 
 
 class Preimages:

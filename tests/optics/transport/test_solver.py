@@ -16,11 +16,11 @@ from optics.design import design_lens
 from optics.errors import TotalReflectionError
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
-from optics.path.even_light import rim_slopes
-from optics.path.grid_levels import box_averaged, level_shapes
 from optics.refraction import tangent_per_slope
 from optics.settings import LensSettings
-from optics.transport import solve_transport
+from optics.transport.even_light import rim_slopes
+from optics.transport.grid_levels import box_averaged, level_shapes
+from optics.transport.solver import solve_transport
 
 
 def on_screen(settings: LensSettings, screen_mm: tuple[float, float], **changes: float) -> LensSettings:

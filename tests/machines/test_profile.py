@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from machines.profile_values import DIALECTS, DRIVERS
-from machines.profiles import (
+from machines.profile import (
     LinkSettings,
     ProfileError,
     UnknownProfileError,
@@ -17,6 +16,7 @@ from machines.profiles import (
     profile_sources,
     user_folders,
 )
+from machines.profile_values import DIALECTS, DRIVERS
 
 
 @pytest.mark.parametrize("name", profile_names())

@@ -20,9 +20,9 @@ from numba import njit
 from scipy import fft
 
 from optics.bench import Bench
-from optics.path.optical_path import Preimages
 from optics.spline import Array
 from optics.threads import run_on_rows, thread_count
+from optics.transport.optical_path import Preimages
 
 _SINGLE_UP_TO = 1024  # pixels a side: rounding of long waves reaches the residual N^2 times as strong
 _EVENED = 1.0  # weight of 1 beside w; 0.3 and 3 take a few steps more, w alone (at least 0.1) three times as many

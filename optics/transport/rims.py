@@ -15,8 +15,8 @@ from numba import njit
 from optics.bench import Bench
 from optics.light import Beam, meet
 from optics.outline import RimCurves
-from optics.path.beam_path import heights_on_beam, trace_back
 from optics.spline import Array
+from optics.transport.beam_path import heights_on_beam, trace_back
 
 _NEWTON_STEPS = 40
 _CLOSE_ENOUGH_MM = 1e-10

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from optics.path import anderson
-from optics.path.anderson import Anderson
+from optics.transport import anderson
+from optics.transport.anderson import Anderson
 
 
 def iterates(matrix: np.ndarray, aim: np.ndarray, steps: int, depth: int) -> list[float]:
