@@ -28,6 +28,7 @@ export class MillLink {
     this.log = [];
     this.commands = 0; // that have ended, as the log tells
     this.away = "";
+    this.streamAway = ""; // a server that answers elsewhere may not tell of this mill yet
     this.gone = "";
     this.stopped = { count: 0, until: 0 }; // as our own last stop was answered, and how long the stream may be behind that
     this.urgentWords = "";
@@ -39,7 +40,7 @@ export class MillLink {
     this.unanswered = -1; // number of commands that had ended when an order was taken
     this.lease = new Lease(this);
     this.stops = new StopSocket();
-    const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : ""));
+    const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : this.streamAway));
     const stream = follow(`${this.path}/events`, {
       onEvent: (kind, data) => this.receive(kind, data),
       onState: (state, words) => this.setStreamState(state, words),
@@ -77,7 +78,8 @@ export class MillLink {
   setStreamState(state, words) {
     if (state === "ended") this.gone = words || "This machine is not known here.";
     if (state === "away") this.urgentLost = true;
-    this.setAway(state === "away" ? words : "");
+    this.streamAway = state === "away" ? words : "";
+    this.setAway(this.streamAway);
   }
 
   setAway(words) {

@@ -84,7 +84,8 @@ def test_the_limits_of_the_order_hold(job: StagedJob, tmp_path: Path) -> None:
     order = replace(job.order("image"), limits=PictureLimits(max_pixels=1000))
     assert refused(job, order, PictureError) == "blob.png: 48 x 40 pixels are 1920; allowed: at most 1000"
     Image.new("L", (20, 20), 9).save(tmp_path / "p.pcx")
-    assert "not a picture" in refused(job, with_picture(job, tmp_path / "p.pcx"), PictureError)
+    other = replace(with_picture(job, tmp_path / "p.pcx"), limits=order.limits)
+    assert "not a picture" in refused(job, other, PictureError)
 
 
 def test_a_file_that_the_store_has_lost_is_named(job: StagedJob) -> None:
