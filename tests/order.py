@@ -50,9 +50,9 @@ def _rank(path: str) -> int:
 
 
 def processes() -> int:
-    """Twice as many as there are processors: tests of servers and mills wait half of their time."""
+    """Three times as many as there are processors: tests of servers, mills and pages wait most of their time."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return 2 * processors
+    return 3 * processors
 
 
 class Scheduling(LoadFileScheduling):

@@ -48,7 +48,7 @@ def test_the_page_in_docs_has_its_pictures():
 
 @pytest.mark.thorough
 def test_make_paper_at_a_small_size(tmp_path):
-    small = {"--pixels": "32", "--steps-pixels": "32", "--remeshed-pixels": "32", "--milled-mm": "6"}
+    small = {"--pixels": "32", "--steps-pixels": "32", "--remeshed-pixels": "32", "--milled-mm": "4"}
     main([*(word for pair in small.items() for word in pair), "--output", str(tmp_path)])
     page = tmp_path / "paper.md"
     for picture in pictures_of(page):
