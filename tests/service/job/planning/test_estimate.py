@@ -75,7 +75,7 @@ def test_the_lens_is_of_the_branch_that_the_job_s_own_picture_suggests(
 @pytest.mark.thorough
 def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
     """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
-    values = ("image.pixels=256", "finish.process=best", "plan.hours=6", "machine.collet_mm=12")
+    values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
     spec = resolve_spec(preset="recommended", overrides=values)
     found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
