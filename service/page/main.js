@@ -6,6 +6,7 @@ import { askForKey, showWho } from "./lib/key.js";
 import { watchKeyEnd } from "./lib/key_end.js";
 import { shape } from "./lib/state.js";
 import { sentence } from "./lib/words.js";
+import { showMill } from "./machine/chip.js";
 
 /** [address, place in the navigation, how the view is loaded] */
 const ROUTES = [
@@ -129,6 +130,7 @@ function keepDropsHere() {
 api.onAway(showAway);
 api.setKeyDialog(askForKey);
 showWho(document.getElementById("who"));
+showMill(document.getElementById("mill"));
 watchKeyEnd(() => askForKey("machine:run"));
 keepDropsHere();
 addEventListener("hashchange", () => show());

@@ -235,7 +235,7 @@ def test_a_stop_goes_by_a_way_of_its_own(opened: Opened) -> None:
     until(lambda: (page.wait_for_timeout(500), len(way.stops()) == 2)[1], what="two stops")
     assert way.stops() == [f"{MILL} hold", f"{MILL} abort"]
     assert sent == [], "what is answered at once need not be said twice"
-    expect(page.locator(".arrived")).to_be_empty()
+    expect(page.locator(".stops .arrived")).to_be_empty()
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer:
     await_orders(page, sent)
     assert (way.stops(), sent[0][0]) == ([f"{MILL} hold"], "hold")
     page.wait_for_timeout(300)
-    expect(page.locator(".arrived")).to_be_empty()
+    expect(page.locator(".stops .arrived")).to_be_empty()
 
 
 @pytest.mark.thorough
@@ -291,7 +291,7 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     """And not over the next run, which is another one and well."""
     page, _ = watching(opened, {"taken": False, "detail": "no"}, errors=("status of 504",))
     record_orders(page, lambda route: route.fulfill(status=504, json={"detail": "no answer"}))
-    alarm = page.locator(".arrived")
+    alarm = page.locator(".stops .arrived")
     page.get_by_role("button", name="HOLD").click()
     expect(alarm).to_contain_text("HOLD did not arrive")
     told(page, "running", mill={"spindle_rpm": 17000})
@@ -325,7 +325,7 @@ def test_a_stop_while_the_server_is_away_is_no_alarm_over_a_run_that_is_back_and
     page.wait_for_timeout(100)
     assert "The server does not answer." in page.locator(".next").inner_text()
     page.get_by_role("button", name="HOLD").click()
-    alarm = page.locator(".arrived")
+    alarm = page.locator(".stops .arrived")
     expect(alarm).to_contain_text("HOLD did not arrive")
     told(page, "running")
     expect(page.locator(".machine-state")).to_have_text("running")

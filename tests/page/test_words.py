@@ -99,7 +99,7 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
     late = problem(504, detail="the agent is late", code="stop_uncertain", values={"order": "hold", "seconds": 3})
     page.route("**/control/hold", lambda route: route.fulfill(**late))
     page.get_by_role("button", name="HOLD").click()
-    expect(page.locator(".arrived")).to_have_text(
+    expect(page.locator(".stops .arrived")).to_have_text(
         "HOLD did not arrive. Use the stop button on the mill itself. "
         "(The computer beside the mill did not answer within 3 s.)"
     )

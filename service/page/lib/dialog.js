@@ -36,8 +36,17 @@ export function open({ title, body, actions = [], wide = false }) {
     );
     document.body.append(dialog);
     if (document.querySelector(".stops")) dialog.show();
+    else if (document.querySelector("#mill:not([hidden])")) showBeside(dialog);
     else dialog.showModal();
   });
+}
+
+/** As a modal one, but for the mill in the head of the page, which can be held meanwhile. */
+function showBeside(dialog) {
+  const rest = document.querySelectorAll(".skip, .bar > :not(#mill), #view");
+  for (const part of rest) part.inert = true;
+  dialog.addEventListener("close", () => rest.forEach((part) => (part.inert = false)));
+  dialog.show();
 }
 
 function button({ words, value, kind = "" }, close) {

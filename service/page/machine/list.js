@@ -1,68 +1,91 @@
-/** All mills that this server knows, each with what it does now. */
+/** All mills of the shop on one screen: what each does now, how far it is, and HOLD, which keeps its place. */
 
-import { api } from "../lib/api.js";
-import { h, replace, sheet } from "../lib/dom.js";
+import { h, replace, sheet, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
-import { percent } from "../lib/words.js";
-import { runStanding, standing } from "./words.js";
-
-const EVERY_MS = 3000;
+import { hours, percentUnderWay, sentence } from "../lib/words.js";
+import { isLive, mills } from "./mills.js";
+import { tell } from "./sentences.js";
+import { millWords, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
   app.title("Machines");
-  const place = h("div", { class: "stack" });
-  replace(root, h("h1", {}, "Machines"), place);
-  let shown = "";
-  let timer = 0;
-  let left = false;
+  const faults = h("div", { class: "stack" });
+  const list = h("ul", { class: "machine-list" });
+  const none = empty();
+  const cards = new Map(); // name -> {node, update(machine)}
 
-  const look = async () => {
-    const found = await api.get("/v1/machines");
-    const now = JSON.stringify(found.machines.map((one) => [one.name, standing(one), one.run, one.control, one.problem]));
-    if (now !== shown) replace(place, content(found));
-    shown = now;
-  };
-  const again = () => {
-    timer = setTimeout(async () => {
-      if (!document.hidden && !api.away) await look().catch(() => {});
-      if (!left) again();
-    }, EVERY_MS);
-  };
-  await look();
-  again();
-  return {
-    leave() {
-      left = true;
-      clearTimeout(timer);
-    },
-  };
+  function show() {
+    const { machines, problems } = mills.seen;
+    const words = problems.join("\n");
+    if (faults.dataset.words !== words) replace(faults, problems.map((one) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, one))));
+    faults.dataset.words = words;
+    faults.hidden = !words;
+    none.hidden = machines.length > 0;
+    list.hidden = machines.length === 0;
+    const gone = new Set(cards.keys());
+    for (const machine of machines) {
+      gone.delete(machine.name);
+      if (!cards.has(machine.name)) cards.set(machine.name, card(machine.name));
+      cards.get(machine.name).update(machine);
+    }
+    for (const name of gone) cards.delete(name);
+    const order = machines.map(({ name }) => cards.get(name).node);
+    if (order.some((node, k) => list.children[k] !== node) || list.children.length !== order.length) list.replaceChildren(...order);
+  }
+
+  await mills.look();
+  show();
+  replace(root, h("h1", {}, "Machines"), h("div", { class: "stack" }, faults, list, none));
+  return { leave: mills.watch(show) };
 }
 
-function content({ machines, problems }) {
-  const faults = problems.map((words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words)));
-  return machines.length ? [faults, h("ul", { class: "machine-list" }, machines.map(card))] : [faults, empty()];
-}
-
-function card(machine) {
-  const { kind, word, words } = standing(machine);
-  const run = machine.run;
-  return h(
+/** What a press is meant for stays in its place: the parts of a card are made once, and as high whatever they say. */
+function card(name) {
+  const state = h("p", { class: "state" });
+  const hold = h("button", { type: "button", class: "big hold", "aria-label": `HOLD ${name}`, onclick: () => mills.hold(name) }, "HOLD");
+  const alarm = h("p", { class: "arrived", role: "alert" });
+  const share = h("strong", {});
+  const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const words = h("p", { class: "words" });
+  const about = h("p", { class: "dim" });
+  const link = h("a", { href: `#/machines/${encodeURIComponent(name)}` }, name);
+  const node = h(
     "li",
     { class: "card" },
-    h("div", { class: "row spread" }, h("h2", {}, h("a", { href: `#/machines/${encodeURIComponent(machine.name)}` }, machine.name)), mark(kind, word)),
-    machine.simulated && h("p", {}, mark("warn", "Simulated: no real mill moves")),
-    h("p", { class: "dim" }, machine.profile?.description ?? ""),
-    words && h("p", {}, words),
-    run && h("p", {}, runWords(run, machine)),
-    machine.control && h("p", {}, `${machine.control.operator} has control.`),
+    h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), h("div", { class: "row" }, state, share)), hold),
+    alarm,
+    bar,
+    words,
+    about,
   );
+  let drawn = "";
+
+  function update(machine) {
+    const { kind, word } = standingInShop(machine);
+    if (`${kind} ${word}` !== drawn) replace(state, mark(kind, word));
+    drawn = `${kind} ${word}`;
+    const { simulated, control, profile, run } = machine;
+    const cut = run?.share > 0;
+    hold.style.visibility = isLive(machine) ? "visible" : "hidden";
+    write(alarm, mills.stopper(name).words);
+    write(share, cut ? percentUnderWay(run.share) : "");
+    bar.style.visibility = cut ? "visible" : "hidden";
+    bar.value = run?.share ?? 0;
+    write(words, [run?.program, whyWords(machine) || leftWords(machine)].filter(Boolean).join(": "));
+    write(about, [simulated ? "Simulated: no real mill moves" : profile?.description, control && `${control.operator} has control`].filter(Boolean).join(" · "));
+  }
+  return { node, update };
 }
 
-function runWords(run, machine) {
-  const { program, share } = run;
-  const [, words] = runStanding(run, machine);
-  return share > 0 && share < 1 ? `${program}: ${words}, ${percent(share)} cut` : `${program}: ${words}`;
+function leftWords({ run, simulated }) {
+  return run?.share > 0 && Number.isFinite(run.time_left_s) ? `${hours(run.time_left_s)} left${simulated ? ", simulated" : ""}` : "";
+}
+
+/** What is wrong, in a line; its own screen has the rest. */
+function whyWords({ problem, agent, mill }) {
+  if (problem) return sentence(problem);
+  return agent.reachable ? millWords(mill).brief : tell(agent).brief;
 }
 
 function empty() {

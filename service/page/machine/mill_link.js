@@ -8,15 +8,11 @@ import { follow } from "../lib/sse.js";
 import { sendGranted } from "./granted.js";
 import { Lease } from "./lease.js";
 import { StopSocket } from "./stop_socket.js";
-import { refusal, stands } from "./words.js";
+import { Stopper } from "./stopper.js";
 
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
 const ANSWER_MS = 1500; // an order of which the log says nothing by then is no reason to wait
-const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
-const URGENT_MS = 6000;
-const BEHIND_MS = 1000;
-const BUTTON = "Use the stop button on the mill itself.";
 
 export class MillLink {
   constructor(name) {
@@ -30,16 +26,12 @@ export class MillLink {
     this.away = "";
     this.streamAway = ""; // a server that answers elsewhere may not tell of this mill yet
     this.gone = "";
-    this.stopped = { count: 0, until: 0 }; // as our own last stop was answered, and how long the stream may be behind that
-    this.urgentWords = "";
-    this.urgentRun = ""; // that was on the mill when a stop did not arrive
-    this.urgentLost = false; // whether the mill was out of reach since
-    this.aborts = 0; // how often STOP was pressed
     this.listeners = new Set();
     this.sending = false;
     this.unanswered = -1; // number of commands that had ended when an order was taken
     this.lease = new Lease(this);
-    this.stops = new StopSocket();
+    this.socket = new StopSocket();
+    this.stopper = new Stopper(name, this.socket);
     const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : this.streamAway));
     const stream = follow(`${this.path}/events`, {
       onEvent: (kind, data) => this.receive(kind, data),
@@ -49,7 +41,7 @@ export class MillLink {
       stopListening();
       stream.close();
       this.lease.close();
-      this.stops.close();
+      this.socket.close();
       this.listeners.clear();
     };
   }
@@ -77,7 +69,7 @@ export class MillLink {
 
   setStreamState(state, words) {
     if (state === "ended") this.gone = words || "This machine is not known here.";
-    if (state === "away") this.urgentLost = true;
+    if (state === "away") this.stopper.lost = true;
     this.streamAway = state === "away" ? words : "";
     this.setAway(this.streamAway);
   }
@@ -92,7 +84,7 @@ export class MillLink {
     this.machine = machine;
     this.away = "";
     this.lease.check(machine);
-    this.forgetUrgent(machine);
+    this.stopper.see(machine);
     if (open && open.id === this.run?.id && open.state === this.run.state) {
       Object.assign(this.run, open, { program: this.run.program });
     } else if (open) {
@@ -101,13 +93,6 @@ export class MillLink {
     } else if (this.run === undefined || this.run?.open) {
       this.lookAtRun(this.run?.id);
     }
-  }
-
-  /** That a stop did not arrive is said until the mill is seen to stand, or is within reach again, or runs another program. */
-  forgetUrgent({ agent, mill, run }) {
-    if (!this.urgentWords) return;
-    if (!agent.reachable || !mill?.connected) this.urgentLost = true;
-    else if (this.urgentLost || stands(this.machine) || (run?.id ?? "") !== this.urgentRun) this.urgentWords = "";
   }
 
   takeLogEntry(entry) {
@@ -181,14 +166,13 @@ export class MillLink {
   /** Whatever can start a motion, or change what one means, goes this way. */
   async give(path, body) {
     const answer = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
-    this.urgentWords = "";
+    this.stopper.words = "";
     return answer;
   }
 
   /** How often the mill was told to stop, as far as this page knows: an order is refused where it was told so since. */
   get stopCount() {
-    const stops = this.machine?.mill?.stops;
-    return Date.now() < this.stopped.until ? Math.max(stops ?? 0, this.stopped.count) : stops;
+    return this.stopper.countFrom(this.machine?.mill?.stops);
   }
 
   /** One at a time, and not while an order is on its way. */
@@ -206,41 +190,10 @@ export class MillLink {
 
   /** hold, abort or jog-cancel: from everybody, at any time, whatever else is on its way. True where it was taken. */
   async sendUrgent(what) {
-    const { away } = this;
     try {
-      await this.sendStop(what);
-      this.urgentWords = "";
-      return true;
-    } catch ({ errors }) {
-      this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
-      this.urgentRun = this.machine?.run?.id ?? "";
-      this.urgentLost = away !== ""; // a stream that is away says so once
-      return false;
+      return await this.stopper.stop(what, this.machine, this.away !== "");
     } finally {
       this.changed();
     }
   }
-
-  /**
-   * Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. Where STOP
-   * was pressed since it is not said again: a HOLD that comes after it would hold a mill that has been cleared.
-   */
-  sendStop(what) {
-    if (what === "abort") this.aborts += 1;
-    const { aborts } = this;
-    const timeout = new Error("No answer in time.");
-    const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
-    const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(timeout))]).then(note);
-    const how = { timeout_ms: URGENT_MS, quiet: true, keepalive: true };
-    const post = () => api.post(`${this.path}/control/${what}`, {}, how).then(note);
-    if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
-    let answered = false;
-    first.then(() => (answered = true)).catch(() => {});
-    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || aborts !== this.aborts || post());
-    return Promise.any([first, second]);
-  }
-}
-
-function after(ms) {
-  return new Promise((done) => setTimeout(done, ms));
 }

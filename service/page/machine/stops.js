@@ -31,7 +31,7 @@ export function stops(link) {
       const why = whyNot(link, HELD, { besideRun: true });
       resume.hidden = !HELD.includes(state);
       resume.disabled = link.busy || why !== "";
-      write(alarm, link.urgentWords || outageWords(link));
+      write(alarm, link.stopper.words || outageWords(link));
     },
     close: () => removeEventListener("keydown", keys, { capture: true }),
   };

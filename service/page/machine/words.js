@@ -46,6 +46,14 @@ export function standing(machine) {
   return { kind, word, words: millWords(mill).whole };
 }
 
+/** How it stands for who does not look at its screen: a program that waits on a mill that is well, too. */
+export function standingInShop(machine) {
+  const own = standing(machine);
+  if (own.kind !== "good" || !machine.run || hasLiveRun(machine)) return own;
+  const [kind, word] = RUN_STATES[machine.run.state] ?? ["off", machine.run.state];
+  return { ...own, kind, word };
+}
+
 /**
  * Mill and program in one word. The controller calls itself idle until the first move has come to it, and whenever it
  * waits for the next one: while a program is on it, the program says what is going on.

@@ -1,0 +1,81 @@
+/**
+ * The mill in the head of every screen: state, share cut, and HOLD. Of several the one that moves, as long as it does, or
+ * else the worst; with a word of the others. On a mill's own screen, which has a HOLD of its own, it tells of another one.
+ */
+
+import { api } from "../lib/api.js";
+import { h, replace, write } from "../lib/dom.js";
+import { mark } from "../lib/state.js";
+import { count, percentUnderWay } from "../lib/words.js";
+import { isLive, mills } from "./mills.js";
+import { standingInShop } from "./words.js";
+
+const URGENCY = ["off", "good", "wait", "busy", "warn", "bad"]; // of a mill that stands
+
+/** Fills the place in the head of the page, which stays empty where no mill is known. */
+export function showMill(place) {
+  const [name, rest] = [h("span", {}), h("span", {})];
+  const state = h("span", { class: "chip-state" });
+  const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const link = h("a", {}, h("span", { class: "chip-name" }, name, rest), state, bar);
+  const hold = h("button", { type: "button", class: "hold", onclick: () => mills.hold(shown) }, "HOLD");
+  const alarm = h("p", { class: "arrived", role: "alert" });
+  replace(place, hold, link, alarm);
+  let shown = "";
+  let drawn = "";
+
+  function update() {
+    const { machines } = mills.seen;
+    const machine = choose(machines, shown);
+    place.hidden = !machine;
+    document.body.classList.toggle("has-mill", Boolean(machine));
+    if (!machine) return;
+    shown = machine.name;
+    const live = isLive(machine);
+    const { share } = machine.run ?? {};
+    const { kind, word } = standingInShop(machine);
+    const words = `${api.away ? "last seen " : ""}${word}${live && share > 0 ? `, ${percentUnderWay(share)}` : ""}`;
+    if (`${kind} ${words}` !== drawn) replace(state, mark(api.away ? "off" : kind, words));
+    drawn = `${kind} ${words}`;
+    write(name, machine.name);
+    write(rest, restWords(machine, machines));
+    link.href = machines.length > 1 && !isOwnScreen(machine) ? "#/machines" : addressOf(machine);
+    bar.hidden = !(live && share > 0);
+    bar.value = share ?? 0;
+    hold.style.visibility = live && !isOwnScreen(machine) ? "visible" : "hidden"; // its place is kept
+    hold.setAttribute("aria-label", `HOLD ${machine.name}`);
+    write(alarm, isOwnScreen(machine) ? "" : mills.stopper(machine.name).words);
+  }
+
+  mills.watch(update);
+  addEventListener("hashchange", update);
+  update();
+}
+
+/** The mill that is told of: the one shown before as long as it moves, so that no press of HOLD means another one. */
+function choose(machines, before) {
+  const others = machines.filter((one) => !isOwnScreen(one));
+  const moving = others.filter(isLive);
+  const worst = (found) => found.toSorted((a, b) => urgency(b) - urgency(a))[0];
+  return moving.find(({ name }) => name === before) ?? worst(moving.length ? moving : others) ?? machines[0];
+}
+
+function urgency(machine) {
+  return URGENCY.indexOf(standingInShop(machine).kind);
+}
+
+/** Whether others need a person, or else how many there are. */
+function restWords({ name }, machines) {
+  const others = machines.filter((one) => one.name !== name);
+  const hands = others.filter((one) => urgency(one) >= URGENCY.indexOf("warn")).length;
+  if (hands) return `+ ${count(hands, "needs", "need")} a hand`;
+  return others.length ? `1 of ${machines.length}` : "";
+}
+
+function addressOf({ name }) {
+  return `#/machines/${encodeURIComponent(name)}`;
+}
+
+function isOwnScreen(machine) {
+  return location.hash.split("?")[0] === addressOf(machine);
+}

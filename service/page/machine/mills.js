@@ -1,0 +1,72 @@
+/** All mills that the server knows, looked at now and then for whoever shows them, and held from wherever they are shown. */
+
+import { api } from "../lib/api.js";
+import { StopSocket } from "./stop_socket.js";
+import { Stopper } from "./stopper.js";
+import { hasLiveRun } from "./words.js";
+
+const CALM_MS = 3000;
+const BUSY_MS = 1000;
+const NONE = { machines: [], problems: [] };
+
+const watchers = new Set();
+const stoppers = new Map(); // name -> Stopper
+let socket = null; // opened with the first mill
+let timer = 0;
+
+export const mills = {
+  /** As they were seen last. */
+  seen: NONE,
+
+  /** Asks the server now. quiet: who may not see them is not asked for the code. */
+  async look({ quiet = false } = {}) {
+    mills.seen = await api.get("/v1/machines", { quiet });
+    for (const machine of mills.seen.machines) mills.stopper(machine.name).see(machine);
+    tell();
+  },
+
+  /** fn() whenever they were looked at, or a stop was answered. Returns how to stop watching. */
+  watch(fn) {
+    watchers.add(fn);
+    return () => watchers.delete(fn);
+  },
+
+  /** What stops this mill. */
+  stopper(name) {
+    socket ??= new StopSocket();
+    if (!stoppers.has(name)) stoppers.set(name, new Stopper(name, socket));
+    return stoppers.get(name);
+  },
+
+  /** HOLD, without control and whatever else is on its way. */
+  async hold(name) {
+    const machine = mills.seen.machines.find((one) => one.name === name);
+    await mills.stopper(name).stop("hold", machine, api.away);
+    tell();
+    again(0);
+  },
+};
+
+/** Whether something moves on it, or a program is on it that can go on: what HOLD is for. */
+export function isLive(machine) {
+  return ["run", "holding", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
+}
+
+function tell() {
+  for (const fn of [...watchers]) fn();
+}
+
+function again(wait_ms = mills.seen.machines.some(isLive) ? BUSY_MS : CALM_MS) {
+  clearTimeout(timer);
+  timer = setTimeout(turn, wait_ms);
+}
+
+async function turn() {
+  const may = api.who.scopes.includes("jobs:read");
+  if (may && !document.hidden && !api.away) await mills.look({ quiet: true }).catch(() => {});
+  again();
+}
+
+api.onWho(() => again(0));
+api.onAway((away) => (tell(), !away && again(0)));
+document.addEventListener("visibilitychange", () => again(0));

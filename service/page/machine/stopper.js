@@ -1,0 +1,72 @@
+/** Stops of one mill: sent both ways there are, and what is said where one did not arrive. */
+
+import { api } from "../lib/api.js";
+import { refusal, stands } from "./words.js";
+
+const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
+const URGENT_MS = 6000;
+const BEHIND_MS = 1000;
+const BUTTON = "Use the stop button on the mill itself.";
+
+export class Stopper {
+  /** socket: a StopSocket, which may be that of other mills, too. */
+  constructor(name, socket) {
+    this.name = name;
+    this.socket = socket;
+    this.words = ""; // what a person is told of a stop that did not arrive
+    this.lost = false; // whether the mill was out of reach since
+    this.run = ""; // that was on the mill then
+    this.answered = { count: 0, until: 0 }; // of the last stop, and how long what else is heard may be behind that
+    this.aborts = 0; // how often STOP was pressed
+  }
+
+  /** hold, abort or jog-cancel. True where it was taken. machine: as it is known; away: nothing is heard of it. */
+  async stop(what, machine, away) {
+    try {
+      await this.send(what);
+      this.words = "";
+      return true;
+    } catch ({ errors }) {
+      this.words = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
+      this.run = machine?.run?.id ?? "";
+      this.lost = away; // one of which nothing is heard says so once
+      return false;
+    }
+  }
+
+  /** That a stop did not arrive is said until the mill is seen to stand, or is within reach again, or runs another program. */
+  see(machine) {
+    const { agent, mill, run } = machine;
+    if (!this.words) return;
+    if (!agent.reachable || !mill?.connected) this.lost = true;
+    else if (this.lost || stands(machine) || (run?.id ?? "") !== this.run) this.words = "";
+  }
+
+  /** How often the mill was told to stop; heard: as it was last heard of. */
+  countFrom(heard) {
+    return Date.now() < this.answered.until ? Math.max(heard ?? 0, this.answered.count) : heard;
+  }
+
+  /**
+   * Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. Where STOP
+   * was pressed since it is not said again: a HOLD that comes after it would hold a mill that has been cleared.
+   */
+  send(what) {
+    if (what === "abort") this.aborts += 1;
+    const { aborts } = this;
+    const timeout = new Error("No answer in time.");
+    const note = ({ mill }) => (this.answered = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
+    const first = Promise.race([this.socket.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(timeout))]).then(note);
+    const how = { timeout_ms: URGENT_MS, quiet: true, keepalive: true };
+    const post = () => api.post(`/v1/machines/${encodeURIComponent(this.name)}/control/${what}`, {}, how).then(note);
+    if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
+    let answered = false;
+    first.then(() => (answered = true)).catch(() => {});
+    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || aborts !== this.aborts || post());
+    return Promise.any([first, second]);
+  }
+}
+
+function after(ms) {
+  return new Promise((done) => setTimeout(done, ms));
+}

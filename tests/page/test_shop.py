@@ -1,0 +1,164 @@
+"""The mills of a shop in the head of every screen and on one of their own: what they do, and HOLD."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.levels import mostly_thorough
+from tests.page.browser import SIZES, Watched
+from tests.page.canned_job import JOB_ID
+from tests.page.machine_states import machine_in
+from tests.page.test_orders import Way, record_orders
+from tests.waiting import until
+
+SCREENS = ("#/", "#/new", "#/machines", f"#/jobs/{JOB_ID}")
+TAKEN = {"taken": True, "mill": {}}
+Mills = dict[str, tuple[str, dict[str, Any]]]  # name: state, and what is different about it
+
+
+def tell(page: Page, mills: Mills) -> None:
+    """From now on these are the mills that the server of this page has."""
+    found = []
+    for name, (state, changes) in mills.items():
+        machine = machine_in(state)[0] | {"name": name}
+        if machine["run"]:
+            machine["run"] |= changes
+        found.append(machine)
+    page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": found, "problems": []}))
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")  # who sees a page again looks at once
+
+
+def opened_with(
+    watched: Callable[..., Watched],
+    mills: Mills,
+    answer: dict[str, Any] | None = None,
+    address: str = "#/",
+    errors: tuple[str, ...] = (),
+    **how: Any,
+) -> tuple[Page, Way]:
+    """A page that nobody has given a code to, and the way of its stops."""
+    pages = watched(**how)
+    pages.expect_errors(*errors)
+    page = pages.page()
+    way = Way(page, answer or TAKEN)
+    tell(page, mills)
+    page.goto(f"/{address}")
+    expect(page.locator("#mill")).to_be_visible()
+    return page, way
+
+
+@pytest.mark.parametrize("size", mostly_thorough(SIZES, quick=["phone"]))
+def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watched], size: str) -> None:
+    page, way = opened_with(watched, {"shop": ("running", {})}, size=size)
+    sent = record_orders(page)
+    for address in SCREENS:
+        page.evaluate("address => { location.hash = address }", address)
+        expect(page.locator("#view h1")).to_be_visible()
+        chip = page.locator("#mill")
+        expect(chip.locator(".chip-state")).to_have_text("running, 21 %")
+        hold = chip.get_by_role("button", name="HOLD shop")
+        expect(hold).to_be_in_viewport(ratio=1)
+        way.heard.clear()
+        hold.click()
+        until(lambda: (page.wait_for_timeout(20), way.stops())[1], what=f"HOLD from {address}")
+        assert way.stops() == ["shop hold"]
+    page.wait_for_timeout(400)
+    assert sent == [], "what is answered at once need not be said twice"
+
+
+def test_a_hold_that_does_not_arrive_is_said_until_the_mill_stands(watched: Callable[..., Watched]) -> None:
+    no = {"taken": False, "detail": "no"}
+    page, _ = opened_with(watched, {"shop": ("running", {})}, no, errors=("status of 504",))
+    record_orders(page, lambda route: route.fulfill(status=504, json={"detail": "no answer"}))
+    hold, alarm = page.get_by_role("button", name="HOLD"), page.locator("#mill .arrived")
+    before = hold.bounding_box()
+    hold.click()
+    expect(alarm).to_contain_text("HOLD did not arrive. Use the stop button on the mill itself.")
+    assert hold.bounding_box() == before
+    tell(page, {"shop": ("held", {})})
+    expect(alarm).to_be_empty()
+
+
+@pytest.mark.parametrize("size", mostly_thorough(SIZES, quick=["wide"]))
+def test_hold_is_where_it_was_whatever_is_said_beside_it(watched: Callable[..., Watched], size: str) -> None:
+    """And nothing else on the page moves by it."""
+    page, _ = opened_with(watched, {"shop": ("idle", {})}, size=size)
+    hold, link = page.locator("#mill .hold"), page.locator("#mill a")
+    expect(hold).to_be_hidden()
+    rest = page.locator("#view button, .bar > :not(#mill)")
+    expect(page.get_by_role("button", name="Choose a picture")).to_be_visible()
+    places = "all => all.map((one) => JSON.stringify(one.getBoundingClientRect()))"
+    before = [*rest.evaluate_all(places), link.bounding_box()]
+    boxes = set()
+    for state, share in (("running", 0.0), ("running", 0.09), ("running", 0.994), ("held", 0.994)):
+        tell(page, {"shop": (state, {"share": share}), "attic": ("idle", {})})
+        words = f"{state}, {share:.0%}".replace("%", " %") if share else state
+        expect(page.locator(".chip-state")).to_have_text(words)
+        boxes.add(str(hold.bounding_box()))
+        assert [*rest.evaluate_all(places), link.bounding_box()] == before
+    assert len(boxes) == 1
+
+
+def test_of_several_mills_the_one_that_moves_is_told_of_as_long_as_it_does(watched: Callable[..., Watched]) -> None:
+    """A press of HOLD is meant for the mill that was there; the others are counted."""
+    page, _ = opened_with(watched, {"attic": ("idle", {}), "barn": ("running", {}), "cellar": ("idle", {})})
+    chip = page.locator("#mill")
+    expect(chip).to_contain_text("barn")
+    expect(chip).to_contain_text("1 of 3")
+    tell(page, {"attic": ("held", {}), "barn": ("running", {}), "cellar": ("locked", {})})
+    expect(chip).to_contain_text("+ 2 need a hand")
+    expect(chip.get_by_role("button", name="HOLD barn")).to_be_visible()
+    tell(page, {"attic": ("idle", {}), "barn": ("idle", {}), "cellar": ("locked", {})})
+    expect(chip).to_contain_text("cellar")
+    expect(chip.locator(".chip-state")).to_have_text("locked")
+
+
+def test_no_dialog_lies_over_hold(watched: Callable[..., Watched]) -> None:
+    page, way = opened_with(watched, {"shop": ("running", {})})
+    page.get_by_role("button", name="Enter code").click()
+    dialog = page.get_by_role("dialog", name="Enter the code")
+    expect(dialog).to_be_visible()
+    page.get_by_role("button", name="HOLD").click()
+    until(lambda: (page.wait_for_timeout(20), way.stops())[1], what="HOLD beside a dialog")
+    rest = page.get_by_role("link", name="New job")
+    assert rest.evaluate("one => one.closest('[inert]') !== null"), "all else waits for the answer"
+    dialog.get_by_role("button", name="Cancel").click()
+    rest.click()
+    expect(page.get_by_role("heading", level=1, name="New job")).to_be_visible()
+
+
+def test_on_its_own_screen_a_mill_has_one_hold(watched: Callable[..., Watched]) -> None:
+    page, _ = opened_with(watched, {"shop": ("running", {})}, address="#/machines/shop")
+    expect(page.locator(".chip-state")).to_have_text("running, 21 %")
+    expect(page.get_by_role("button", name="HOLD")).to_have_count(1)
+    tell(page, {"shop": ("running", {}), "attic": ("running", {})})
+    expect(page.get_by_role("button", name="HOLD attic")).to_be_visible()
+
+
+def test_all_mills_of_the_shop_are_on_one_screen_each_with_its_hold(watched: Callable[..., Watched]) -> None:
+    mills: Mills = {"attic": ("idle", {}), "barn": ("running", {}), "cellar": ("parked", {}), "desk": ("locked", {})}
+    page, way = opened_with(watched, mills, address="#/machines")
+    cards = page.locator(".machine-list > li")
+    for k, words in enumerate(
+        ("idle", "running 21 % 1 h 12 min left", "waits for your start", "Locked: hard limit hit.")
+    ):
+        expect(cards.nth(k)).to_contain_text(words.split(" ")[0].strip(":"))
+        text = " ".join(cards.nth(k).inner_text().split())
+        assert all(word in text for word in words.split()), text
+    hold = cards.nth(1).get_by_role("button", name="HOLD")
+    expect(cards.get_by_role("button", name="HOLD")).to_have_count(1)
+    place = hold.bounding_box()
+    assert place is not None
+    page.mouse.move(place["x"] + 20, place["y"] + 20)
+    page.mouse.down()
+    changes = {"attic": ("no-agent", {}), "barn": ("running", {"share": 0.3}), "desk": ("running", {})}
+    tell(page, mills | changes)
+    expect(cards.nth(1)).to_contain_text("30 %")
+    page.mouse.up()  # the button that was pressed is still there
+    until(lambda: (page.wait_for_timeout(20), way.stops())[1], what="HOLD of one of them")
+    assert way.stops() == ["barn hold"]
+    assert hold.bounding_box() == place
