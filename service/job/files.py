@@ -35,7 +35,10 @@ LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
 FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
 TOOLPATH, PLAN = "toolpath.png", "plan.png"
-SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
+SURFACE, FOCUS = "surface.bin", "focus.bin"
+THUMBNAIL = "thumbnail.png"  # of the target, as long as there is none of what the wall will show
+THUMBNAIL_AS_MILLED, THUMBNAIL_AS_FINISHED = "thumbnail-as-milled.png", "thumbnail-as-finished.png"
+THUMBNAILS = (THUMBNAIL_AS_FINISHED, THUMBNAIL_AS_MILLED, THUMBNAIL)  # the first that there is stands for the job
 LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED = "light.bin", "light-as-milled.bin", "light-as-finished.bin"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
@@ -46,7 +49,7 @@ _KNOWN = {
     *(SPEC, REPORT, REPORT_PAGE, HEIGHTFIELD, MAP, SOLID),
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
-_DRAWINGS = frozenset((SURFACE, FOCUS, THUMBNAIL, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
+_DRAWINGS = frozenset((SURFACE, FOCUS, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")

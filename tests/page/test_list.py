@@ -204,8 +204,100 @@ def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
     expect(page.locator("#view")).to_be_focused()
     page.keyboard.press("Tab")
     expect(page.get_by_role("button", name="Choose a picture")).to_be_focused()
-    for _ in range(6):
+    for _ in range(9):
         page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="picture-1")).to_be_focused()
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline != "none"
+
+
+def names(page: Page) -> list[str]:
+    found: list[str] = page.locator(".job .name:visible").all_inner_texts()
+    return found
+
+
+def test_jobs_are_found_by_name_and_sorted_however_many_there_are(opened: Opened) -> None:
+    """Those that the list has not asked for so far count, too; what was asked is there again after Back."""
+    page = opened(NOWHERE)
+    jobs = [summary(number, "succeeded", name=f"Lens {number}.png") for number in range(12)]
+    pages = {
+        None: (jobs[:4], "?limit=48&cursor=1"),
+        "cursor=1": (jobs[4:8], "?limit=48&cursor=2"),
+        "cursor=2": (jobs[8:], ""),
+    }
+
+    def answer(route: Route) -> None:
+        asked = next((key for key in pages if key and key in route.request.url), None)
+        found, more = pages[asked]
+        route.fulfill(json={"jobs": found, "next": f"/v1/jobs{more}" if more else None})
+
+    page.route("**/v1/jobs?*", answer)
+    page.evaluate("location.hash = '#/'")
+    expect(page.locator(".job")).to_have_count(4)
+    order = page.get_by_role("combobox", name="Order")
+    order.select_option(label="By name")
+    expect(page.locator(".job")).to_have_count(12)
+    assert names(page) == [f"Lens {number}" for number in range(12)]
+    order.select_option(label="Oldest first")
+    expect(page.locator(".job .name").first).to_have_text("Lens 11")
+    page.get_by_role("searchbox").fill("lens 1")
+    expect(page.locator(".job:visible")).to_have_count(3)
+    assert names(page) == ["Lens 11", "Lens 10", "Lens 1"]
+    page.evaluate("location.hash = '#/machines'")
+    expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    page.go_back()
+    expect(page.locator(".job:visible")).to_have_count(3)
+    expect(page.get_by_role("searchbox")).to_have_value("lens 1")
+    page.get_by_role("searchbox").fill("no such lens")
+    expect(page.get_by_text("No job has this in its name.")).to_be_visible()
+
+
+def test_many_jobs_are_deleted_at_once_after_one_question(opened: Opened) -> None:
+    """Only those that are ticked and shown; one that is refused stays and says why."""
+    jobs = [summary(number, "succeeded", name=f"Lens {number}.png") for number in range(4)]
+    page = shown(opened, jobs, key="Ada", errors=("status of 409",))
+    deleted: list[str] = []
+
+    def delete(route: Route) -> None:
+        if route.request.method != "DELETE":
+            return route.fallback()
+        job = next(job for job in jobs if job["id"] in route.request.url)
+        if job["name"] == "Lens 3.png":
+            return route.fulfill(status=409, json={"detail": "a program of it is on a mill"})
+        jobs.remove(job)
+        deleted.append(job["name"])
+        return route.fulfill(status=204)
+
+    page.route("**/v1/jobs/*", delete)
+    expect(page.get_by_role("checkbox")).to_have_count(0)
+    page.get_by_role("button", name="Select").click()
+    page.get_by_role("checkbox", name="Select Lens 0").check()
+    page.get_by_role("searchbox").fill("lens 3")
+    page.get_by_role("button", name="All shown").click()
+    page.get_by_role("searchbox").fill("lens")
+    page.get_by_role("button", name="Delete 2").click()
+    assert deleted == []
+    page.get_by_role("dialog", name="Delete 2 jobs?").get_by_role("button", name="Delete").click()
+    expect(page.get_by_text("Lens 3: A program of it is on a mill.")).to_be_visible()
+    assert deleted == ["Lens 0.png"]
+    assert names(page) == ["Lens 1", "Lens 2", "Lens 3"]
+
+
+def test_the_picture_of_a_job_becomes_that_of_the_wall(opened: Opened, stub: Stub) -> None:
+    """As soon as there is one: a target looks perfect, whatever becomes of it."""
+    job = summary(1, "running")
+    at = f"/v1/jobs/{job['id']}/artifacts"
+    page = opened(NOWHERE)
+    page.route(
+        f"**{at}/*",
+        lambda route: route.fulfill(body=thumbnail_png(np.ones((4, 4)), white=1.0), content_type="image/png"),
+    )
+    jobs = [job | {"links": job["links"] | {"picture": f"{at}/thumbnail.png"}}]
+    answer_with(page, jobs)
+    page.evaluate("location.hash = '#/'")
+    picture = page.locator(".job img.there")
+    expect(picture).to_be_visible()
+    before = picture.get_attribute("src")
+    with page.expect_request(f"**{at}/thumbnail-as-milled.png"):
+        jobs[0] = jobs[0] | {"links": job["links"] | {"picture": f"{at}/thumbnail-as-milled.png"}}
+    expect(picture).not_to_have_attribute("src", before or "")

@@ -98,6 +98,7 @@ def test_hold_is_where_it_was_whatever_is_said_beside_it(watched: Callable[..., 
         tell(page, {"shop": (state, {"share": share}), "attic": ("idle", {})})
         words = f"{state}, {share:.0%}".replace("%", " %") if share else state
         expect(page.locator(".chip-state")).to_have_text(words)
+        expect(hold).to_be_visible()
         boxes.add(str(hold.bounding_box()))
         assert [*rest.evaluate_all(places), link.bounding_box()] == before
     assert len(boxes) == 1
@@ -134,6 +135,7 @@ def test_no_dialog_lies_over_hold(watched: Callable[..., Watched]) -> None:
 def test_on_its_own_screen_a_mill_has_one_hold(watched: Callable[..., Watched]) -> None:
     page, _ = opened_with(watched, {"shop": ("running", {})}, address="#/machines/shop")
     expect(page.locator(".chip-state")).to_have_text("running, 21 %")
+    expect(page.locator(".stops")).to_be_visible()
     expect(page.get_by_role("button", name="HOLD")).to_have_count(1)
     tell(page, {"shop": ("running", {}), "attic": ("running", {})})
     expect(page.get_by_role("button", name="HOLD attic")).to_be_visible()

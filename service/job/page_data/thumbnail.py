@@ -1,4 +1,4 @@
-"""thumbnail.png: what the light is to paint, so small that a list of jobs shows dozens of them at once."""
+"""Small pictures of what the light is to paint, and will paint: a list of jobs shows dozens of them at once."""
 
 from __future__ import annotations
 

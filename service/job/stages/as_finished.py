@@ -13,7 +13,14 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
 from service.job import arrays
-from service.job.files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, LIGHT_AS_FINISHED, MAP
+from service.job.files import (
+    AS_FINISHED,
+    COMPARED_FINISHED,
+    HEIGHTFIELD,
+    LIGHT_AS_FINISHED,
+    MAP,
+    THUMBNAIL_AS_FINISHED,
+)
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
@@ -110,9 +117,12 @@ def _tell(context: StageContext, finish: Finish, target: Array, seen: Caustic, p
 
 
 def _draw(context: StageContext, target: Array, finished: Array) -> None:
-    from service.job.report.figures.base import comparison_png, picture_png  # what it stands on is slow to import
+    from service.job.page_data.thumbnail import thumbnail_png  # what they stand on is slow to import
+    from service.job.report.figures.base import comparison_png, picture_png
 
     viewed_from, white = context.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))
     context.draw(AS_FINISHED, lambda: picture_png(view, white=white))
+    if context.is_shown:
+        context.draw(THUMBNAIL_AS_FINISHED, lambda: thumbnail_png(view, white=white))
     context.draw(COMPARED_FINISHED, lambda: comparison_png(aim, view, title="As finished"))

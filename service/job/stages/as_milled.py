@@ -25,7 +25,7 @@ from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_det
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predict_light, sample_slopes
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, names_of_pass, read_chunks
+from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, read_chunks
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
@@ -180,7 +180,8 @@ def _tell(
 
 
 def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
-    from service.job.report.figures.base import picture_png  # what they stand on is slow to import
+    from service.job.page_data.thumbnail import thumbnail_png  # what they stand on is slow to import
+    from service.job.report.figures.base import picture_png
     from service.job.report.figures.light import as_milled_png
 
     viewed_from = context.spec.optics.viewed_from
@@ -188,4 +189,6 @@ def _draw(context: StageContext, target: Array, designed: Array, milled: Array) 
     white = float(target.max())
     told = context.report["as_milled"]
     context.draw("caustic-as-milled.png", lambda: picture_png(views[2], white=white))
+    if context.is_shown:
+        context.draw(THUMBNAIL_AS_MILLED, lambda: thumbnail_png(views[2], white=white))
     context.draw("as-milled.png", lambda: as_milled_png(*views, figures=told))

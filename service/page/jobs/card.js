@@ -5,7 +5,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { stateMark } from "../lib/state.js";
 import { ago, jobName, percentUnderWay } from "../lib/words.js";
 
-/** {element, image, update(job)} */
+/** {element, image, pick: its tick, where many are chosen, update(job)} */
 export function jobCard(first) {
   const image = h("img", { class: "thumb", alt: "", width: 96, height: 96 });
   const name = h("span", { class: "name" });
@@ -18,7 +18,8 @@ export function jobCard(first) {
     h("span", { class: "frame" }, image),
     h("span", { class: "facts" }, name, state, bar, note),
   );
-  const element = h("li", {}, link);
+  const pick = h("input", { type: "checkbox", "aria-label": `Select ${jobName(first)}` });
+  const element = h("li", {}, link, h("label", { class: "pick" }, pick));
   let shown = "";
 
   function update(job) {
@@ -35,7 +36,7 @@ export function jobCard(first) {
   }
 
   update(first);
-  return { element, image, update };
+  return { element, image, pick, update };
 }
 
 function stateWords(job) {

@@ -1,8 +1,9 @@
-/** All jobs, newest first, and the place where a new one begins. */
+/** All jobs, what works and what is new first, or those that are searched for; and the place where a new one begins. */
 
 import { api } from "../lib/api.js";
+import { confirm } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
-import { count } from "../lib/words.js";
+import { count, jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/picked.js";
 import { jobCard } from "./card.js";
@@ -14,28 +15,38 @@ const FILTERS = [
   ["done", "Done", ["succeeded"], "No job is done yet."],
   ["failed", "Failed", ["failed", "cancelled"], "No job failed or was cancelled."],
 ];
+const NEWEST = (a, b) => (a.created_at < b.created_at ? 1 : -1);
+const WORKS = (a, b) => (b.state === "running") - (a.state === "running");
+const SORTS = {
+  "": ["Newest first", (a, b) => WORKS(a, b) || NEWEST(a, b)],
+  old: ["Oldest first", (a, b) => NEWEST(b, a)],
+  name: ["By name", (a, b) => jobName(a).localeCompare(jobName(b), [], { numeric: true, sensitivity: "base" })],
+};
 const WHAT = ": you get the programs that mill a clear block, and light through that block paints the picture on a wall.";
 const BUSY_MS = 1500;
 const CALM_MS = 6000;
 const PAGE = 48;
+const WHOLE_PAGE = 200; // where all are wanted
+const MOST = 2000;
 
 export default async function view(root, params, app) {
   app.title("Jobs");
   const [, , states, none] = FILTERS.find(([key]) => key === params.show) ?? FILTERS[0];
-  const list = jobList(states, none);
+  const asked = { show: params.show ?? "all", q: params.q ?? "", sort: params.sort in SORTS ? params.sort : "" };
+  const list = jobList(states, none, asked);
   const take = (file) => {
     keep(file);
     app.go("#/new");
   };
   const begin = h("section", { "aria-label": "New job" });
-  const filter = filterBar(params.show ?? "all");
+  const tools = toolbar(asked, list);
   const status = h("p", { class: "hidden-words", role: "status" });
-  replace(root, h("h1", {}, "Jobs"), begin, filter, list.element, list.empty, list.more, status);
+  replace(root, h("h1", {}, "Jobs"), begin, tools.node, list.element, list.empty, list.more, status);
 
   let compact = null;
-  list.onChange = ({ shown, active }) => {
-    const nothing = shown === 0 && states.length === 0;
-    filter.hidden = nothing;
+  list.onChange = ({ known, shown, active }) => {
+    const nothing = known === 0 && states.length === 0;
+    tools.update(nothing);
     write(status, shown === 0 ? "No jobs" : `${count(shown, "job")} shown, ${active} not finished`);
     if (compact === !nothing) return;
     compact = !nothing;
@@ -46,39 +57,78 @@ export default async function view(root, params, app) {
   return { leave: list.close };
 }
 
-function filterBar(current) {
-  const links = FILTERS.map(([key, words]) =>
-    h(
-      "a",
-      {
-        class: "button",
-        href: key === "all" ? "#/" : `#/?show=${key}`,
-        "aria-current": key === current ? "true" : null,
-      },
-      words,
-    ),
-  );
-  return h("nav", { class: "filters row", "aria-label": "Which jobs", hidden: true }, links);
+function addressOf(asked) {
+  const told = Object.entries(asked).filter(([key, value]) => value && !(key === "show" && value === "all"));
+  return told.length ? `#/?${new URLSearchParams(told)}` : "#/";
 }
 
-/** What works stands before what waits. */
-function inOrder(jobs) {
-  return [...jobs.filter(({ state }) => state === "running"), ...jobs.filter(({ state }) => state !== "running")];
+/** Which jobs, searched and sorted how; and the choice of many, to delete them. What is asked stays in the address. */
+function toolbar(asked, list) {
+  const links = FILTERS.map(([key, words]) => h("a", { class: "button", "aria-current": key === asked.show ? "true" : null }, words));
+  const search = h("input", { type: "search", value: asked.q, placeholder: "Search", "aria-label": "Search by name", oninput: () => change({ q: search.value.trim() }) });
+  const options = Object.entries(SORTS).map(([value, [words]]) => h("option", { value, selected: value === asked.sort }, words));
+  const sort = h("select", { "aria-label": "Order", onchange: () => change({ sort: sort.value }) }, options);
+  const pick = h("button", { type: "button", "aria-pressed": "false", onclick: () => setPicking(!list.picking) }, "Select");
+  const all = h("button", { type: "button", onclick: () => list.pickAll() }, "All shown");
+  const remove = h("button", { type: "button", class: "danger", onclick: () => deletePicked() });
+  const said = h("p", { class: "fault", role: "status" });
+  const many = h("div", { class: "row", hidden: true }, all, remove);
+  const filters = h("nav", { class: "filters row", "aria-label": "Which jobs", hidden: true }, links);
+  const node = h("div", { class: "job-tools", hidden: true }, filters, h("div", { class: "row find" }, search, sort, pick), many, said);
+
+  function change(more) {
+    Object.assign(asked, more);
+    history.replaceState(null, "", addressOf(asked));
+    setLinks();
+    list.ask();
+  }
+  function setLinks() {
+    links.forEach((link, k) => (link.href = addressOf({ ...asked, show: FILTERS[k][0] })));
+  }
+  function setPicking(on) {
+    list.setPicking(on);
+    pick.setAttribute("aria-pressed", String(on));
+    write(said, "");
+  }
+  async function deletePicked() {
+    const found = list.picked();
+    const sure = await confirm({ title: `Delete ${count(found.length, "job")}?`, words: "Their pictures and programs go, too.", yes: "Delete", danger: true });
+    if (!sure || !(await api.need("jobs:write"))) return;
+    write(said, (await list.delete(found)).join(" "));
+    if (!said.textContent) setPicking(false);
+  }
+  setLinks();
+  return {
+    node,
+    update(nothing) {
+      node.hidden = filters.hidden = nothing;
+      const { length } = list.picked();
+      many.hidden = !list.picking;
+      write(remove, length ? `Delete ${length}` : "Delete");
+      remove.disabled = length === 0;
+    },
+  };
 }
 
 /** The cards, or `none` in words, and what keeps them true: a light question every now and then, more often while something is going on. */
-function jobList(states, none) {
+function jobList(states, none, asked) {
   const query = states.map((state) => `&state=${state}`).join("");
   const pictures = thumbnails();
   const cards = new Map(); // id -> {card, job}
   const stop = new AbortController();
   const made = {
-    element: h("ul", { class: "jobs", "aria-label": "Jobs" }),
-    empty: h("p", { class: "dim", hidden: true }, none),
-    more: h("p", { hidden: true }, h("button", { type: "button", onclick: older }, "Show older jobs")),
+    element: h("ul", { class: "jobs", "aria-label": "Jobs", onchange: () => tell() }),
+    empty: h("p", { class: "dim", hidden: true }),
+    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => older(PAGE).then(tell) }, "Show older jobs")),
+    picking: false,
     onChange: () => {},
     start,
     close,
+    ask,
+    setPicking,
+    pickAll,
+    picked: () => [...cards.values()].filter(({ card }) => made.picking && card.pick.checked && !card.element.hidden).map(({ job }) => job),
+    delete: deleteAll,
   };
   let next = null;
   let timer = 0;
@@ -86,6 +136,7 @@ function jobList(states, none) {
 
   async function start() {
     await refresh();
+    if (asked.q || asked.sort) await ask();
     document.addEventListener("visibilitychange", whenSeen);
     plan();
   }
@@ -122,31 +173,31 @@ function jobList(states, none) {
     const there = new Set(page.jobs.map((job) => job.id));
     const last = page.jobs.at(-1)?.created_at ?? "";
     for (const [id, { job }] of cards) if (!there.has(id) && (!page.next || job.created_at >= last)) drop(id);
-    put(inOrder(page.jobs), { atTop: true });
+    page.jobs.forEach(put);
     if (!paged) next = page.next;
     tell();
   }
 
-  async function older() {
-    const page = await api.get(next, { signal: stop.signal });
+  async function older(limit) {
+    const page = await api.get(next.replace(/limit=\d+/, `limit=${limit}`), { signal: stop.signal });
     paged = true;
     next = page.next;
-    put(page.jobs, { atTop: false });
+    page.jobs.forEach(put);
+  }
+
+  /** By name, or in another order, all count: those that were not needed so far are asked for. */
+  async function ask() {
+    tell();
+    while (next && (asked.q || asked.sort) && cards.size < MOST) await older(WHOLE_PAGE);
     tell();
   }
 
-  function put(jobs, { atTop }) {
-    let before = atTop ? made.element.firstElementChild : null;
-    for (const job of jobs) {
-      const known = cards.get(job.id);
-      const card = known?.card ?? jobCard(job);
-      if (known && known.job.etag !== job.etag) card.update(job);
-      else if (known) card.update(known.job);
-      if (card.element === before) before = before.nextElementSibling;
-      else made.element.insertBefore(card.element, before);
-      cards.set(job.id, { card, job });
-      pictures.show(card.image, job);
-    }
+  function put(job) {
+    const known = cards.get(job.id);
+    const card = known?.card ?? jobCard(job);
+    if (known) card.update(job);
+    cards.set(job.id, { card, job });
+    pictures.show(card.image, job);
   }
 
   function drop(id) {
@@ -156,10 +207,54 @@ function jobList(states, none) {
     cards.delete(id);
   }
 
+  /** Only what has another place is moved: the others keep the focus. */
+  function arrange() {
+    const wanted = asked.q.toLowerCase();
+    const rows = [...cards.values()].sort((a, b) => SORTS[asked.sort][1](a.job, b.job));
+    let before = made.element.firstElementChild;
+    for (const { card, job } of rows) {
+      card.element.hidden = !jobName(job).toLowerCase().includes(wanted);
+      if (card.element === before) before = before.nextElementSibling;
+      else made.element.insertBefore(card.element, before);
+    }
+    return rows.filter(({ card }) => !card.element.hidden).length;
+  }
+
+  function setPicking(on) {
+    made.picking = on;
+    made.element.classList.toggle("picking", on);
+    if (!on) for (const { card } of cards.values()) card.pick.checked = false;
+    tell();
+  }
+
+  function pickAll() {
+    const shown = [...cards.values()].map(({ card }) => card).filter(({ element }) => !element.hidden);
+    const all = shown.every(({ pick }) => pick.checked);
+    for (const { pick } of shown) pick.checked = !all;
+    tell();
+  }
+
+  /** One after the other; why some were not, in sentences. */
+  async function deleteAll(jobs) {
+    const refusals = [];
+    for (const job of jobs) {
+      try {
+        await api.delete(`/v1/jobs/${job.id}`);
+        drop(job.id);
+      } catch (error) {
+        refusals.push(`${jobName(job)}: ${sentence(error.detail ?? error.message)}`);
+      }
+      tell();
+    }
+    return refusals;
+  }
+
   function tell() {
-    made.empty.hidden = cards.size > 0 || states.length === 0;
+    const shown = arrange();
+    made.empty.hidden = shown > 0 || (states.length === 0 && !asked.q);
+    write(made.empty, asked.q ? "No job has this in its name." : none);
     made.more.hidden = !next;
-    made.onChange({ shown: cards.size, active: active() });
+    made.onChange({ known: cards.size, shown, active: active() });
   }
 
   function active() {

@@ -13,14 +13,17 @@ export function thumbnails() {
     { rootMargin: "200px" },
   );
 
+  /** Another picture of the same job takes the place of the one before once it is there. */
   async function fetchInto(image) {
     const job = wanted.get(image);
+    const before = shown.get(image);
     sight.unobserve(image);
-    if (!job || shown.has(image)) return;
+    if (!job || before === job.links.picture) return;
     shown.set(image, job.links.picture);
     try {
       image.src = await api.blob(job.links.picture);
       image.classList.add("there");
+      if (before) api.release(before);
     } catch {
       forget(image); // a picture is no reason for an alarm
     }
@@ -28,7 +31,7 @@ export function thumbnails() {
 
   function show(image, job) {
     wanted.set(image, job);
-    if (!shown.has(image) && job.links.picture) sight.observe(image);
+    if (job.links.picture && shown.get(image) !== job.links.picture) sight.observe(image);
   }
 
   function forget(image) {

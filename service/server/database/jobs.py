@@ -13,7 +13,7 @@ from uuid import uuid4
 import sqlalchemy as sa
 
 from service.errors import printable
-from service.job.files import TARGET_PICTURE, THUMBNAIL
+from service.job.files import TARGET_PICTURE, THUMBNAILS
 from service.job.stages.order import merge_reports
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.counters import Counter, add_to_counters, read_counters
@@ -40,7 +40,7 @@ from service.store.base import Store
 
 NAME_CHARS = 255
 MOST_POSITIONS = 1000  # in the queue that are counted: whoever waits behind so many waits, wherever
-_PICTURES = (THUMBNAIL, TARGET_PICTURE)  # jobs of earlier versions have only the large one
+_PICTURES = (*THUMBNAILS, TARGET_PICTURE)  # jobs of earlier versions have only the large one
 _SUMMARY = [jobs.c[field.name] for field in fields(JobListRow)]
 
 
@@ -171,14 +171,13 @@ class JobBook:
         raise UnknownArtifactError(job_id, name)
 
     def list_pictures(self, job_ids: Collection[str]) -> dict[str, str]:
-        """Return by job, where it has one, the smallest picture of what its light is to paint, by its name."""
-        query = (
-            sa.select(artifacts.c.job_id, artifacts.c.name)
-            .where(artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES))
-            .order_by(artifacts.c.bytes.desc())
+        """Return by job, where it has one, the small picture of what the wall will show, by its name."""
+        query = sa.select(artifacts.c.job_id, artifacts.c.name).where(
+            artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES)
         )
         with begin_reading(self.database) as connection:
-            return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
+            found = sorted(connection.execute(query), key=lambda row: _PICTURES.index(row.name), reverse=True)
+        return {row.job_id: row.name for row in found}  # the last one stays
 
     def list_events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
         """Return events after the one numbered `after`, at most 500 of them."""

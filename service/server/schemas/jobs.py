@@ -97,7 +97,8 @@ class JobSummary(Body):
     error: JobError | None
     image: ImageView
     links: Annotated[
-        dict[str, str], Field(description="`picture`: what the light is to paint, small, once it is there")
+        dict[str, str],
+        Field(description="`picture`: what the wall will show, small; until that is known, what it is to show"),
     ]
     etag: str
 

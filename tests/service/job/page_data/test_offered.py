@@ -15,7 +15,7 @@ from service.job.files import is_drawing, is_known, is_program
 from tests.service.job.page_data.paths import batch_of, cut_in, header, level, rows, written
 from tests.service.server.api.server import ApiServer, api_server
 
-DRAWINGS = ("surface.bin", "focus.bin", "thumbnail.png", "pass-1.path", "pass-12.path")
+DRAWINGS = ("surface.bin", "focus.bin", "thumbnail.png", "thumbnail-as-milled.png", "pass-1.path", "pass-12.path")
 
 
 @pytest.fixture(scope="module")

@@ -46,6 +46,7 @@ def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -
     """But for what only the operator page draws."""
     drawn = {
         "thumbnail.png",
+        "thumbnail-as-milled.png",
         "surface.bin",
         "focus.bin",
         "light.bin",

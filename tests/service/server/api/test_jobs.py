@@ -177,13 +177,14 @@ def test_numbers_that_no_lens_has_are_refused_or_taken_but_are_no_fault(server: 
     assert answer.status_code in (202, 422), answer.text
 
 
-def test_a_job_s_picture_is_the_smallest_it_has(server: ApiServer) -> None:
+def test_a_job_s_picture_is_of_what_the_wall_will_show_and_small(server: ApiServer) -> None:
     """So that a list need not ask for the files of each job."""
     job = server.submit()["id"]
     address = f"/v1/jobs/{job}"
     assert "picture" not in server.client.get(address).json()["links"]
-    for name, content in (("caustic.png", b"1"), ("target.png", b"the large one"), ("thumbnail.png", b"small")):
-        server.put_artifact(job, name, content, stage="irradiance")
+    thumbnails = [f"thumbnail{of}.png" for of in ("", "-as-milled", "-as-finished")]
+    for content, name in enumerate(("caustic.png", "target.png", *thumbnails)):
+        server.put_artifact(job, name, b"1" * (9 + content), stage="irradiance")
         listed = next(one for one in server.client.get("/v1/jobs").json()["jobs"] if one["id"] == job)
         looked = server.client.get(address).json()
         wanted = None if name == "caustic.png" else f"{address}/artifacts/{name}"
