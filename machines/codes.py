@@ -18,6 +18,7 @@ class MillCode(StrEnum):
     RUN_STATE = "run_state"  # state
     RUN_LIVE = "run_live"
     RUN_UNSTARTED = "run_unstarted"
+    TRAVEL = "travel"  # detail: a line for each way in which the program leaves it
 
     # Why a run is as it is, beside FaultCause (detail, alarm).
     OWNER_LOST = "owner_lost"  # state

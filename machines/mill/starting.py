@@ -115,7 +115,8 @@ class RunStarter:
         placement = program_placement(facts, reader, settings, driver.status)
         if placement.certain and placement.problems:
             words = "; ".join(placement.problems)
-            raise NotAllowedError(f"start: {words}: home the mill if it counts wrongly, or set the work zero elsewhere")
+            words = f"start: {words}: home the mill if it counts wrongly, or set the work zero elsewhere"
+            raise NotAllowedError(words, code=MillCode.TRAVEL, values={"detail": "\n".join(placement.problems)})
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
         baseline |= {"started_s": round(self.context.wall_clock(), 3), "executed_line": 0}

@@ -304,6 +304,19 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     expect(alarm).to_be_empty()
 
 
+def test_a_program_that_leaves_the_travel_is_told_in_a_sentence_and_where_in_a_fold(opened: Opened) -> None:
+    page = at_mill(opened, "parked", errors=("status of 409",))
+    values = {"detail": "\n".join(f"{axis} would go from 1 to 2 mm" for axis in "XYZ" * 3)}
+    told = problem(409, detail="start: no", code="travel", values=values)
+    record_orders(page, lambda route: route.fulfill(**told))
+    press_start(page)
+    said = page.locator(".running .said")
+    expect(said).to_contain_text("Set the zero where it fits")
+    expect(said.get_by_text("Z would").first).to_be_hidden()
+    said.get_by_text("Where", exact=True).click()
+    expect(said.get_by_text("Z would go from 1 to 2 mm.")).to_have_count(3)
+
+
 def test_a_zero_that_is_set_anew_asks_for_the_warnings_of_the_program_anew(opened: Opened) -> None:
     page = with_control(opened, "parked", mill={"needs": []})
     expect(page.locator(".next")).to_contain_text("may not fit the travel")

@@ -137,6 +137,8 @@ def test_on_its_own_screen_a_mill_has_one_hold(watched: Callable[..., Watched]) 
     expect(page.locator(".chip-state")).to_have_text("running, 21 %")
     expect(page.locator(".stops")).to_be_visible()
     expect(page.get_by_role("button", name="HOLD")).to_have_count(1)
+    tell(page, {"shop": ("held", {}), "attic": ("idle", {})})
+    expect(page.locator(".chip-state")).to_have_text("held, 21 %")
     tell(page, {"shop": ("running", {}), "attic": ("running", {})})
     expect(page.get_by_role("button", name="HOLD attic")).to_be_visible()
 

@@ -1,6 +1,7 @@
 /**
  * The mill in the head of every screen: state, share cut, and HOLD. Of several the one that moves, as long as it does, or
- * else the worst; with a word of the others. On a mill's own screen, which has a HOLD of its own, it tells of another one.
+ * else the worst; with a word of the others. On a mill's own screen, which has a HOLD of its own, it tells of another one
+ * that moves or needs a hand.
  */
 
 import { api } from "../lib/api.js";
@@ -56,8 +57,14 @@ export function showMill(place) {
 function choose(machines, before) {
   const others = machines.filter((one) => !isOwnScreen(one));
   const moving = others.filter(isLive);
-  const worst = (found) => found.toSorted((a, b) => urgency(b) - urgency(a))[0];
-  return moving.find(({ name }) => name === before) ?? worst(moving.length ? moving : others) ?? machines[0];
+  const worst = (moving.length ? moving : others).toSorted((a, b) => urgency(b) - urgency(a))[0];
+  const own = machines.find(isOwnScreen);
+  if (own && !(moving.length || (worst && needsHand(worst)))) return own;
+  return moving.find(({ name }) => name === before) ?? worst;
+}
+
+function needsHand(machine) {
+  return urgency(machine) >= URGENCY.indexOf("warn");
 }
 
 function urgency(machine) {
@@ -67,7 +74,7 @@ function urgency(machine) {
 /** Whether others need a person, or else how many there are. */
 function restWords({ name }, machines) {
   const others = machines.filter((one) => one.name !== name);
-  const hands = others.filter((one) => urgency(one) >= URGENCY.indexOf("warn")).length;
+  const hands = others.filter(needsHand).length;
   if (hands) return `+ ${count(hands, "needs", "need")} a hand`;
   return others.length ? `1 of ${machines.length}` : "";
 }

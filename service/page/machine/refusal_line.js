@@ -1,10 +1,10 @@
 /** A line under a group of controls that says what the last order was refused for. */
 
-import { h, write } from "../lib/dom.js";
-import { refusal } from "./words.js";
+import { h, replace, write } from "../lib/dom.js";
+import { refusalOf } from "./words.js";
 
 export function refusalLine() {
-  const node = h("p", { class: "said", role: "status" });
+  const node = h("div", { class: "said", role: "status" });
   return {
     node,
     /** Runs an order and shows what it was refused for, in sight, until the next one. True where it was taken. */
@@ -15,7 +15,9 @@ export function refusalLine() {
         await order();
         return true;
       } catch (error) {
-        write(node, refusal(error));
+        const { brief, whole, parts = [] } = refusalOf(error);
+        if (parts.length) replace(node, brief, h("details", {}, h("summary", {}, "Where"), h("ul", {}, parts.map((part) => h("li", {}, part)))));
+        else write(node, whole);
         node.classList.add("bad");
         node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding
         return false;

@@ -77,7 +77,7 @@ const unansweredWords = ({ seconds }) => (seconds ? `The computer beside the mil
 
 const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
 
-/** code: a sentence, or how it is made of the values; {brief, whole} where a line has no room for all of it. */
+/** code: a sentence, or how it is made of the values; {brief, whole} where a line has no room for all of it, with `parts`: what is folded. */
 const SENTENCES = {
   // an order that was refused
   grant_missing: "Not carried out: it came without a word of the mill for it. Press again.",
@@ -97,6 +97,11 @@ const SENTENCES = {
   run_state: ({ state }) => `Not carried out. The state of the program: ${program(state)}.`,
   run_live: "Not carried out: another program is on the mill.",
   run_unstarted: "Not carried out: this program was never started. Load it again.",
+  travel: ({ detail }) => {
+    const brief = "Not started: from this zero the program leaves the travel. Set the zero where it fits, or home the mill if it counts wrongly.";
+    const parts = detail.split("\n").map(sentence);
+    return { brief, whole: [brief, ...parts].join(" "), parts };
+  },
   confirm: ({ effect }) => sentence(effect),
   order_uncertain: ({ order }) => ({
     brief: "Look at the mill: the order may have arrived.",
@@ -168,7 +173,7 @@ const SENTENCES = {
 /** The codes that are told in words of this table. */
 export const CODES = Object.keys(SENTENCES);
 
-/** {brief, whole} of what is told by {code, values, words}. Where no code is known: the words, and nothing brief. */
+/** {brief, whole, parts} of what is told by {code, values, words}. Where no code is known: the words, and nothing brief. */
 export function tell({ code, values, words }) {
   if (!Object.hasOwn(SENTENCES, code ?? "")) return { brief: "", whole: words ? sentence(words) : "" };
   const made = SENTENCES[code];

@@ -298,6 +298,7 @@ def test_a_program_that_leaves_the_travel_is_refused(shop: Shop, soft_limits: bo
     with pytest.raises(NotAllowedError, match=r"X would go .*from line [0-9]+ of") as refused:
         shop.mill.start(run_id, YES)
     assert "set the work zero elsewhere" in str(refused.value)
+    assert (refused.value.code, refused.value.values["detail"].count("\n")) == ("travel", 0)
     shop.pass_s(2.0)
     assert shop.mill.run(run_id).state is RunState.PARKED and shop.cuts == 0
 
