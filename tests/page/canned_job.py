@@ -16,7 +16,6 @@ import numpy as np
 from PIL import Image
 
 from optics.heightfield import Heightfield
-from service.job.page_data.header import header_line
 from service.job.page_data.light import light_bytes
 from service.job.page_data.surface import surface_bytes
 from service.job.page_data.thumbnail import thumbnail_png
@@ -25,7 +24,6 @@ from service.job.spec.lens_task import bench_of
 from service.job.spec.model import JobSpec
 from tests.page.paths import SIDE_MM, Thinned, write_path
 
-FACTORS = (0.5, 0.7, 0.85, 1.0, 1.16, 1.35, 1.6)
 PIXELS = 64
 # As a server told them of the job of `shop.SMALL_SPEC`; a journey holds them against such a job.
 _TOLD: dict[str, Any] = json.loads(Path(__file__).with_name("job.json").read_text(encoding="utf-8"))
@@ -58,7 +56,6 @@ def files() -> dict[str, bytes]:
         made[name] = picture_png(1 + np.sin(9 * rows + k) * columns, white=2.0)
     made["thumbnail.png"] = thumbnail_png(1 + np.sin(9 * rows) * columns, white=2.0)
     made["surface.bin"] = surface_bytes(_lens(), thickness_mm=40.0, margin_mm=8.0, outline_mm=None)
-    made["focus.bin"] = _focus()
     bench = bench_of(JobSpec.model_validate(_TOLD["job"]["spec"]))
     made["light.bin"] = light_bytes(_lens(), bench, white=2.0, viewed_from="lens")
     marks = np.array([[0.0, -0.002], [0.0, 0.0], [0.0, 0.002]])
@@ -116,10 +113,3 @@ def _lens() -> Heightfield:
     x_mm = np.linspace(0.0, SIDE_MM, PIXELS + 1)
     z_mm = -0.5 + 0.3 * np.sin(0.6 * x_mm)[None, :] * np.cos(0.4 * x_mm)[:, None] + 0.01 * x_mm[None, :]
     return Heightfield(x_mm=x_mm, y_mm=x_mm, z_mm=z_mm)
-
-
-def _focus() -> bytes:
-    facts = {"nx": PIXELS, "ny": PIXELS, "factors": list(FACTORS), "throw_mm": 100.0, "white": 2.0}
-    rows, columns = np.mgrid[:PIXELS, :PIXELS]
-    frames = [(rows * (k + 2) + columns * 3 + 20 * k) % 256 for k in range(len(FACTORS))]
-    return header_line(facts) + np.stack(frames).astype(np.uint8).tobytes()

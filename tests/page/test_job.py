@@ -230,34 +230,6 @@ def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
     expect(programs).not_to_contain_text("again")
 
 
-@pytest.mark.parametrize("milled", [pytest.param(False, marks=pytest.mark.thorough), True])
-def test_the_wall_moves_through_the_pictures_of_the_file(opened: Opened, milled: bool) -> None:
-    """The canvas shows the frame of that distance, as soft as what is milled makes it; the words give the distance."""
-    job, files = canned()
-    if not milled:
-        job["report"] = {key: value for key, value in job["report"].items() if not key.startswith("as_")}
-    at_job = shown(opened, job, files)
-    data = canned_job.files()["focus.bin"]
-    head, start = split_header(data)
-    size = head["nx"] * head["ny"]
-    slider, canvas = at_job.get_by_role("slider", name="Distance of the wall"), at_job.locator(".focus-picture")
-    slider.scroll_into_view_if_needed()
-    expect(at_job.locator(".focus-words")).to_contain_text("in focus")
-    for key, frame in (("Home", 0), ("End", len(head["factors"]) - 1)):
-        slider.press(key)
-        seen = canvas.evaluate("one => [...one.getContext('2d').getImageData(0, 0, one.width, one.height).data]")
-        levels = np.array(seen[1::4], dtype=float)
-        given = np.frombuffer(data, np.uint8, size, start + frame * size)
-        if milled:
-            assert levels.std() < 0.9 * given.std()
-        else:
-            assert np.abs(levels - given).max() <= 1
-        way = abs(head["factors"][frame] - 1) * head["throw_mm"]
-        expect(at_job.locator(".focus-words")).to_contain_text(f"{way:.3g} mm too {'near' if frame == 0 else 'far'}")
-    at_job.get_by_role("button", name="Back to focus").click()
-    expect(at_job.locator(".focus-words")).to_contain_text("in focus")
-
-
 @pytest.mark.thorough
 def test_the_map_of_heights_reads_off_the_surface(at_job: Page) -> None:
     data = canned_job.files()["surface.bin"]

@@ -20,6 +20,7 @@ from service.job.page_data.light import light_bytes
 from service.job.report.figures.base import srgb_levels
 from tests.page import canned_job
 from tests.page.conftest import Opened
+from tests.page.jobs import canned, like, shown, with_plan
 from tests.page.test_job import NO_WEBGL
 
 PIXELS, SEEN = 64, 256
@@ -113,10 +114,27 @@ def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_mov
     assert page.evaluate(AT_REST) > before
     page.get_by_role("slider", name="Sun, width").fill("1")
     expect(page.get_by_role("slider", name="Sun, width")).to_have_attribute("aria-valuetext", "1°")
-    page.get_by_label("Surface").select_option("As milled")
-    expect(page.locator(".light-live")).to_contain_text("single grooves are not drawn")
     page.get_by_role("button", name="Set all back").click()
     expect(page.locator(".light-words")).to_have_text("Wall at 100 mm, where it belongs")
+
+
+def test_light_begins_with_what_the_wall_will_show_and_says_why_a_sharpened_lens_looks_broken(opened: Opened) -> None:
+    """A choice of one's own stays, whatever becomes known; how exactly the wall must stand is said below."""
+    job, files = canned()
+    page = shown(opened, with_plan(job, 7), [one for one in files if one["name"] != "light-as-milled.bin"])
+    page.locator("#light-title").scroll_into_view_if_needed()
+    which, words = page.get_by_label("Surface"), page.locator(".light-live")
+    expect(which.locator("option:checked")).to_have_text("As designed")
+    expect(words).to_contain_text("without the tool's marks it looks broken")
+    expect(words).to_contain_text("stays sharp from 0.25 mm too near to 0.24 mm too far")
+    page = shown(opened, with_plan(job, 8), files)
+    page.locator("#light-title").scroll_into_view_if_needed()
+    expect(which.locator("option:checked")).to_have_text("As milled")
+    expect(words).to_contain_text("single grooves are not drawn")
+    page = shown(opened, like(job, 9), files)
+    page.locator("#light-title").scroll_into_view_if_needed()
+    which.select_option("As designed")
+    expect(words).to_contain_text("A perfect surface.")
 
 
 def test_without_webgl_a_sentence_stands_for_live_light(opened: Opened) -> None:

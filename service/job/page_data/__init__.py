@@ -1,1 +1,1 @@
-"""Data that the operator page draws: the lens's surface, pictures through focus, the paths of the passes."""
+"""Data that the operator page draws: the lens's surface, its light, the paths of the passes."""

@@ -22,7 +22,7 @@ from optics.tolerance import (
     sharp_light,
 )
 from service.job import arrays
-from service.job.files import FOCUS, HEIGHTFIELD, LIGHT, MAP
+from service.job.files import HEIGHTFIELD, LIGHT, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of
@@ -34,7 +34,7 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 def run_caustic(context: StageContext) -> None:
     """Simulate light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
-    caustic.png, comparison.png, through-focus.png, and focus.bin and light.bin for the operator page.
+    caustic.png, comparison.png, through-focus.png, and light.bin for the operator page.
     """
     heightfield = surface_in_light(context.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(context.spec))
     target = context.receive(MAP, arrays.load_target)
@@ -54,7 +54,6 @@ def run_caustic(context: StageContext) -> None:
         on_progress(0.7)
         _draw(context, target, seen)
         if context.is_shown:
-            _through_focus(context, heightfield, target)
             save_light(context, LIGHT, heightfield, target)
     with context.watch.stage("tolerances") as on_progress:
         found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=on_progress)
@@ -76,19 +75,6 @@ def save_light(
 
     bench, viewed_from = bench_of(context.spec), context.spec.optics.viewed_from
     context.save(name, light_bytes(surface, bench, white=float(target.max()), viewed_from=viewed_from, slopes=slopes))
-
-
-def _through_focus(context: StageContext, heightfield: Heightfield, target: Array) -> None:
-    from service.job.page_data.focus import focus_bytes  # what it stands on is slow to import
-
-    frames = focus_bytes(
-        heightfield,
-        bench_of(context.spec),
-        shape=_shape(target),
-        white=float(target.max()),
-        viewed_from=context.spec.optics.viewed_from,
-    )
-    context.save(FOCUS, frames)
 
 
 def _shape(target: Array) -> tuple[int, int]:

@@ -27,7 +27,6 @@ LATER = (
     "service.job.report.figures.lens",
     "service.job.report.figures.light",
     "service.job.report.figures.paths",
-    "service.job.page_data.focus",
 )
 
 __all__ = ["LATER", "lens", "run"]

@@ -21,16 +21,6 @@ export function surfaceOf(buffer) {
   };
 }
 
-/** focus.bin: {nx, ny, factors, throwMm, frame(k)}; a frame is grey, as a person sees it, row 0 on top. */
-export function focusOf(buffer) {
-  const { head, start } = headerOf(buffer);
-  const size = head.nx * head.ny;
-  return {
-    nx: head.nx, ny: head.ny, factors: head.factors, throwMm: head.throw_mm,
-    frame: (k) => new Uint8Array(buffer, start + k * size, size),
-  };
-}
-
 /**
  * light*.bin: its header as it is, with `nodes`: height from the top of the block (mm), slopes in x and y, and share of
  * the light of every node, one after the other, row 0 at the lowest y.

@@ -159,6 +159,11 @@ export function mainCause(report) {
   );
 }
 
+/** Whether the lens draws more than the picture, for the blur of its tool's marks. */
+export function isSharpened({ spec, report }) {
+  return (report?.plan ?? spec.optics).foreseen_blur_mm.some((blur) => blur > 0);
+}
+
 /** How exactly the wall must stand, as a sentence; null where it was not simulated. */
 export function focusSentence(report) {
   const range = report?.optics?.tolerances?.focus_range_mm;

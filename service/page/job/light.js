@@ -3,15 +3,18 @@ import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
 import { mm } from "../lib/words.js";
 import { lightOf } from "./drawing_file.js";
+import { focusSentence, isSharpened } from "./figures.js";
 import { gestures } from "./gestures.js";
 import { beamCount, beamsOf, lightPicture, settingOf } from "./light_gl.js";
 import { whenSeen } from "./when_seen.js";
 
+const DESIGNED = "light.bin";
 const SURFACES = [
-  ["light.bin", "As designed", "A perfect surface."],
-  ["light-as-milled.bin", "As milled", "The lens with the slopes that the programs' marks add, as measured at some places of it and taken as the same everywhere; single grooves are not drawn."],
-  ["light-as-finished.bin", "As finished", "The milled surface after the work by hand, simulated."],
+  [DESIGNED, "As designed", "A perfect surface."],
+  ["light-as-milled.bin", "As milled", "With the tool's marks, the same everywhere; single grooves are not drawn."],
+  ["light-as-finished.bin", "As finished", "After the work by hand."],
 ];
+const SHARPENED = "Drawn sharper than the picture, for the tool to blur: without the tool's marks it looks broken.";
 const PIXELS = [512, 1024];
 const MANY_BEAMS = 32; // from which their blur hides a coarser net
 const FIRST_CELLS = 2 ** 16, MOST_CELLS = 2 ** 25; // drawn in a frame
@@ -23,13 +26,13 @@ export function lightPart() {
   const canvas = h("canvas", { class: "light-canvas", tabindex: 0, role: "img", "aria-label": "The picture on the wall. Up and down move the wall, left and right turn the block, Home sets all back." });
   const still = h("p", { class: "dim", hidden: true }, "This browser has no WebGL2 for live light; the pictures above show the wall as it should stand.");
   const words = h("p", { class: "light-words", "aria-live": "polite" }), note = h("p", { class: "dim" });
-  const which = h("select", { "aria-label": "Surface", onchange: () => load() });
+  const which = h("select", { "aria-label": "Surface", onchange: () => ((chosen = true), load()) });
   const fine = h("select", { "aria-label": "Pixels of the picture", onchange: () => begin() }, PIXELS.map((count) => h("option", { value: count }, `${count} pixels`)));
   const rows = h("div", { class: "light-rows" });
   const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, "Set all back"));
   const live = h("div", { class: "light-live" }, canvas, h("div", { class: "stack" }, tools, words, rows, note));
   const node = h("section", { class: "card", "aria-labelledby": "light-title", hidden: true }, h("h2", { id: "light-title" }, "Light"), still, live);
-  let files = new Map(), thickness = 0, known = "", lens = null, picture = null, setting = null, sliders = [];
+  let files = new Map(), job = null, chosen = false, known = "", lens = null, picture = null, setting = null, sliders = [];
   let frame = 0, last = 0, cells = FIRST_CELLS, moved = false, pending = null, gone = false;
   const seen = whenSeen(node, load, () => ask());
 
@@ -40,15 +43,19 @@ export function lightPart() {
     try {
       const found = await lightOf(await api.bytes(file.url));
       if (gone || known !== file.sha256) return;
-      lens = { ...found, thickness_mm: thickness || found.thickness_mm };
+      lens = { ...found, thickness_mm: job.spec.stock.thickness_mm || found.thickness_mm };
     } catch (error) {
       known = "";
       write(words, error.detail ?? "The light could not be read.");
       return;
     }
-    write(note, SURFACES.find(([name]) => name === which.value)[2]);
+    write(note, noteWords());
     if (!setting) reset();
     begin();
+  }
+  function noteWords() {
+    const own = which.value === DESIGNED && isSharpened(job) ? SHARPENED : SURFACES.find(([name]) => name === which.value)[2];
+    return [own, focusSentence(job.report)].filter(Boolean).join(" ");
   }
   /** A picture for this lens and this many pixels. A canvas keeps its context: what the last one held is given back. */
   function begin() {
@@ -134,14 +141,15 @@ export function lightPart() {
     reset,
   });
 
-  function update(artifacts, job) {
+  /** What the wall will really show comes first: the last surface that is known, until a person chooses. */
+  function update(artifacts, now) {
     files = artifacts;
-    thickness = job.spec.stock.thickness_mm;
+    job = now;
     const there = SURFACES.filter(([name]) => artifacts.has(name)), before = which.value;
     node.hidden = there.length === 0;
     if (which.options.length !== there.length) {
       replace(which, there.map(([name, title]) => h("option", { value: name }, title)));
-      if (there.some(([name]) => name === before)) which.value = before;
+      which.value = chosen ? before : there.at(-1)?.[0];
     }
     seen.again();
   }

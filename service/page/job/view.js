@@ -11,7 +11,6 @@ import { factsPart, warningsPart } from "./facts.js";
 import { passesOf, screenOf } from "./figures.js";
 import { filesPart, programsPart } from "./files.js";
 import { finishingPart } from "./finishing.js";
-import { focusPart } from "./focus.js";
 import { headPart } from "./head.js";
 import { lensPart } from "./lens.js";
 import { lightPart } from "./light.js";
@@ -46,7 +45,6 @@ export default async function view(root, params, app) {
     parts.pictures.update(artifacts);
     parts.programs.update(job);
     parts.light.update(artifacts, job);
-    parts.focus.update(artifacts, job);
     parts.lens.update(artifacts);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
     parts.photo.update(job, artifacts);
@@ -118,7 +116,7 @@ export default async function view(root, params, app) {
 function makeParts(app, changed) {
   return {
     head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
-    programs: programsPart(), light: lightPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
+    programs: programsPart(), light: lightPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
     photo: photoPart(),
     files: filesPart(),
   };
@@ -133,8 +131,7 @@ function layout(parts, spec) {
     parts.head.node, parts.progress.node,
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.light.node, parts.plan.node,
-    h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
-    parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
+    parts.lens.node, parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
   );
 }
 

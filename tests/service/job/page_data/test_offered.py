@@ -15,7 +15,7 @@ from service.job.files import is_drawing, is_known, is_program
 from tests.service.job.page_data.paths import batch_of, cut_in, header, level, rows, written
 from tests.service.server.api.server import ApiServer, api_server
 
-DRAWINGS = ("surface.bin", "focus.bin", "thumbnail.png", "thumbnail-as-milled.png", "pass-1.path", "pass-12.path")
+DRAWINGS = ("surface.bin", "thumbnail.png", "thumbnail-as-milled.png", "pass-1.path", "pass-12.path")
 
 
 @pytest.fixture(scope="module")
@@ -64,4 +64,4 @@ def test_archives_and_folders_are_without_them(server: ApiServer) -> None:
             return server.client.get(path).json()
 
     assert [file.name for file in files_of(Asked(), job)] == ["lens.stl"]  # type: ignore[arg-type]
-    assert [file.name for file in files_of(Asked(), job, ["focus.bin"])] == ["focus.bin"]  # type: ignore[arg-type]
+    assert [file.name for file in files_of(Asked(), job, ["surface.bin"])] == ["surface.bin"]  # type: ignore[arg-type]

@@ -48,7 +48,6 @@ def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -
         "thumbnail.png",
         "thumbnail-as-milled.png",
         "surface.bin",
-        "focus.bin",
         "light.bin",
         "light-as-milled.bin",
         "pass-1.path",

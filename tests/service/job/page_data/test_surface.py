@@ -1,18 +1,13 @@
-"""surface.bin and focus.bin against the lens and its light."""
+"""surface.bin against the lens."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from optics.bench import Bench
-from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
-from optics.irradiance import picture_from_irradiance
-from service.job.page_data.focus import FACTORS, focus_bytes
 from service.job.page_data.header import header_line, split_header
 from service.job.page_data.surface import surface_bytes
-from service.job.report.figures.base import srgb_levels
 
 WIDTH_MM, HEIGHT_MM = 30.0, 20.0
 
@@ -52,25 +47,3 @@ def test_a_flat_lens_has_no_steps() -> None:
     )
     assert (facts["z0_mm"], facts["dz_mm"]) == (pytest.approx(-0.5), pytest.approx(0.0, abs=1e-15))
     assert len(data) == start + 2 * 257 * 257
-
-
-@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
-def test_frames_are_the_light_at_each_distance_as_it_is_seen(lens: Heightfield, viewed_from: str) -> None:
-    bench = Bench.centre_on(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
-    data = focus_bytes(lens, bench, shape=(80, 120), white=2.0, viewed_from=viewed_from)
-    facts, start = split_header(data)
-    frames = np.frombuffer(data, np.uint8, offset=start).reshape(len(FACTORS), facts["ny"], facts["nx"])
-    assert 13 <= len(FACTORS) <= 17
-    assert (facts["factors"][0], facts["factors"][-1]) == (0.5, 1.6)
-    seen = simulate_caustic(lens, bench, pixels=(80, 120))
-    wanted = srgb_levels(picture_from_irradiance(seen.irradiance, viewed_from=viewed_from), white=2.0)
-    in_focus = frames[facts["factors"].index(1.0)].astype(int)
-    assert np.abs(in_focus - wanted).mean() < 3
-    assert np.abs(in_focus[:, ::-1] - wanted).mean() > 10
-    assert not (frames[0] == frames[-1]).all()
-
-
-def test_large_pictures_are_made_smaller(lens: Heightfield) -> None:
-    bench = Bench.centre_on(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
-    facts, _ = split_header(focus_bytes(lens, bench, shape=(400, 600), white=2.0, viewed_from="lens"))
-    assert (facts["nx"], facts["ny"]) == (256, 171)
