@@ -49,7 +49,7 @@ _KNOWN = {
     *(SPEC, REPORT, REPORT_PAGE, HEIGHTFIELD, MAP, SOLID),
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
-_DRAWINGS = frozenset((SURFACE, FOCUS, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
+_DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")
