@@ -54,7 +54,7 @@ def files() -> dict[str, bytes]:
     rows, columns = np.mgrid[:PIXELS, :PIXELS] / PIXELS
     for k, name in enumerate(("target.png", "caustic.png", "caustic-as-milled.png")):
         made[name] = picture_png(1 + np.sin(9 * rows + k) * columns, white=2.0)
-    made["thumbnail.png"] = thumbnail_png(1 + np.sin(9 * rows) * columns, white=2.0)
+    made["thumbnail-as-milled.png"] = made["thumbnail.png"] = thumbnail_png(1 + np.sin(9 * rows) * columns, white=2.0)
     made["surface.bin"] = surface_bytes(_lens(), thickness_mm=40.0, margin_mm=8.0, outline_mm=None)
     bench = bench_of(JobSpec.model_validate(_TOLD["job"]["spec"]))
     made["light.bin"] = light_bytes(_lens(), bench, white=2.0, viewed_from="lens")
