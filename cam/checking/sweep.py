@@ -9,6 +9,7 @@ from numba import njit
 
 _SMOOTH_COS = 0.9  # corners sharper than this (26 degrees) get their whole disc
 _SLACK = 1e-9
+_RIM = 1e-12  # of the squared radius: nearer the rim of the disc a cell is touched and not cut, whatever digits say
 _NO_WEDGE = 2.0  # no sine of a slope
 _TIMES, _PARALLEL = 3, 1e-3  # turns of narrowing a strip down; one does where the way is parallel to an axis
 TILE = 8  # cells a side, whose highest one is known
@@ -34,7 +35,7 @@ def cap(top, by_line, x0, y0, cell, high, cx, cy, cz, radius, first_row, row_ste
     if rise <= 0.0:
         return deep, place, reach_up
     reach2 = radius * radius if rise >= radius else rise * (2.0 * radius - rise)
-    reach = math.sqrt(reach2)
+    reach, rim2 = math.sqrt(reach2), _RIM * radius * radius
     ny, nx = top.shape
     j0 = max(0, int(math.ceil((cy - reach - y0) / cell - 0.5)))
     j1 = min(ny - 1, int(math.floor((cy + reach - y0) / cell - 0.5)))
@@ -50,7 +51,7 @@ def cap(top, by_line, x0, y0, cell, high, cx, cy, cz, radius, first_row, row_ste
         for i in range(i0, i1 + 1):
             dx = x0 + (i + 0.5) * cell - cx
             r2 = radius * radius - dx * dx - dy * dy
-            if r2 > 0.0:
+            if r2 > rim2:
                 f = cz + radius - math.sqrt(r2)
                 drop = top[j, i] - f
                 if drop > 0.0:
@@ -245,7 +246,7 @@ def sweep(  # type: ignore[no-untyped-def]
     ny, nx = top.shape
     x1 = x0 + nx * cell
     y1 = y0 + ny * cell
-    area = cell * cell
+    area, rim2 = cell * cell, _RIM * radius * radius
     reach, flutes, shank_ceiling = shank
     owner = -1
     for k in range(line.size):
@@ -338,19 +339,19 @@ def sweep(  # type: ignore[no-untyped-def]
                             height = top[row, column]
                             rho2 = radius * radius - w * w
                             over = lowest + radius - height  # the ball is nowhere lower than this less rho
-                            if rho2 <= 0.0 or (over > 0.0 and rho2 <= over * over):
+                            if rho2 <= rim2 or (over > 0.0 and rho2 <= over * over):
                                 continue
                             rho = math.sqrt(rho2)
                             s = u - rho * tilt
                             tip = az
                             if s <= 0.0:
                                 r2 = rho2 - u * u
-                                if r2 <= 0.0:
+                                if r2 <= rim2:
                                     continue
                                 f = az + radius - math.sqrt(r2)
                             elif s >= length:
                                 r2 = rho2 - (u - length) * (u - length)
-                                if r2 <= 0.0:
+                                if r2 <= rim2:
                                     continue
                                 f = bz + radius - math.sqrt(r2)
                                 tip = bz

@@ -53,7 +53,7 @@ def under_still_balls(stock: StockGrid, points, radius_mm, *, per_move: int, gro
         for t in np.linspace(0, 1, per_move):
             cx, cy, cz = a + t * (b - a)
             inside = r**2 - (x - cx) ** 2 - (y - cy) ** 2
-            ball = np.where(inside > 0, cz + radius_mm - np.sqrt(np.maximum(inside, 0)), np.inf)
+            ball = np.where(inside > 1e-12 * r**2, cz + radius_mm - np.sqrt(np.maximum(inside, 0)), np.inf)
             np.minimum(under, ball, out=under)
     return left
 
@@ -139,6 +139,22 @@ def test_short_steep_moves_over_a_slope_take_off_a_layer_everywhere(turn_deg):
     assert_between_brute_forces(grid, stock, points, radius_mm)
     deepest_mm = drops.depth_mm[8:16].max(), drops.depth_mm[8:16].min()
     assert deepest_mm == pytest.approx((layer_mm * np.hypot(1, climb),) * 2, rel=0.05)
+
+
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(0.05, 2.0))
+def test_a_column_on_the_rim_is_not_cut_from_wherever_the_ball_comes(arrival_rad, leaving_rad, way_mm):
+    """Cells of 128 / 2200 mm lie exactly 3 mm from where rows end at whole millimetres: the rounding of a last digit
+    would count as the whole height of the wall there.
+    """
+    cell_mm, apex = 128 / 2200, np.array([103.0, 10.0, -33.0])
+    wall = np.full((14, 14), -100.0)
+    wall[7, 7] = 0.0  # at (106, 10)
+    stock = StockGrid(x0_mm=2055 * cell_mm - 14, y0_mm=405 * cell_mm - 14, cell_mm=cell_mm, top_mm=wall)
+    beside = [way_mm * np.array([math.cos(one), math.sin(one), 0.0]) for one in (arrival_rad, leaving_rad)]
+    grid = RemovalGrid(stock, radius_mm=3.0)
+    grid.cut(batch_of([apex - beside[0], apex, apex - beside[1]]))
+    grid.cut_at_rest()
+    assert grid.top_mm[7, 7] == 0.0
 
 
 def test_a_straight_groove_is_exact():
