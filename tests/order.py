@@ -23,7 +23,7 @@ FIRST = (
     "tests/disturbances/",
     "tests/service/milling/terminal/test_stream.py",
     "tests/service/milling/terminal/test_recover.py",
-    "tests/end_to_end/test_small_lenses.py",
+    "tests/end_to_end/test_refused_before.py",
     "tests/service/client/",
     "tests/page/",
     "tests/service/job/planning/test_estimate.py",

@@ -1,4 +1,4 @@
-"""Small lenses with a short throw, whose surface falls steeply into the run-out, must pass their own check."""
+"""Lenses that were refused by their own check: small ones that fall steeply into the run-out, and the default block."""
 
 from __future__ import annotations
 
@@ -32,4 +32,12 @@ def test_a_small_steep_lens_passes_its_check(tmp_path, picture, preset, side_mm,
         values["plan.hours"] = 0.1  # the best picture would take rows 0.015 mm apart
     spec = resolve_spec(preset=preset, overrides=[f"{key}={value}" for key, value in values.items()])
     job = run_job(tmp_path, EXAMPLES / f"{picture}.png", spec, without=LIGHT)
+    assert {row["ok"] for row in job.report["passes"]} == {True}
+
+
+@pytest.mark.thorough
+def test_the_roughing_of_the_default_block_passes_its_check(tmp_path):
+    """At its full size, by a coarse picture: cells of its stock lie exactly a radius from the ends of its rows."""
+    spec = resolve_spec(overrides=["image.pixels=48"])
+    job = run_job(tmp_path, EXAMPLES / "camera.png", spec, without=(*LIGHT, "pass-2", "pass-3", "check"))
     assert {row["ok"] for row in job.report["passes"]} == {True}
