@@ -21,10 +21,11 @@ _TYPES = {
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
     "png": "image/png",
+    "jpg": "image/jpeg",
     "webmanifest": "application/manifest+json",
 }
 _PATH = re.compile(rf"(?:[A-Za-z0-9_-]+/){{0,4}}[A-Za-z0-9_.-]+\.({'|'.join(_TYPES)})")
-_PACKED_BEFORE = frozenset({"png"})
+_PACKED_BEFORE = frozenset({"png", "jpg"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,12 @@ def choose(page: Page, content: bytes, name: str = "portrait.png") -> None:
     file = {"name": name, "mimeType": "image/png", "buffer": content}
     page.locator("input[type=file]").first.set_input_files(file)
     expect(wall(page)).to_be_visible()
+    unfold(page)
+
+
+def unfold(page: Page) -> None:
+    """Whatever is folded for who does not need it, except the part for experts."""
+    page.evaluate("for (const one of document.querySelectorAll('.fold')) one.open = true")
 
 
 def refuse_picture(page: Page) -> None:

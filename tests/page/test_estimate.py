@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from playwright.sync_api import Route, expect
+from PIL import Image
+from playwright.sync_api import Page, Route, expect
 
+from service.job.picture.limits import OWN_PICTURE
+from service.job.planning.estimate import estimate
+from service.job.spec.loading import resolve_job
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit
-from tests.page.form import choose, fill, make_it, parts, picture, wall
+from tests.page.form import choose, fill, make_it, parts, picture
+from tests.page.test_next_step import after
+
+
+def edge(side: int = 300) -> bytes:
+    """Half of it dark."""
+    file = io.BytesIO()
+    Image.fromarray(np.tile(np.where(np.arange(side) < side // 2, 60, 220).astype(np.uint8), (side, 1))).save(
+        file, "PNG"
+    )
+    return file.getvalue()
+
 
 WRONG = {"field": "spec.optics.throw_mm", "detail": "0 is not allowed; allowed: a number more than 0"}
 
@@ -33,20 +51,73 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     choose(page, picture())
     estimate = page.get_by_role("region", name="Estimate")
     expect(estimate).to_contain_text("Machine time")
-    expect(estimate).to_contain_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
+    expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
     expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
         len(ESTIMATE_EXAMPLE["passes"])
     )
     for words in ESTIMATE_EXAMPLE["warnings"]:
         expect(estimate).to_contain_text(words[1:])
     expect(page.locator(".submit-bar")).to_contain_text("of milling")
-    sharp = page.get_by_label("with the blur that the tool's marks will leave")
-    blurred = wall(page).evaluate("one => one.toDataURL()")
-    sharp.uncheck()
-    page.wait_for_function("before => document.querySelector('canvas.wall').toDataURL() !== before", arg=blurred)
     fill(page, Distance_to_the_wall="0")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
     expect(estimate.get_by_text("Machine time")).to_have_count(0)
+
+
+SPREAD = """(name) => {
+    const canvas = document.querySelector(name), { width, height } = canvas, box = [0, 0, width, height];
+    const grey = canvas.getContext("2d").getImageData(...box).data.filter((_, k) => k % 4 === 0);
+    const steps = grey.map((level, k) => (k % width ? Math.abs(level - grey[k - 1]) : 0));
+    return steps.reduce((most, one) => Math.max(most, one), 0);
+}"""
+
+
+def test_the_wall_follows_every_change_at_once_and_figures_that_are_out_of_date_are_dimmed(opened: Opened) -> None:
+    """Beside the picture as it is: a wall farther away is blurred more before the server has said a word."""
+    page = open_blank(opened, "new")
+    asked: list[Route] = []
+    page.route("**/v1/estimates", lambda route: asked.append(route))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, edge())
+    after(asked, 1, page)
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
+    expect(page.locator(".told")).not_to_have_text("")
+    expect(page.locator(".stale")).to_have_count(0)
+    sharp, near = (page.evaluate(SPREAD, name) for name in ("canvas.sharp", "canvas.wall"))
+    assert near < sharp / 2
+    fill(page, Distance_to_the_wall="200")
+    expect(page.locator(".stale")).to_have_count(1)
+    page.wait_for_function(f"before => ({SPREAD})('canvas.wall') < 0.7 * before", arg=near)
+    after(asked, 2, page)
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
+    expect(page.locator(".stale")).to_have_count(0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"throw_mm": 150.0},
+        {"light": {"kind": "sun", "size_deg": 3.0}},
+        {"light": {"kind": "point", "distance_mm": 500.0, "size_mm": 25.0}},
+    ],
+    ids=["wall farther", "sun", "lamp"],
+)
+def test_the_first_guess_of_a_blur_is_near_the_servers(modules: Page, tmp_path: Path, change: dict[str, Any]) -> None:
+    """Of the light's own size within a tenth; other passes that a plan would choose are not known to the page."""
+    path = tmp_path / "edge.png"
+    path.write_bytes(edge(64))
+    known, wanted = (
+        estimate(
+            resolve_job(base={"preset": "draft", "optics": {"width_mm": 30.0, "height_mm": 30.0} | more}),
+            path,
+            limits=OWN_PICTURE,
+            name="edge",
+        )
+        for more in ({}, change)
+    )
+    script = "([known, spec]) => import('/page/new/coarse.js').then(({ coarseBlur }) => coarseBlur(known, spec))"
+    told = modules.evaluate(script, [known, {"optics": change}])
+    assert told == pytest.approx(wanted["blur_mm"], rel=0.1)
+    assert told > 1.2 * known["blur_mm"]
 
 
 def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_pressed(opened: Opened) -> None:
@@ -102,7 +173,7 @@ def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_
     estimate = page.get_by_role("region", name="Estimate")
     with page.expect_request("**/v1/estimates?exactly=true"):
         choose(page, picture())
-    expect(estimate).to_contain_text("A first look. The exact figures follow")
+    expect(estimate).to_contain_text("A first look: exact figures follow")
     fill(page, Width="30")
     expect(estimate).to_contain_text("5 h")
     expect(estimate).not_to_contain_text("A first look")

@@ -20,7 +20,19 @@ from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.page import canned_job
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened
-from tests.page.form import as_floats, choose, fill, make_it, parts, picture, pixels_of, pressed, refuse_picture, wall
+from tests.page.form import (
+    as_floats,
+    choose,
+    fill,
+    make_it,
+    parts,
+    picture,
+    pixels_of,
+    pressed,
+    refuse_picture,
+    unfold,
+    wall,
+)
 from tests.page.jobs import canned, shown, with_plan
 from tests.page.machine_states import NAME as MILL
 from tests.page.test_next_step import after
@@ -68,7 +80,7 @@ def schema_keys(table: dict[str, Any], definitions: dict[str, Any], before: str 
 def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(modules: Page) -> None:
     schema = JobSpec.model_json_schema()
     told = schema_keys(schema, schema["$defs"])
-    fields = [row for group in ("LENS", "LIGHT", "MILL", "PICTURE") for row in rows(modules, group)]
+    fields = [row for group in ("MAIN", "LENS", "LIGHT", "MILL", "PICTURE") for row in rows(modules, group)]
     fields += [row for _, group in rows(modules, "EXPERT") for row in group]
     assert sorted(row["key"] for row in fields) == sorted(set(told) - REST - {"passes"})
     assert {row["key"] for row in rows(modules, "PASS")} == set(schema["$defs"]["PassRow"]["properties"])
@@ -309,6 +321,7 @@ def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Pag
     expect(new_job.get_by_role("heading", level=1, name="Machines")).to_be_visible()
     new_job.go_back()
     expect(new_job.get_by_label("Width", exact=True)).to_have_value("33")
+    unfold(new_job)
     expect(new_job.get_by_role("button", name="Mirror")).to_have_attribute("aria-pressed", "true")
     new_job.get_by_role("button", name="Start over").click()
     expect(new_job.get_by_label("Width", exact=True)).to_have_value("100")
@@ -424,3 +437,21 @@ def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words:
     for address in ("#/new", "#/"):
         page = opened(address, size=size)
         expect(page.locator(".drop p")).to_contain_text(words)
+
+
+WEIGHT = "performance.getEntriesByType('resource').reduce((sum, one) => sum + one.transferSize, 0)"
+
+
+def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(watched: Callable[..., Watched]) -> None:
+    """The examples are there whole at once: no more than 150 kB with everything."""
+    page = watched("phone").page()
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
+    page.goto("/#/new")
+    examples = page.get_by_role("group", name="Examples")
+    expect(examples.get_by_role("button")).to_have_text(["Portrait", "Photographer", "Logo", "Letters"])
+    page.wait_for_function("[...document.querySelectorAll('.gallery img')].every((one) => one.naturalWidth > 0)")
+    assert 60_000 < page.evaluate(WEIGHT) <= 150_000
+    examples.get_by_role("button", name="Logo").click()
+    expect(wall(page)).to_be_visible()
+    expect(page.get_by_label("Name of the job")).to_have_value("logo")
+    expect(page.locator(".told")).not_to_have_text("")

@@ -14,7 +14,7 @@ from tests.levels import mostly_thorough
 from tests.page import jobs
 from tests.page.browser import NOWHERE, Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
-from tests.page.form import refuse_picture
+from tests.page.form import refuse_picture, unfold
 from tests.page.listed import answer_with, summary
 from tests.page.machine_states import NAME as MILL
 from tests.page.machine_states import STATES, USED, machine_in, told, with_control
@@ -81,6 +81,7 @@ def of_a_picture_that_is_none(opened: Opened) -> Page:
 
 def of_a_new_job_with_everything(opened: Opened) -> Page:
     page = of_a_new_job(opened)
+    unfold(page)
     page.get_by_role("radio", name=re.compile("^Lamp")).check()
     page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
@@ -88,7 +89,7 @@ def of_a_new_job_with_everything(opened: Opened) -> Page:
         page.get_by_label(label, exact=True).fill(value)
     page.get_by_role("button", name="Make the lens").click()
     expect(page.get_by_text("'abc' is no number.")).to_be_visible()
-    expect(page.locator(".estimate[aria-busy=true]")).to_have_count(0)  # dimmed while it is asked for anew
+    expect(page.locator(".stale")).to_have_count(0)  # dimmed while it is asked for anew
     return page
 
 

@@ -6,12 +6,12 @@ import { shape } from "../lib/state.js";
 import { eyeWords } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
-const CALM_MS = 400;
+const CALM_MS = 250;
 const EXACT_CALM_MS = 1500;
 const AGAIN_MS = 5000;
 const BUSY = "Working it out…";
-const COARSE = "A first look. The exact figures follow in about half a minute.";
-const ONLY_COARSE = "A first look; the exact figures could not be worked out now.";
+const COARSE = "A first look: exact figures follow.";
+const ONLY_COARSE = "A first look: the exact figures could not be worked out.";
 const FIRST = "The first one after an installation or an update takes up to a minute; all others are quick.";
 const TRIES = 3;
 const SLOW_MS = 4000;
@@ -100,8 +100,7 @@ export function estimateWords(estimate) {
       "dl",
       { class: "figures" },
       figure("Machine time", hours(3600 * estimate.hours)),
-      figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall; finer details blur"),
-      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db)),
+      figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall"),
       figure("Depth of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&

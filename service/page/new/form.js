@@ -2,14 +2,14 @@
 
 import { freshId, h } from "../lib/dom.js";
 import { sentence } from "../lib/words.js";
-import { EXPERT, LENS, LIGHT, MILL, PICTURE } from "./fields.js";
+import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE } from "./fields.js";
 import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
 import { row } from "./row.js";
 import { isTable, merged, put, same, valueAt } from "./spec.js";
 
 /**
- * {lens, light, mill, picture, expert: elements; read(), show(spec), blame(problems)}.
+ * {main, lens, light, mill, picture, expert: elements; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
  * as the server has told them.
  */
@@ -19,7 +19,7 @@ export function specForm({ profiles, onChange, planned }) {
     onChange();
   };
   const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: changed }));
-  const groups = { lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
+  const groups = { main: make(MAIN), lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
@@ -87,6 +87,12 @@ export function specForm({ profiles, onChange, planned }) {
     return { placed, unplaced, focus: () => focusFirst(placed) };
   }
 
+  /** Whether all rows of "lens", "light"... are as usual. */
+  function isUsual(group) {
+    const { spec } = read();
+    return groups[group].every((one) => valueAt(spec, one.key) === undefined || one.field.first);
+  }
+
   const fields = (made) =>
     h(
       "div",
@@ -102,11 +108,13 @@ export function specForm({ profiles, onChange, planned }) {
   ];
   reveal();
   return {
+    main: fields(groups.main),
     lens: fields(groups.lens),
     light: fields(groups.light),
     mill: fields(groups.mill),
     picture: fields(groups.picture),
     expert,
+    isUsual,
     read,
     show,
     blame,

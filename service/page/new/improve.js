@@ -21,10 +21,10 @@ export function withChange(spec, values) {
 
 /**
  * {element, show(estimate), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
- * wants it. A picture that is hard to recognise asks by itself, any other where a person does. First looks are held
+ * wants it; draw(values, blurMm): what the wall then shows, small, or nothing. A picture that is hard to recognise asks by itself, any other where a person does. First looks are held
  * against the first look at the job itself, whatever a more exact one tells.
  */
-export function improvements({ make, take }) {
+export function improvements({ make, take, draw }) {
   const list = h("ul", { class: "changes" });
   const state = h("p", { class: "dim", role: "status" });
   const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, "What shows more?");
@@ -86,7 +86,7 @@ export function improvements({ make, take }) {
     h(
       "li",
       {},
-      h("button", { type: "button", onclick: () => take(change) }, sentence(change.what).replace(/\.$/, "")),
+      h("button", { type: "button", onclick: () => take(change) }, draw(change.values, seen.blur_mm), h("span", {}, sentence(change.what).replace(/\.$/, ""))),
       h(
         "small",
         {},

@@ -1,35 +1,50 @@
 /** The side of the picture: where it is dropped, then what the wall will show of it, and what can be done to it. */
 
 import { h, replace, write } from "../lib/dom.js";
+import { eyeWords } from "../job/figures.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
 import { screenOf } from "./screen.js";
 import { pictureTools } from "./tools.js";
-import { wall } from "./wall.js";
+import { coarseBlur } from "./coarse.js";
+import { gallery } from "./gallery.js";
+import { drawWall, wall } from "./wall.js";
 
 const SPREAD = Math.SQRT2; // the blur of an estimate is over both axes
-const HOW = "What the wall will show. Drag to choose the part, pinch or use the slider to zoom.";
+const SMALL = 160; // pixels of an outcome drawn small
+const HOW = "drag to choose the part, pinch or + and − to zoom";
 
 /**
- * {element, begin({picture, edits, name, file}), has(), draw(), showBlur(mm), blame(words), fault(), focus(), sent(), draft()}.
- * spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent.
+ * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate), small(spec, blurMm), blame(words), fault(),
+ * focus(), sent(), draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent.
  */
 export function pictureSide({ spec, values, onChange }) {
-  const now = { picture: null, edits: { ...UNTOUCHED }, blur_mm: 0 };
+  const now = { picture: null, edits: { ...UNTOUCHED }, estimate: null };
   const seen = wall({ state: readDrawing, onEdit: edit });
   const tools = pictureTools({ state: readDrawing, onEdit: edit });
   const name = h("input", { type: "text", maxLength: 80, autocomplete: "off", oninput: onChange });
-  const marks = h("input", { type: "checkbox", checked: true, onchange: () => seen.draw() });
-  const blur = h("label", { class: "tick", hidden: true }, marks, "With the blur that the tool's marks will leave");
-  const own = h("div", { class: "picture-values" }, values);
+  const title = h("label", { class: "field" }, h("span", {}, "Name of the job"), name);
+  const all = h("div", { class: "stack tight", hidden: true }, tools.element, values, title);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });
+  const told = h("small", { class: "told" });
 
-  /** All that the wall shows. */
+  /** All that the wall shows: at once, as the last estimate foretells it of what is set now. */
   function readDrawing() {
-    const screen = screenOf(spec());
-    const share = now.blur_mm / SPREAD / screen.width_mm;
-    return { ...now, screen, blurShare: marks.checked && share > 0 && share < 1 ? share : 0 };
+    return drawingOf(spec(), now.estimate ? coarseBlur(now.estimate, spec()) : 0);
+  }
+
+  function drawingOf(asked, blurMm) {
+    const screen = screenOf(asked), share = blurMm / SPREAD / screen.width_mm;
+    return { ...now, screen, blurShare: share > 0 && share < 1 ? share : 0 };
+  }
+
+  /** What the wall would show of another spec, drawn small; null where this browser cannot show the picture. */
+  function small(asked, blurMm) {
+    if (!now.picture?.shown) return null;
+    const canvas = h("canvas", { class: "outcome", "aria-hidden": "true" });
+    drawWall(canvas, new OffscreenCanvas(1, 1), drawingOf(asked, blurMm), SMALL);
+    return canvas;
   }
 
   function edit(edits) {
@@ -46,11 +61,16 @@ export function pictureSide({ spec, values, onChange }) {
   async function begin({ picture, edits, name: called, file }) {
     if (picture) use(picture, edits, called);
     else if (file) await take(file, called);
-    else replace(place, dropPlace({ words: invitation(), onFile: take }));
+    else replace(place, dropPlace({ words: invitation(), onFile: take }), gallery(take));
   }
 
   async function take(file, called) {
-    use(await openPicture(file), null, called);
+    place.setAttribute("aria-busy", "true"); // a huge one takes its time
+    try {
+      use(await openPicture(file), null, called);
+    } finally {
+      place.removeAttribute("aria-busy");
+    }
     onChange();
   }
 
@@ -60,11 +80,13 @@ export function pictureSide({ spec, values, onChange }) {
     name.value = called ?? stem(picture.file.name);
     write(fault, "");
     const words = `This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
+    const figure = (canvas, caption, more) => h("figure", {}, canvas, h("figcaption", {}, h("strong", {}, caption), more));
     const shown = picture.shown
-      ? [h("div", { class: "wall-frame" }, seen.element), h("small", {}, HOW), blur, tools.element]
+      ? h("div", { class: "stage" }, figure(seen.picture, "Picture", h("small", {}, HOW)), figure(seen.wall, "On the wall", told))
       : h("p", { class: "notice unseen" }, h("span", {}, words));
-    const title = h("label", { class: "field" }, h("span", {}, "Name of the job"), name);
-    replace(place, shown, own, title, dropPlace({ words: "Another picture?", onFile: take, compact: true }));
+    all.hidden = false;
+    tools.element.hidden = !picture.shown;
+    replace(place, shown, dropPlace({ words: "Another picture?", onFile: take, compact: true }));
     draw();
   }
 
@@ -74,9 +96,9 @@ export function pictureSide({ spec, values, onChange }) {
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
-  function showBlur(mm) {
-    now.blur_mm = mm;
-    blur.hidden = !(mm > 0);
+  function show(estimate) {
+    now.estimate = estimate;
+    write(told, Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
     seen.draw();
   }
 
@@ -89,10 +111,12 @@ export function pictureSide({ spec, values, onChange }) {
 
   return {
     element: h("section", { class: "picture-side", "aria-label": "Picture" }, fault, place),
+    tools: all,
     begin,
     has: () => now.picture !== null,
     draw,
-    showBlur,
+    show,
+    small,
     blame,
     /** What is wrong with the picture, "" nothing that is known. */
     fault: () => fault.textContent,

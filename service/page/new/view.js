@@ -71,21 +71,20 @@ async function knownProfiles() {
 function newJob(profiles, app) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => ((now.refused = []), asks.ask(), ready()) });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
   const coupon = couponPart({ take: takeChange });
-  const improve = improvements({ make: estimateForm, take: takeChange });
+  const improve = improvements({ make: estimateForm, take: takeChange, draw: (values, blurMm) => side.small(withChange(form.read().spec, values), blurMm) });
   const foot = submitBar();
   const sending = sender({ onWait: foot.wait });
 
-  const group = (title, rows) => h("fieldset", { class: "card" }, h("legend", {}, title), rows);
+  const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
+  const folds = { picture: fold("Picture", side.tools), lens: fold("Lens", form.lens), light: fold("Light", form.light), mill: fold("Milling", form.mill) };
   const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
   const settings = [
-    group("Lens", form.lens),
-    group("Light", form.light),
-    group("Milling", form.mill),
+    Object.values(folds),
     coupon.element,
     h("details", { class: "card" }, h("summary", {}, "Expert: passes, optics, stock, machine"), expert),
   ];
@@ -93,7 +92,8 @@ function newJob(profiles, app) {
     "form",
     { class: "new-job", onsubmit: submit, noValidate: true },
     side.element,
-    h("section", { class: "settings stack", "aria-label": "Settings" }, settings),
+    h("section", { class: "card main-choices", "aria-label": "Mill, size, time" }, form.main),
+    h("section", { class: "settings stack tight", "aria-label": "All else" }, settings),
     h("div", { class: "estimate-side" }, card.element, improve.element),
     foot.element,
   );
@@ -101,6 +101,7 @@ function newJob(profiles, app) {
   function changed() {
     now.refused = []; // what was sent is not what is here any more
     side.draw();
+    element.classList.toggle("stale", side.has());
     asks.ask();
     ready();
   }
@@ -112,11 +113,16 @@ function newJob(profiles, app) {
   }
 
   async function begin({ spec, ...start }) {
-    form.show(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
+    showSpec(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
     card.show({ kind: "none" });
     ready();
     await side.begin(start);
     asks.ask();
+  }
+
+  function showSpec(spec) {
+    form.show(spec);
+    for (const [group, one] of Object.entries(folds)) one.open ||= !form.isUsual(group);
   }
 
   async function estimateForm(change = {}) {
@@ -127,7 +133,7 @@ function newJob(profiles, app) {
 
   function takeChange({ what, values }) {
     const before = form.read().spec;
-    const become = (spec) => (form.show(spec), changed());
+    const become = (spec) => (showSpec(spec), changed());
     become(withChange(before, values));
     toast(`Taken: ${what}.`, { action: { words: "Undo", run: () => become(before) } });
   }
@@ -135,6 +141,7 @@ function newJob(profiles, app) {
   function showEstimate(asked) {
     const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
     card.show(state);
+    if (state.kind !== "busy") element.classList.remove("stale");
     if (state.kind === "known") now.estimate = state.estimate;
     if (state.kind !== "busy") now.told = state.problems ?? state.estimate?.refusals ?? [];
     if (state.kind !== "busy" && state.kind !== "none") showProblems();
@@ -142,7 +149,7 @@ function newJob(profiles, app) {
     else if (state.after) improve.reconsider(state.estimate);
     else improve.show(state.estimate);
     if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
-    side.showBlur(now.estimate?.blur_mm ?? 0);
+    if (state.kind === "known") side.show(state.estimate);
   }
 
   /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */

@@ -1,6 +1,6 @@
 /**
- * The wall: a canvas that shows what light will paint there. It is where the part of the picture is chosen, too: drag
- * it, pinch it, use the wheel, or the arrow keys with + and -.
+ * The picture and what light will paint of it on the wall, side by side. Either is where the part of the picture is
+ * chosen, too: drag it, pinch it, use the wheel, or the arrow keys with + and -.
  */
 
 import { h } from "../lib/dom.js";
@@ -13,7 +13,7 @@ const KEY_STEP = 0.05; // of the part
 const ZOOM_STEP = 1.15;
 
 /**
- * {element, draw()}. state() -> {picture, edits, screen: {aspect, fit, tone, invert}, blurShare}: all that is drawn,
+ * {picture, wall: elements, draw()}. state() -> {picture, edits, screen: {aspect, fit, tone, invert}, blurShare}: all that is drawn,
  * blurShare the standard deviation of the blur as a share of the screen's width. onEdit(edits): a person changed it.
  */
 export function wall({ state, onEdit }) {
@@ -25,37 +25,16 @@ export function wall({ state, onEdit }) {
     onkeydown: onKey,
     onwheel: onWheel,
   });
-  const context = canvas.getContext("2d", { willReadFrequently: true });
+  const sharp = h("canvas", { class: "sharp", role: "img", "aria-label": "The part of the picture", onwheel: onWheel });
   let asked = 0;
 
   function draw() {
     asked ||= requestAnimationFrame(() => {
       asked = 0;
-      if (canvas.isConnected && state().picture?.shown) render();
+      if (!canvas.isConnected || !state().picture?.shown) return;
+      drawWall(canvas, sharp, state(), SIDE);
+      for (const one of [canvas, sharp]) one.classList.toggle("movable", state().screen.fit === "crop");
     });
-  }
-
-  function render() {
-    const { picture, edits, screen, blurShare } = state();
-    const [width, height] =
-      screen.aspect >= 1
-        ? [SIDE, Math.max(1, Math.round(SIDE / screen.aspect))]
-        : [Math.max(1, Math.round(SIDE * screen.aspect)), SIDE];
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    canvas.classList.toggle("movable", screen.fit === "crop");
-    const part = partOf(picture, edits, screen);
-    const box = boxFor(picture, edits, screen, { width, height });
-    context.fillStyle = "#000";
-    context.fillRect(0, 0, width, height);
-    context.fillStyle = "#fff"; // transparent parts lie over white
-    context.fillRect(box.x, box.y, box.width, box.height);
-    paint(context, picture, edits, part, box);
-    const pixels = context.getImageData(0, 0, width, height);
-    if (edits.brightness || edits.contrast) bend(pixels.data, curve(edits));
-    const light = lightOf(pixels.data, screen);
-    darken(light, box, width, height);
-    pixels.data.set(greyOf(blurred(light, width, height, blurShare * width)));
-    context.putImageData(pixels, 0, 0);
   }
 
   function edit(change) {
@@ -89,11 +68,34 @@ export function wall({ state, onEdit }) {
     edit({ zoom: state().edits.zoom * Math.exp(-event.deltaY / 400) });
   }
 
-  dragAndPinch(canvas, {
-    onDrag: (across, down) => move(-across, -down),
-    onPinch: (ratio) => edit({ zoom: state().edits.zoom * ratio }),
+  for (const one of [canvas, sharp])
+    dragAndPinch(one, {
+      onDrag: (across, down) => move(-across, -down),
+      onPinch: (ratio) => edit({ zoom: state().edits.zoom * ratio }),
+    });
+  return { picture: sharp, wall: canvas, draw };
+}
+
+/** Draws on `sharp` the part of the picture, on `canvas` what the wall shows of it, `side` pixels along the longer side. */
+export function drawWall(canvas, sharp, { picture, edits, screen, blurShare }, side) {
+  const [width, height] = [Math.min(1, screen.aspect), Math.min(1, 1 / screen.aspect)].map((share) => Math.max(1, Math.round(side * share)));
+  const [context, shown] = [sharp, canvas].map((one) => {
+    if (one.width !== width || one.height !== height) Object.assign(one, { width, height });
+    return one.getContext("2d", { willReadFrequently: true });
   });
-  return { element: canvas, draw };
+  const box = boxFor(picture, edits, screen, { width, height });
+  context.fillStyle = "#000";
+  context.fillRect(0, 0, width, height);
+  context.fillStyle = "#fff"; // transparent parts lie over white
+  context.fillRect(box.x, box.y, box.width, box.height);
+  paint(context, picture, edits, partOf(picture, edits, screen), box);
+  const pixels = context.getImageData(0, 0, width, height);
+  if (edits.brightness || edits.contrast) bend(pixels.data, curve(edits));
+  context.putImageData(pixels, 0, 0);
+  const light = lightOf(pixels.data, screen);
+  darken(light, box, width, height);
+  pixels.data.set(greyOf(blurred(light, width, height, blurShare * width)));
+  shown.putImageData(pixels, 0, 0);
 }
 
 /** Where on the canvas the picture lies. */

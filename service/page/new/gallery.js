@@ -1,0 +1,25 @@
+/** Pictures to begin with, where nobody has one at hand. */
+
+import { api } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { toast } from "../lib/dialog.js";
+
+const PICTURES = [["portrait.jpg", "Portrait"], ["camera.jpg", "Photographer"], ["logo.png", "Logo"], ["characters.png", "Letters"]];
+
+/** An element that calls onFile(File) with the picture that a person takes. */
+export function gallery(onFile) {
+  const one = ([name, words]) => {
+    const picture = h("img", { src: `/page/new/gallery/${name}`, alt: "", width: 88, height: 88 });
+    return h("button", { type: "button", onclick: () => take(picture.src, name, onFile) }, picture, words);
+  };
+  return h("div", { class: "gallery", role: "group", "aria-label": "Examples" }, h("p", {}, "Or try one of these"), PICTURES.map(one));
+}
+
+async function take(address, name, onFile) {
+  try {
+    const blob = await (await api.request("GET", address)).blob();
+    onFile(new File([blob], name, { type: blob.type }));
+  } catch (error) {
+    toast(error.detail ?? error.message, { kind: "bad" });
+  }
+}
