@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from tests.levels import mostly_thorough
 from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state
+from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import STATES, USED, machine_in, told, with_control
 from tests.page.shop import MILL
 
@@ -50,6 +50,33 @@ def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened:
         page.evaluate(f"location.hash = '{SCREEN}'")
         expect(page.locator(".meter .row span")).to_have_text(words)
         page.evaluate("location.hash = '#/machines'")
+
+
+def test_the_readout_is_over_no_jog_key(opened: Opened) -> None:
+    """All that one jogs with is in sight with it, at once."""
+    page = with_control(opened, "idle")
+    assert out_of_sight(page, ".readout .work, .pad button, .steps label") == []
+    page.locator(".jog .field input").focus()
+    page.get_by_role("button", name="Y plus").focus()
+    assert out_of_sight(page, ".readout .work, .pad button") == []
+
+
+def test_feed_and_buffer_are_plotted_while_a_program_runs(opened: Opened) -> None:
+    page = open_blank(opened, "machine")
+    plots = page.locator(".spark")
+    for buffer in (0.9, 0.4):
+        told(page, "running", mill={"buffer_share": buffer, "feed_mm_per_min": 1000 * buffer})
+        page.evaluate(f"location.hash = '{SCREEN}'")
+        expect(page.locator(".pace")).to_contain_text(f"{buffer:.0%}".replace("%", " %"))
+    expect(plots).to_have_count(2)
+    for plot in plots.all():
+        expect(plot).to_be_visible()
+        heights = [float(one.partition(",")[2]) for one in plot.locator("polyline").get_attribute("points").split()]
+        assert heights[-1] > heights[0], "less is lower"
+    told(page, "finished", mill={"buffer_share": 0.0})
+    expect(page.locator(".running .mark")).to_have_text("finished")
+    expect(plots.first).to_be_hidden()
+    expect(page.locator(".pace")).not_to_contain_text("Buffer", use_inner_text=True)
 
 
 def test_mill_and_program_are_one_state_in_words(modules: Page) -> None:

@@ -9,7 +9,7 @@ import { coordinate } from "./words.js";
 const ROUND = new Set(["ellipse", "circle", "disc"]);
 const EDGE = 0.06; // of the block, around it
 const [LEAST_PX, MOST_PX] = [320, 420]; // high
-const AROUND_PX = 500; // of the page's height: bars, head and words of the card, so that all of the part is in sight
+const AROUND_PX = 570; // of the page's height: bars, head and words of the card, so that all of the part is in sight
 
 export function part(link) {
   const canvas = h("canvas", { role: "img", "aria-label": "The part from above" });

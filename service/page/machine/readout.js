@@ -1,41 +1,60 @@
-/** Where the tool is: the numbers one reads from two metres away. */
+/** Where the tool is, in numbers one reads from two metres away; while a program runs, how feed and buffer went. */
 
 import { h, write } from "../lib/dom.js";
-import { coordinate } from "./words.js";
+import { sparkline } from "./sparkline.js";
+import { coordinate, hasLiveRun } from "./words.js";
 
 const AXES = ["X", "Y", "Z"];
 
 export function readout(link) {
-  const cells = AXES.map((axis) => ({ axis, work: h("td", { class: "work" }), machine: h("td", { class: "own" }) }));
+  const work = AXES.map(() => h("td", { class: "work" }));
+  const own = AXES.map(() => h("td", { class: "own" }));
+  const head = (words) => h("th", { scope: "row" }, words);
   const trust = h("p", { class: "trust" });
-  const feed = h("dd", {});
-  const spindle = h("dd", {});
+  const pace = { feed: item("Feed", 0), buffer: item("Buffer", 1), spindle: item("Spindle") };
   const node = h(
     "section",
     { class: "card readout", "aria-label": "Position" },
     h(
       "table",
       {},
-      h("thead", {}, h("tr", {}, h("td", {}), h("th", { scope: "col" }, "Work, mm"), h("th", { scope: "col" }, "Machine, mm"))),
-      h("tbody", {}, cells.map(({ axis, work, machine }) => h("tr", {}, h("th", { scope: "row" }, axis), work, machine))),
+      h("thead", {}, h("tr", {}, h("td", {}, "mm"), AXES.map((axis) => h("th", { scope: "col" }, axis)))),
+      h("tbody", {}, h("tr", {}, head("Work"), work), h("tr", {}, head("Machine"), own)),
     ),
-    h("dl", { class: "pace" }, h("div", {}, h("dt", {}, "Feed"), feed), h("div", {}, h("dt", {}, "Spindle"), spindle)),
-    trust,
+    h("div", { class: "beside-place" }, h("dl", { class: "pace" }, Object.values(pace).map((one) => one.node)), trust),
   );
+  let seen = null;
   return {
     node,
     update() {
       const mill = link.machine?.mill;
       const known = mill && mill.connected && !link.away;
+      const live = hasLiveRun(link.machine);
       node.classList.toggle("stale", !known);
-      cells.forEach(({ work, machine }, k) => {
-        write(work, coordinate(mill?.work_mm?.[k]));
-        write(machine, coordinate(mill?.machine_mm?.[k]));
+      AXES.forEach((_, k) => {
+        write(work[k], coordinate(mill?.work_mm?.[k]));
+        write(own[k], coordinate(mill?.machine_mm?.[k]));
       });
-      write(feed, Number.isFinite(mill?.feed_mm_per_min) ? `${Math.round(mill.feed_mm_per_min)} mm/min` : "–");
-      write(spindle, spindleWords(mill));
+      const { feed_mm_per_min: feed, buffer_share: buffer } = mill ?? {};
+      pace.feed.say(Number.isFinite(feed) ? `${Math.round(feed)} mm/min` : "–");
+      pace.buffer.say(Number.isFinite(buffer) ? `${Math.round(100 * buffer)} %` : "–");
+      pace.spindle.say(spindleWords(mill));
+      pace.buffer.node.hidden = !live || !Number.isFinite(buffer);
+      if (link.machine !== seen) for (const [one, value] of [[pace.feed, feed], [pace.buffer, buffer]]) one.plot(live && known ? value : null);
+      seen = link.machine;
       write(trust, !mill ? "" : !known ? "Last known. Look at the mill." : mill.position_trusted ? "" : "Where the mill stands is not sure.");
     },
+  };
+}
+
+/** A figure with its name; most: of its plot, 0: as it comes; no plot without. */
+function item(name, most) {
+  const value = h("dd", {});
+  const line = most === undefined ? null : sparkline(name, most);
+  return {
+    node: h("div", {}, h("dt", {}, name), value, line?.node),
+    say: (words) => write(value, words),
+    plot: (number) => line.add(number),
   };
 }
 

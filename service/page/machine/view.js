@@ -66,10 +66,11 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
     { class: "machine" },
     h("div", { class: "machine-head" }, head.node, control.node),
     next.node,
+    readout.node,
     h(
       "div",
       { class: "machine-columns" },
-      h("div", { class: "left" }, stack("tool", readout, jog), stack("zero", setup, zero)),
+      h("div", { class: "left" }, stack("tool", jog), stack("zero", setup, zero)),
       h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal, given)),
     ),
     stops.node,
@@ -114,7 +115,7 @@ function head(link) {
   const simulated = h("p", { class: "simulated", hidden: true }, mark("warn", "Simulated: no real mill moves"));
   let shown = "";
   return {
-    node: h("div", {}, h("h1", {}, link.name), state, h("div", { class: "machine-about" }, simulated, about)),
+    node: h("div", {}, h("div", { class: "machine-title" }, h("h1", {}, link.name), state), h("div", { class: "machine-about" }, simulated, about)),
     update() {
       const { machine, away } = link;
       const now = machine ? standing(machine) : { kind: "wait", word: "asking the server", words: "" };

@@ -209,6 +209,7 @@ def _mill(status: Json) -> Json:
         "controller",
     )
     return {name: told.get(name) for name in names} | {
+        "buffer_share": _buffer_share(status),
         "connected": status.get("connected", False),
         "problem": status.get("problem", ""),
         "needs": status.get("needs", []),
@@ -217,3 +218,11 @@ def _mill(status: Json) -> Json:
         "stops": status.get("stops", 0),
         "setup": str(status.get("setup", ""))[:100],
     }
+
+
+def _buffer_share(status: Json) -> float | None:
+    """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
+    used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
+    if not isinstance(used, int) or not isinstance(room, int) or room <= 0:
+        return None
+    return round(min(1.0, max(0.0, used / room)), 3)

@@ -103,6 +103,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "work_mm": [0.0, 0.0, 5.0],
         "machine_mm": [-290.0, -170.0, -1.0],
         "feed_mm_per_min": 0.0,
+        "buffer_share": 0.0,
         "spindle_rpm": 0.0,
         "overrides": [100, 100, 100],
         "position_trusted": True,
