@@ -7,6 +7,7 @@ import { watchKeyEnd } from "./lib/key_end.js";
 import { shape } from "./lib/state.js";
 import { sentence } from "./lib/words.js";
 import { showMill } from "./machine/chip.js";
+import { watchForNotifications } from "./machine/notify.js";
 
 /** [address, place in the navigation, how the view is loaded] */
 const ROUTES = [
@@ -131,6 +132,7 @@ api.onAway(showAway);
 api.setKeyDialog(askForKey);
 showWho(document.getElementById("who"));
 showMill(document.getElementById("mill"));
+watchForNotifications();
 watchKeyEnd(() => askForKey("machine:run"));
 keepDropsHere();
 addEventListener("hashchange", () => show());

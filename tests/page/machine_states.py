@@ -158,6 +158,7 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
     ),
     "simulated": ({"simulated": True}, {"state": "run", "spindle_on": True}, _CUT | {"state": "running"}),
     "held": ({}, {"state": "held"}, _CUT | {"state": "held"}),
+    "tool": ({}, {"state": "tool"}, _CUT | {"state": "running"}),
     "interrupted": (
         {},
         locked(3),

@@ -17,6 +17,15 @@ from tests.waiting import until
 
 SCREENS = ("#/", "#/new", "#/machines", f"#/jobs/{JOB_ID}")
 TAKEN = {"taken": True, "mill": {}}
+# A browser that grants notifications, asks nobody, and keeps what it would show; a page that may be out of sight.
+NOTIFYING = """
+    window.asked = 0; window.told = []; window.unseen = false;
+    window.Notification = class { constructor(title, {body}) { window.told.push(`${title}: ${body}`); } };
+    Notification.permission = "default";
+    Notification.requestPermission = async () => { window.asked += 1; return (Notification.permission = "granted"); };
+    Object.defineProperty(document, "hidden", {get: () => window.unseen});
+    document.hasFocus = () => !window.unseen;
+"""
 Mills = dict[str, tuple[str, dict[str, Any]]]  # name: state, and what is different about it
 
 
@@ -38,12 +47,14 @@ def opened_with(
     answer: dict[str, Any] | None = None,
     address: str = "#/",
     errors: tuple[str, ...] = (),
+    script: str = "",
     **how: Any,
 ) -> tuple[Page, Way]:
     """A page that nobody has given a code to, and the way of its stops."""
     pages = watched(**how)
     pages.expect_errors(*errors)
     page = pages.page()
+    page.add_init_script(script)
     way = Way(page, answer or TAKEN)
     tell(page, mills)
     page.goto(f"/{address}")
@@ -59,7 +70,7 @@ def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watche
         page.evaluate("address => { location.hash = address }", address)
         expect(page.locator("#view h1")).to_be_visible()
         chip = page.locator("#mill")
-        expect(chip.locator(".chip-state")).to_have_text("running, 21 %")
+        expect(chip.locator(".chip-state")).to_have_text("running 21 %")
         hold = chip.get_by_role("button", name="HOLD shop")
         expect(hold).to_be_in_viewport(ratio=1)
         way.heard.clear()
@@ -96,7 +107,7 @@ def test_hold_is_where_it_was_whatever_is_said_beside_it(watched: Callable[..., 
     boxes = set()
     for state, share in (("running", 0.0), ("running", 0.09), ("running", 0.994), ("held", 0.994)):
         tell(page, {"shop": (state, {"share": share}), "attic": ("idle", {})})
-        words = f"{state}, {share:.0%}".replace("%", " %") if share else state
+        words = f"{state} {share:.0%}".replace("%", " %") if share else state
         expect(page.locator(".chip-state")).to_have_text(words)
         expect(hold).to_be_visible()
         boxes.add(str(hold.bounding_box()))
@@ -134,11 +145,11 @@ def test_no_dialog_lies_over_hold(watched: Callable[..., Watched]) -> None:
 
 def test_on_its_own_screen_a_mill_has_one_hold(watched: Callable[..., Watched]) -> None:
     page, _ = opened_with(watched, {"shop": ("running", {})}, address="#/machines/shop")
-    expect(page.locator(".chip-state")).to_have_text("running, 21 %")
+    expect(page.locator(".chip-state")).to_have_text("running 21 %")
     expect(page.locator(".stops")).to_be_visible()
     expect(page.get_by_role("button", name="HOLD")).to_have_count(1)
     tell(page, {"shop": ("held", {}), "attic": ("idle", {})})
-    expect(page.locator(".chip-state")).to_have_text("held, 21 %")
+    expect(page.locator(".chip-state")).to_have_text("held 21 %")
     tell(page, {"shop": ("running", {}), "attic": ("running", {})})
     expect(page.get_by_role("button", name="HOLD attic")).to_be_visible()
 
@@ -166,3 +177,41 @@ def test_all_mills_of_the_shop_are_on_one_screen_each_with_its_hold(watched: Cal
     until(lambda: (page.wait_for_timeout(20), way.stops())[1], what="HOLD of one of them")
     assert way.stops() == ["barn hold"]
     assert hold.bounding_box() == place
+
+
+def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewhere(
+    watched: Callable[..., Watched],
+) -> None:
+    """Once each, and never before a person has asked for it."""
+    page, _ = opened_with(watched, {"shop": ("running", {})}, address="#/machines", script=NOTIFYING)
+    notify = page.get_by_role("button", name="Notify me")
+    expect(notify).to_have_attribute("aria-pressed", "false")
+    assert page.evaluate("asked") == 0
+    notify.click()
+    expect(notify).to_have_attribute("aria-pressed", "true")
+    tell(page, {"shop": ("held", {})})
+    expect(page.locator(".chip-state")).to_contain_text("held")
+    assert page.evaluate("[asked, told]") == [1, []], "who looks at the page sees it there"
+    finished = machine_in("finished")[1]
+    page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": [finished], "next": None}))
+    page.evaluate("unseen = true")
+    said = []
+    for state, words in (
+        ("running", None),
+        ("interrupted", "shop: locked"),
+        ("running", None),
+        ("tool", "shop: waits for a tool change"),
+        ("running", None),
+        ("idle", "shop: pass-2-finish.nc is done. Next: pass-3-finish.nc."),
+    ):
+        tell(page, {"shop": (state, {})})
+        said += [words] if words else []
+        page.wait_for_function("count => told.length >= count", arg=len(said))
+        page.wait_for_timeout(2500 if words is None else 0)
+    assert page.evaluate("told") == said
+    notify.click()
+    tell(page, {"shop": ("locked", {})})
+    page.evaluate("unseen = false")
+    tell(page, {"shop": ("locked", {})})
+    expect(page.locator(".chip-state")).to_have_text("locked")
+    assert page.evaluate("told") == said

@@ -9,9 +9,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
 import { count, percentUnderWay } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
-import { standingInShop } from "./words.js";
-
-const URGENCY = ["off", "good", "wait", "busy", "warn", "bad"]; // of a mill that stands
+import { needsHand, standingInShop, urgency } from "./words.js";
 
 /** Fills the place in the head of the page, which stays empty where no mill is known. */
 export function showMill(place) {
@@ -35,9 +33,9 @@ export function showMill(place) {
     const live = isLive(machine);
     const { share } = machine.run ?? {};
     const { kind, word } = standingInShop(machine);
-    const words = `${api.away ? "last seen " : ""}${word}${live && share > 0 ? `, ${percentUnderWay(share)}` : ""}`;
-    if (`${kind} ${words}` !== drawn) replace(state, mark(api.away ? "off" : kind, words));
-    drawn = `${kind} ${words}`;
+    const now = [api.away ? "off" : kind, `${api.away ? "last seen " : ""}${word}`, live && share > 0 ? percentUnderWay(share) : ""];
+    if (now.join() !== drawn) replace(state, mark(now[0], h("span", {}, now[1])), " ", h("span", {}, now[2]));
+    drawn = now.join();
     write(name, machine.name);
     write(rest, restWords(machine, machines));
     link.href = machines.length > 1 && !isOwnScreen(machine) ? "#/machines" : addressOf(machine);
@@ -61,14 +59,6 @@ function choose(machines, before) {
   const own = machines.find(isOwnScreen);
   if (own && !(moving.length || (worst && needsHand(worst)))) return own;
   return moving.find(({ name }) => name === before) ?? worst;
-}
-
-function needsHand(machine) {
-  return urgency(machine) >= URGENCY.indexOf("warn");
-}
-
-function urgency(machine) {
-  return URGENCY.indexOf(standingInShop(machine).kind);
 }
 
 /** Whether others need a person, or else how many there are. */

@@ -4,6 +4,7 @@ import { h, replace, sheet, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
 import { hours, percentUnderWay, sentence } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
+import { notifySwitch } from "./notify.js";
 import { tell } from "./sentences.js";
 import { millWords, standingInShop } from "./words.js";
 
@@ -36,7 +37,7 @@ export default async function view(root, _params, app) {
 
   await mills.look();
   show();
-  replace(root, h("h1", {}, "Machines"), h("div", { class: "stack" }, faults, list, none));
+  replace(root, h("div", { class: "list-head" }, h("h1", {}, "Machines"), notifySwitch()), h("div", { class: "stack" }, faults, list, none));
   return { leave: mills.watch(show) };
 }
 
@@ -47,15 +48,16 @@ function card(name) {
   const alarm = h("p", { class: "arrived", role: "alert" });
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const meter = h("div", { class: "cut" }, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
   const link = h("a", { href: `#/machines/${encodeURIComponent(name)}` }, name);
   const node = h(
     "li",
     { class: "card" },
-    h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), h("div", { class: "row" }, state, share)), hold),
+    h("div", { class: "row spread" }, h("div", {}, h("h2", {}, link), state), hold),
     alarm,
-    bar,
+    meter,
     words,
     about,
   );
@@ -70,7 +72,7 @@ function card(name) {
     hold.style.visibility = isLive(machine) ? "visible" : "hidden";
     write(alarm, mills.stopper(name).words);
     write(share, cut ? percentUnderWay(run.share) : "");
-    bar.style.visibility = cut ? "visible" : "hidden";
+    meter.style.visibility = cut ? "visible" : "hidden";
     bar.value = run?.share ?? 0;
     write(words, [run?.program, whyWords(machine) || leftWords(machine)].filter(Boolean).join(": "));
     write(about, [simulated ? "Simulated: no real mill moves" : profile?.description, control && `${control.operator} has control`].filter(Boolean).join(" · "));

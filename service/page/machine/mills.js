@@ -17,6 +17,8 @@ let timer = 0;
 export const mills = {
   /** As they were seen last. */
   seen: NONE,
+  /** Whether they are looked at while nobody sees this page. */
+  inBackground: false,
 
   /** Asks the server now. quiet: who may not see them is not asked for the code. */
   async look({ quiet = false } = {}) {
@@ -63,7 +65,7 @@ function again(wait_ms = mills.seen.machines.some(isLive) ? BUSY_MS : CALM_MS) {
 
 async function turn() {
   const may = api.who.scopes.includes("jobs:read");
-  if (may && !document.hidden && !api.away) await mills.look({ quiet: true }).catch(() => {});
+  if (may && (mills.inBackground || !document.hidden) && !api.away) await mills.look({ quiet: true }).catch(() => {});
   again();
 }
 

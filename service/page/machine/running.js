@@ -5,6 +5,7 @@ import { mark, shape } from "../lib/state.js";
 import { ball, count, hours, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
+import { notifySwitch } from "./notify.js";
 import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES, tell } from "./sentences.js";
 import { runStanding, whyNot } from "./words.js";
@@ -66,7 +67,7 @@ function meter() {
   const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
   const line = h("span", {});
   const left = h("span", {});
-  const node = h("div", { class: "meter" }, h("div", { class: "row spread" }, share, left), bar, line);
+  const node = h("div", { class: "meter" }, h("div", { class: "row spread" }, share, left), bar, h("div", { class: "row spread" }, line, notifySwitch()));
   return {
     node,
     update(run, simulated) {

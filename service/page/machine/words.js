@@ -54,6 +54,17 @@ export function standingInShop(machine) {
   return { ...own, kind, word };
 }
 
+const URGENCY = ["off", "good", "wait", "busy", "warn", "bad"];
+
+/** How much a mill asks for a person, to compare. */
+export function urgency(machine) {
+  return URGENCY.indexOf(standingInShop(machine).kind);
+}
+
+export function needsHand(machine) {
+  return urgency(machine) >= URGENCY.indexOf("warn");
+}
+
 /**
  * Mill and program in one word. The controller calls itself idle until the first move has come to it, and whenever it
  * waits for the next one: while a program is on it, the program says what is going on.

@@ -1,0 +1,71 @@
+/**
+ * Notifications of the browser, for who looks elsewhere while a mill cuts: it needs a hand, waits for a tool, is done.
+ * Asked for at a person's press, and never shown to who looks at this page.
+ */
+
+import { api } from "../lib/api.js";
+import { h, write } from "../lib/dom.js";
+import { isLive, mills } from "./mills.js";
+import { needsHand, standingInShop } from "./words.js";
+
+const KEPT = "causticmill-notify";
+const before = new Map(); // name of a mill -> {live, hand, word} as it was seen last
+
+/** A switch; nothing where this browser, or a page without TLS from elsewhere, has no notifications. */
+export function notifySwitch() {
+  if (!globalThis.Notification) return null;
+  const button = h("button", { type: "button", onclick: () => set(!mills.inBackground) });
+  async function set(on) {
+    const granted = on && (await Notification.requestPermission()) === "granted";
+    mills.inBackground = granted;
+    localStorage.setItem(KEPT, granted ? "on" : "");
+    show(on && !granted);
+  }
+  function show(blocked = false) {
+    write(button, blocked ? "Blocked by the browser" : "Notify me");
+    button.setAttribute("aria-pressed", String(mills.inBackground));
+  }
+  show();
+  return button;
+}
+
+/** From now on, where a person has switched it on. */
+export function watchForNotifications() {
+  mills.inBackground = globalThis.Notification?.permission === "granted" && localStorage.getItem(KEPT) === "on";
+  mills.watch(() => api.away || mills.seen.machines.forEach(compare));
+  api.onAway((away) => {
+    const cutting = mills.seen.machines.find(isLive);
+    if (away && cutting && isWanted()) tell(cutting.name, "The server does not answer. Look at the mill.");
+  });
+}
+
+function isWanted() {
+  return mills.inBackground && (document.hidden || !document.hasFocus());
+}
+
+async function compare(machine) {
+  const { name } = machine;
+  const was = before.get(name);
+  const now = { live: isLive(machine), hand: needsHand(machine), word: standingInShop(machine).word };
+  before.set(name, now);
+  if (!was || !isWanted()) return;
+  if (now.hand && (!was.hand || now.word !== was.word)) tell(name, now.word);
+  else if (was.live && !now.live && !machine.run) tell(name, await endWords(name));
+}
+
+/** What became of the program that was on it. */
+async function endWords(name) {
+  const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(name)}&limit=1`, { quiet: true }).catch(() => ({ runs: [] }));
+  const [run] = runs;
+  if (run?.state !== "finished") return "";
+  return [`${run.program.name} is done.`, run.next && `Next: ${run.next.name}.`].filter(Boolean).join(" ");
+}
+
+function tell(name, words) {
+  if (!words) return;
+  const shown = new Notification(name, { body: words, tag: name, icon: "/page/icon.svg" });
+  shown.onclick = () => {
+    focus();
+    location.hash = `#/machines/${encodeURIComponent(name)}`;
+  };
+}
