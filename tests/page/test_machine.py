@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from itertools import product
 
@@ -147,3 +148,34 @@ def test_every_state_can_be_read_and_used_by_everybody(opened: Opened, size: str
         expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
     assert serious_faults(page) == []
     assert len(set(heights.values())) == 1 and heights["idle"].endswith(" 0 more"), heights
+
+
+def test_what_a_mill_has_cut_is_told_with_the_hours_of_each_ball_and_kept_as_a_table(opened: Opened) -> None:
+    """All pages of it; a program that was never started has cut nothing, and no cell is a formula."""
+    page = open_blank(opened, "machine", once=True)
+    told(page, "idle")
+    done = machine_in("finished")[1] | {
+        "started_at": "2026-11-21T08:00:00.000Z",
+        "ended_at": "2026-11-21T10:00:00.000Z",
+    }
+    half = done | {"state": "aborted", "share": 0.5, "operator": "=HYPERLINK(1)"}
+    large = done | {"setup": done["setup"] | {"tool": done["setup"]["tool"] | {"radius_mm": 3.0}}}
+    parked = machine_in("parked")[1]
+    more = f"/v1/runs?machine={MILL}&limit=100&cursor={done['id']}"
+    pages = {False: {"runs": [done, parked, half], "next": more}, True: {"runs": [large], "next": None}}
+    page.route("**/v1/runs?**", lambda route: route.fulfill(json=pages["cursor" in route.request.url]))
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    page.get_by_role("heading", name="History").click()
+    card = page.locator(".history")
+    expect(card).to_contain_text("3 h 45 min cut. R 3 (Ø 6 mm): 1 h 30 min, R 0.5 (Ø 1 mm): 2 h 15 min")
+    expect(card.get_by_role("listitem")).to_have_count(3)
+    with page.expect_download() as saved:
+        card.get_by_role("button", name="Save as CSV").click()
+    assert saved.value.suggested_filename == f"{MILL}-history.csv"
+    rows = list(csv.DictReader(saved.value.path().read_text(encoding="utf-8").splitlines()))
+    assert [(row["ball_radius_mm"], row["state"], row["hours_cut"]) for row in rows] == [
+        ("0.5", "finished", "1.5000"),
+        ("0.5", "aborted", "0.7500"),
+        ("3", "finished", "1.5000"),
+    ]
+    assert rows[1]["operator"] == "'=HYPERLINK(1)"

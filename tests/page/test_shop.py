@@ -207,6 +207,8 @@ def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewher
         tell(page, {"shop": (state, {})})
         said += [words] if words else []
         page.wait_for_function("count => told.length >= count", arg=len(said))
+        with page.expect_response("**/v1/machines"):
+            tell(page, {"shop": (state, {})})  # seen again
         page.wait_for_timeout(2500 if words is None else 0)
     assert page.evaluate("told") == said
     notify.click()

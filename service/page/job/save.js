@@ -88,7 +88,7 @@ function counter(tell) {
   });
 }
 
-async function saveBlob(blob, name) {
+export async function saveBlob(blob, name) {
   const url = URL.createObjectURL(blob);
   h("a", { href: url, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(url), 60_000);
