@@ -26,7 +26,7 @@ NOTIFYING = """
     Object.defineProperty(document, "hidden", {get: () => window.unseen});
     document.hasFocus = () => !window.unseen;
 """
-Mills = dict[str, tuple[str, dict[str, Any]]]  # name: state, and what is different about it
+Mills = dict[str, tuple[str, dict[str, Any]]]  # name: state, and what is different about its run, or its "mill"
 
 
 def tell(page: Page, mills: Mills) -> None:
@@ -34,7 +34,9 @@ def tell(page: Page, mills: Mills) -> None:
     found = []
     for name, (state, changes) in mills.items():
         machine = machine_in(state)[0] | {"name": name}
-        if machine["run"]:
+        if "mill" in changes:
+            machine["mill"] |= changes["mill"]
+        elif machine["run"]:
             machine["run"] |= changes
         found.append(machine)
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": found, "problems": []}))
@@ -124,9 +126,14 @@ def test_of_several_mills_the_one_that_moves_is_told_of_as_long_as_it_does(watch
     tell(page, {"attic": ("held", {}), "barn": ("running", {}), "cellar": ("locked", {})})
     expect(chip).to_contain_text("+ 2 need a hand")
     expect(chip.get_by_role("button", name="HOLD barn")).to_be_visible()
+    tell(page, {"attic": ("idle", {}), "barn": ("idle", {"mill": {"state": "held"}}), "cellar": ("locked", {})})
+    expect(chip.get_by_role("button", name="HOLD barn")).to_be_visible()  # held in a jog
     tell(page, {"attic": ("idle", {}), "barn": ("idle", {}), "cellar": ("locked", {})})
     expect(chip).to_contain_text("cellar")
     expect(chip.locator(".chip-state")).to_have_text("locked")
+    tell(page, {"attic": ("held", {}), "barn": ("idle", {}), "cellar": ("locked", {"mill": {"alarm": 0}})})
+    expect(chip).to_contain_text("attic")
+    expect(chip).to_contain_text("1 of 3")  # who was only switched on needs nobody
 
 
 def test_no_dialog_lies_over_hold(watched: Callable[..., Watched]) -> None:
@@ -203,12 +210,15 @@ def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewher
         ("tool", "shop: waits for a tool change"),
         ("running", None),
         ("idle", "shop: pass-2-finish.nc is done. Next: pass-3-finish.nc."),
+        ("jog", None),
+        ("idle", None),
     ):
-        tell(page, {"shop": (state, {})})
+        changes = {"mill": {"state": "jog"}} if state == "jog" else {}
+        tell(page, {"shop": ("idle" if changes else state, changes)})
         said += [words] if words else []
         page.wait_for_function("count => told.length >= count", arg=len(said))
         with page.expect_response("**/v1/machines"):
-            tell(page, {"shop": (state, {})})  # seen again
+            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")  # seen again
         page.wait_for_timeout(2500 if words is None else 0)
     assert page.evaluate("told") == said
     notify.click()

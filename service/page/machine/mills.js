@@ -49,9 +49,9 @@ export const mills = {
   },
 };
 
-/** Whether something moves on it, or a program is on it that can go on: what HOLD is for. */
+/** Whether something moves on it, was held, or a program is on it that can go on: what HOLD is for. */
 export function isLive(machine) {
-  return ["run", "holding", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
+  return ["run", "holding", "held", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
 }
 
 function tell() {

@@ -9,7 +9,7 @@ import { isLive, mills } from "./mills.js";
 import { needsHand, standingInShop } from "./words.js";
 
 const KEPT = "causticmill-notify";
-const before = new Map(); // name of a mill -> {live, hand, word} as it was seen last
+const before = new Map(); // name of a mill -> {run, hand, word} as it was seen last
 
 /** A switch; nothing where this browser, or a page without TLS from elsewhere, has no notifications. */
 export function notifySwitch() {
@@ -46,11 +46,11 @@ function isWanted() {
 async function compare(machine) {
   const { name } = machine;
   const was = before.get(name);
-  const now = { live: isLive(machine), hand: needsHand(machine), word: standingInShop(machine).word };
+  const now = { run: machine.run?.id, hand: needsHand(machine), word: standingInShop(machine).word };
   before.set(name, now);
   if (!was || !isWanted()) return;
   if (now.hand && (!was.hand || now.word !== was.word)) tell(name, now.word);
-  else if (was.live && !now.live && !machine.run) tell(name, await endWords(name));
+  else if (was.run && !now.run) tell(name, await endWords(name));
 }
 
 /** What became of the program that was on it. */

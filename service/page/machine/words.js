@@ -46,9 +46,14 @@ export function standing(machine) {
   return { kind, word, words: millWords(mill).whole };
 }
 
-/** How it stands for who does not look at its screen: a program that waits on a mill that is well, too. */
+/**
+ * How it stands for who does not look at its screen: a program that waits on a mill that is well, too; one that was only
+ * switched on, and not homed yet, needs nobody.
+ */
 export function standingInShop(machine) {
   const own = standing(machine);
+  const { mill, run } = machine;
+  if (mill?.state === "alarm" && !mill.alarm && !run && !machine.problem) return { ...own, kind: "wait", word: "not homed yet" };
   if (own.kind !== "good" || !machine.run || hasLiveRun(machine)) return own;
   const [kind, word] = RUN_STATES[machine.run.state] ?? ["off", machine.run.state];
   return { ...own, kind, word };

@@ -112,3 +112,17 @@ def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
         route.fulfill(status=202, json=taken(route))
     at_mill.get_by_role("button", name="STOP").click()  # held, the mill would be of no use to the next test
     expect(machine_state(at_mill)).to_have_text("idle")
+
+
+@pytest.mark.thorough
+def test_a_moving_mill_is_held_from_the_list_of_jobs_by_who_has_no_control(at_mill: Page, opened: Opened) -> None:
+    watching = opened("#/", key="Grace")
+    chip = watching.locator("#mill")
+    expect(chip.get_by_role("button", name=f"HOLD {MILL}")).to_be_hidden()
+    at_mill.get_by_label("One line to the mill").fill("G91 G1 X-60 F20")
+    at_mill.get_by_role("button", name="Send").click()
+    chip.get_by_role("button", name=f"HOLD {MILL}").click()
+    expect(machine_state(at_mill)).to_have_text("held")
+    expect(chip.locator(".chip-state")).to_have_text("held")
+    at_mill.get_by_role("button", name="STOP").click()
+    expect(machine_state(at_mill)).to_have_text("idle")
