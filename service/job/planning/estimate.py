@@ -8,7 +8,7 @@ asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from math import ceil, hypot, sqrt
 from pathlib import Path
 from typing import Any
@@ -297,22 +297,18 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
     planned, finish, slopes = quick.planned, _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
-    if planned is not None and exactly:
+    if planned is not None and (exactly or planned.finishing is not None):
         return describe_light(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
-    by_hand = finish_of(quick.spec)
-    found = foretell(
+    return foretell(
         target,
         quick.bench,
         quick.form,
         quick.missed,
         Marks(spec=finish, slopes=slopes),
         aims=any(quick.spec.optics.foreseen_blur_mm),
-        by_hand=by_hand,
+        by_hand=finish_of(quick.spec),
         design=design_for_finishes(target, quick.settings) if exactly else None,
     )
-    if planned is not None and planned.finishing is not None:
-        return replace(found, psnr_db=planned.chosen.psnr_db)
-    return found
 
 
 def _find_finish(quick: QuickLens) -> PassSpec | None:

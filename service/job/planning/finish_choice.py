@@ -109,7 +109,7 @@ def plan_finish(
 
 
 def _quickest_alike(candidates: list[Candidate], light: PictureLight) -> list[Candidate]:
-    """Return, of finishes without a rest pass that leave the same, the quickest: directions and strategies."""
+    """Return, of finishes without a rest pass that leave the same, the quickest: directions and strategies; sorted."""
     found: dict[tuple[float, ...], Candidate] = {}
     for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):
         if one.rest is None:
@@ -126,12 +126,19 @@ def _best(
 ) -> FinishedPlan:
     found: list[tuple[tuple[bool, float], FinishedPlan]] = []
     for finishing, light in ways:
-        scored = [
-            replace(one, psnr_db=light.psnr_db(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates
-        ]
-        plan = plan_by_score(scored, left_out, goal)
+        plan = plan_by_score(_score_better(candidates, light), left_out, goal)
         found.append((merit(plan, goal), FinishedPlan(plan=plan, finishing=finishing, light=light)))
     return max(found, key=lambda one: one[0])[1]
+
+
+def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:
+    """Return, scored, those that are better than all before them: quickest first, no others come on a front."""
+    found: list[Candidate] = []
+    for one in candidates:
+        psnr_db = light.psnr_db(one.marks)
+        if not found or psnr_db > found[-1].psnr_db:
+            found.append(replace(one, psnr_db=psnr_db, blur_mm=light.blur_mm(one.slopes)))
+    return found
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:

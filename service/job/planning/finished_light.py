@@ -221,8 +221,15 @@ def _row_spectrum(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Arr
     return np.bincount(group, k * squares) / bends, bends
 
 
+@lru_cache(maxsize=512)
+def _seen_spectrum(radius_mm: float, pitch_mm: float, off_mm: float, pixel_mm: float) -> tuple[Array, Array]:
+    """Return the same as a pixel on the screen sees it."""
+    k, bends = _row_spectrum(radius_mm, pitch_mm, off_mm)
+    return k, np.square(np.sinc(k * pixel_mm / (2.0 * np.pi))) * bends
+
+
 @lru_cache(maxsize=8192)
 def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
     """Return the root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
-    k, bends = _row_spectrum(radius_mm, pitch_mm, off_mm)
-    return float(math.sqrt(np.square(finish.kept(k) * np.sinc(k * pixel_mm / (2.0 * np.pi))) @ bends))
+    k, bends = _seen_spectrum(radius_mm, pitch_mm, off_mm, pixel_mm)
+    return math.sqrt(float(np.square(finish.kept(k)) @ bends))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ _BLOCK = 4  # waves along a side that share what contours keep of them
 _SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Waves:
     """The waves of pictures of one size on one screen.
 
@@ -33,7 +34,15 @@ class Waves:
         y, x = (np.arange(count) / (2 * count * size) for count, size in zip(shape, pixel_mm, strict=True))
         return cls(along_y=y, along_x=x)
 
-    @property
+    @cached_property
+    def _along_turns(self) -> Array:
+        """(n, ny, nx) of each wave in n directions; waves here have no sign."""
+        turns = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+        turns = np.concatenate([turns, -turns])
+        along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]
+        return np.abs(along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None])
+
+    @cached_property
     def by_blocks(self) -> Waves:
         """One for each block of the others."""
         ny, nx = (one.size // _BLOCK * _BLOCK for one in (self.along_y, self.along_x))
@@ -61,10 +70,7 @@ class Waves:
         share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across = slopes.across.transfer(waves, reach_mm)
-        turns = np.concatenate([edges[:-1], -edges[1:]]) + np.pi / (2 * _DIRECTIONS)  # waves here have no sign
-        along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]
-        along = along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None]
-        left, parts = np.interp(np.abs(along), waves, across), np.concatenate([share, share]) / 2
+        left, parts = np.interp(self._along_turns, waves, across), np.concatenate([share, share]) / 2
         return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
 
 
