@@ -17,7 +17,7 @@ from scipy.ndimage import grey_dilation, grey_opening
 
 from cam.duration import Kinematics
 from cam.materials import SLOT_FEED
-from cam.passes import Direction, PassSpec
+from cam.passes import Direction, PassSpec, Strategy
 from cam.rows.entries import RAMP_SLOPE
 from cam.rows.layers import plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
@@ -125,7 +125,7 @@ class LensForm:
         Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
         ball and lens part by as much less.
         """
-        return round(float(np.sqrt(np.mean([steep**2 for steep, _ in self._across(spec)]))), 3)
+        return _steepness(self, spec.strategy, spec.direction)
 
     def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
         """Return how much farther than their slope errors alone the grooves of a pass send light, rms.
@@ -135,19 +135,7 @@ class LensForm:
         A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
         by where it starts, and over reach / R of that by its slopes.
         """
-        own = abs(1.0 + spec.radius_mm / reach_mm)
-        wide = [
-            (own * steep / np.maximum(1.0 - bends * spec.radius_mm, _LEAST_GAP)) ** 2
-            for steep, bends in self._across(spec)
-        ]
-        return round(float(np.sqrt(np.mean(wide))) / self.steepness(spec), 3)
-
-    def _across(self, spec: PassSpec) -> list[tuple[Array, Array]]:
-        """Return steepness and bend of the lens across the rows; along X and Y alike where these follow its
-        contours.
-        """
-        both = [(self.steep_y, self.bends_y), (self.steep_x, self.bends_x)]
-        return both if spec.strategy == "contour" else [both["xy".index(spec.direction)]]
+        return _widen_factor(self, spec.strategy, spec.direction, spec.radius_mm, reach_mm)
 
     def chords_mm(self, spec: PassSpec) -> Array:
         """Return (n,) usual distance of the vertices of a pass along its rows."""
@@ -159,8 +147,7 @@ class LensForm:
 
     def usual_chord_mm(self, spec: PassSpec) -> float:
         """Return the path divided by the number of vertices, to the micrometre."""
-        ways = self.tip_ways(spec)
-        return round(float(ways.mean() / (ways / self.chords_mm(spec)).mean()), 3)
+        return _usual_chord_mm(self, replace(spec, pitch_mm=spec.radius_mm))  # the same for all pitches
 
     def tip_ways(self, spec: PassSpec) -> Array:
         """Return (n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds
@@ -169,7 +156,40 @@ class LensForm:
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 
 
-@lru_cache(maxsize=32)  # asked again for every pitch
+def _across(form: LensForm, strategy: Strategy, direction: Direction) -> list[tuple[Array, Array]]:
+    """Return steepness and bend of a lens across the rows; along X and Y alike where these follow its contours."""
+    both = [(form.steep_y, form.bends_y), (form.steep_x, form.bends_x)]
+    return both if strategy == "contour" else [both["xy".index(direction)]]
+
+
+@lru_cache(maxsize=32)  # asked again for every pitch, as what follows
+def _steepness(form: LensForm, strategy: Strategy, direction: Direction) -> float:
+    return round(float(np.sqrt(np.mean([steep**2 for steep, _ in _across(form, strategy, direction)]))), 3)
+
+
+@lru_cache(maxsize=32)
+def _widen_factor(form: LensForm, strategy: Strategy, direction: Direction, radius_mm: float, reach_mm: float) -> float:
+    own = abs(1.0 + radius_mm / reach_mm)
+    wide = [
+        (own * steep / np.maximum(1.0 - bends * radius_mm, _LEAST_GAP)) ** 2
+        for steep, bends in _across(form, strategy, direction)
+    ]
+    return round(float(np.sqrt(np.mean(wide))) / _steepness(form, strategy, direction), 3)
+
+
+@lru_cache(maxsize=32)
+def _usual_chord_mm(form: LensForm, spec: PassSpec) -> float:
+    ways = form.tip_ways(spec)
+    return round(float(ways.mean() / (ways / form.chords_mm(spec)).mean()), 3)
+
+
+@lru_cache(maxsize=32)
+def _stretch(form: LensForm) -> float:
+    """Return the way on the surface by its length in plan."""
+    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
+
+
+@lru_cache(maxsize=32)
 def _chords_mm(form: LensForm, direction: Direction, radius_mm: float, rule: VertexRule) -> Array:
     bend = form.bends(direction)
     k = np.abs(bend / np.maximum(1.0 - bend * radius_mm, 0.05)) + 1e-9
@@ -185,8 +205,7 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     inside = (form.width_mm if spec.direction == "x" else form.height_mm) / length_mm
     rows = ceil(across_mm / spec.pitch_mm) + 1
     feed = spec.feed_mm_per_min / 60
-    stretch = float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
-    slowness = inside * slowness_s_per_mm(form, spec, mill) + stretch * (1 - inside) / feed
+    slowness = inside * slowness_s_per_mm(form, spec, mill) + _stretch(form) * (1 - inside) / feed
     if spec.strategy == "contour":
         stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
         return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
@@ -204,7 +223,7 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
     speeds = np.minimum(spec.feed_mm_per_min / 60, chords * mill.lines_per_s)
     speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
     ways = form.tip_ways(spec)
-    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean() * (ways / speeds).mean() / ways.mean())
+    return _stretch(form) * float((ways / speeds).mean() / ways.mean())
 
 
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:

@@ -85,6 +85,7 @@ class PictureLight:
         self._along = Waves.of((ny, nx), self.pixel_mm)
         self.lenses: dict[float, Shown] = {}
         self._halves: dict[tuple[float, float], tuple[Array, Array]] = {}
+        self._sums: dict[Shown, tuple[Array, Array]] = {}
         self._reaches_mm: dict[LensForm, float] = {}
 
     @property
@@ -240,14 +241,21 @@ class PictureLight:
         kept, squared = along.kept_by_contours(form, self._widen_slopes(marks), self.reach_mm(form))
         goal, sums = self.goal, self._along.block_sums
         if marks.rest is None:
-            own = self.lenses[marks.radius_mm].waves
-            error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()
+            own_own, own_goal = self._sum_blocks(self.lenses[marks.radius_mm])
+            error = (squared * own_own - 2 * kept * own_goal).sum()
         else:
             own, other = self._half_waves(marks)
             left = along.kept(form, self._widen_slopes(marks.rest), marks.rest.spec, self.reach_mm(form))
             error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
             error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
         return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
+
+    def _sum_blocks(self, shown: Shown) -> tuple[Array, Array]:
+        """Return block sums of a lens's waves squared, and times the target's."""
+        if shown not in self._sums:
+            sums = self._along.block_sums
+            self._sums[shown] = sums(shown.waves**2), sums(shown.waves * self.goal)
+        return self._sums[shown]
 
     def _half_waves(self, marks: Marks) -> tuple[Array, Array]:
         """Return waves past the valleys that the finishing ball leaves filled, and through them, where a rest
