@@ -102,8 +102,8 @@ def test_where_every_ball_fits_no_rest_pass_is_planned() -> None:
 @pytest.mark.thorough
 def test_what_is_not_worth_the_time_is_left_and_said() -> None:
     """On a mill whose noise blurs more than the valley shows."""
-    spec = resolve_spec(preset="recommended", overrides=[*SIZE, "machine.z_noise_mm=0.004", "machine.collet_mm=12"])
-    found = planned(lens(0.03), spec)
+    spec = resolve_spec(preset="recommended", overrides=[*SIZE, "machine.z_noise_mm=0.004"])
+    found = planned(lens(0.05), spec)
     assert found.light.fillings
     assert found.chosen.rest is None
     assert any("would not show enough more" in sentence for sentence in reasons(found))
