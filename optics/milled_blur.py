@@ -25,14 +25,19 @@ _INNER = 0.5 / math.sqrt(3.0)  # Gauss points of a facet, from its middle, of it
 _ENOUGH = 20_000  # slopes of a sample, to know how they are spread
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Deviations:
-    """Of a milled surface from its lens, over its area: rms of slopes, and of where light arrives; x, y and both."""
+    """Of a milled surface from its lens, over its area: rms of slopes, and of where light arrives; x, y and both.
+
+    slopes (about n, 2) : by which slopes are off, each the mean of equally much of the area. Parts are divided by their
+                          slope in x, each of these by that in y, by more where slopes differ more
+    """
 
     slope_x_mrad: float
     slope_y_mrad: float
     blur_x_px: float
     blur_y_px: float
+    slopes: Array
 
     @property
     def slope_mrad(self) -> float:
@@ -43,33 +48,35 @@ class Deviations:
         return math.hypot(self.blur_x_px, self.blur_y_px)
 
 
-def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int]) -> Deviations:
-    """Return the deviations of facets (n, 4, 5); those beyond the aperture do not count."""
+def deviations(
+    samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int], *, slopes: int = 1
+) -> Deviations:
+    """Return the deviations of facets (n, 4, 5), about so many of their slopes; those beyond the aperture do not
+    count.
+    """
     aim, beam = aim_at(bench, pixels), bench.beam()
     sums, area = np.zeros(4), 0.0
+    random, found = np.random.default_rng(0), [np.empty((0, 3))]
     for points, jets, weight in _points_of(samples, heightfield):
-        off = np.concatenate([(points[:, 3:] - jets[1:3].T).T, _thrown(points, jets, beam, aim)])
-        sums += np.nansum(weight * off**2, axis=1)
+        off = points[:, 3:] - jets[1:3].T
+        sums += np.nansum(weight * np.concatenate([off.T, _thrown(points, jets, beam, aim)]) ** 2, axis=1)
         area += float(weight.sum())
+        rows = np.column_stack([off, weight])
+        found.append(rows if len(rows) <= _ENOUGH else random.choice(rows, _ENOUGH, replace=False))
     slope_x, slope_y, blur_x, blur_y = np.sqrt(sums / max(area, 1e-300))
     return Deviations(
         slope_x_mrad=1e3 * float(slope_x),
         slope_y_mrad=1e3 * float(slope_y),
         blur_x_px=float(blur_x),
         blur_y_px=float(blur_y),
+        slopes=_means_of_parts(np.concatenate(found), slopes),
     )
 
 
-def sample_slopes(samples: Iterable[Array], heightfield: Heightfield, count: int) -> Array:
-    """Return (about count, 2) by which slopes of facets (n, 4, 5) are off, each the mean of equally much of their area.
-
-    Parts are divided by their slope in x, each of these by that in y, by more where slopes differ more.
-    """
-    random, found = np.random.default_rng(0), []
-    for points, jets, weight in _points_of(samples, heightfield):
-        rows = np.column_stack([points[:, 3:] - jets[1:3].T, weight])
-        found.append(rows if len(rows) <= _ENOUGH else random.choice(rows, _ENOUGH, replace=False))
-    rows = np.concatenate(found)
+def _means_of_parts(rows: Array, count: int) -> Array:
+    """Return (about count, 2) means of slopes in rows (n, 3) of slopes and areas, see `Deviations`."""
+    if not rows[:, 2].any():
+        return np.zeros((1, 2))
     spread = np.sqrt(np.average(rows[:, :2] ** 2, axis=0, weights=rows[:, 2])) + 1e-12
     across = int(np.clip(round(math.sqrt(count * spread[0] / spread[1])), 1, count))
     strips = _divide(rows, 0, across)

@@ -13,7 +13,7 @@ from optics.heightfield import Heightfield
 from optics.light import Light
 from optics.metrics import psnr_db
 from optics.milled import simulate_milled
-from optics.milled_blur import deviations, predict_light, sample_slopes
+from optics.milled_blur import deviations, predict_light
 
 SIDE_MM = 10.0
 PIXELS = (32, 32)
@@ -111,8 +111,16 @@ def test_predicted_light_is_near_the_whole_simulation():
 
 def test_a_few_slopes_stand_for_all_of_a_surface() -> None:
     """Grooves along x: none is off in x, and in y evenly from -3 to +3 mrad."""
-    found = sample_slopes(np.array_split(facets_of(lens(), groove_mrad=3.0), 5), lens(), 60)
-    whole = deviations([facets_of(lens(), groove_mrad=3.0)], lens(), BENCH, PIXELS)
+    whole = deviations(np.array_split(facets_of(lens(), groove_mrad=3.0), 5), lens(), BENCH, PIXELS, slopes=60)
+    found = whole.slopes
     assert 50 <= len(found) <= 70
     assert np.abs(found.mean(axis=0)).max() < 1e-4
     assert 1e3 * np.sqrt((found**2).mean(axis=0)) == pytest.approx([whole.slope_x_mrad, whole.slope_y_mrad], abs=0.1)
+
+
+def test_samples_beside_the_aperture_deviate_by_nothing() -> None:
+    beside = facets_of(lens())
+    beside[:, :, 0] += 2.0 * SIDE_MM
+    found = deviations([beside], lens(), BENCH, PIXELS)
+    assert (found.slope_mrad, found.blur_px) == (0.0, 0.0)
+    assert not found.slopes.any()

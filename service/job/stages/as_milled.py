@@ -23,7 +23,7 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_detail_mm
 from optics.milled import simulate_milled
-from optics.milled_blur import Deviations, deviations, predict_light, sample_slopes
+from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, read_chunks
 from service.job.finite_json import plain
@@ -59,10 +59,9 @@ def run_as_milled(context: StageContext) -> None:
         )
     with context.watch.stage("as milled: light") as on_progress:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)
-        found = deviations(_sample_facets(surface), heightfield, bench, shape)
+        found = deviations(_sample_facets(surface), heightfield, bench, shape, slopes=_SLOPES)
         if context.is_shown:
-            slopes = sample_slopes(_sample_facets(surface), heightfield, _SLOPES)
-            save_light(context, LIGHT_AS_MILLED, heightfield, target, slopes=slopes)
+            save_light(context, LIGHT_AS_MILLED, heightfield, target, slopes=found.slopes)
     del surface
     with context.watch.stage("as milled: causes") as on_progress:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(context.spec)), bench, pixels=shape)
