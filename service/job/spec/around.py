@@ -25,12 +25,14 @@ FRAME_MM = 1.0
 class FaceSpec(Section):
     """The raw top taken down to Z0 before the first pass. Speeds, feeds and steps left out follow from the cutter.
 
-    above_mm : the most that the raw top stands above Z0
+    above_mm        : the most that the raw top stands above Z0
+    shank_radius_mm : of what the collet holds; left out: as thick as the cutter
     """
 
     above_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
     tool: Annotated[str, OneOf({name: {} for name in CUTTERS})] = "flat"
     radius_mm: Radius = 3.0
+    shank_radius_mm: Radius | None = None
     pitch_mm: Pitch | None = None
     step_down_mm: StepDown | None = None
     feed_mm_per_min: Rate | None = None
@@ -55,6 +57,7 @@ class CutOutSpec(Section):
     """
 
     radius_mm: Radius = 1.5
+    shank_radius_mm: Radius | None = None
     tabs: Annotated[int, Field(ge=0, le=50)] = 4
     tab_width_mm: Annotated[float, Field(gt=0, le=100)] = 4.0
     tab_height_mm: Annotated[float, Field(gt=0, le=100)] = 1.5

@@ -50,7 +50,7 @@ def with_feeds(job: ResolvedJob) -> ResolvedJob:
         rows.append(_fill_row(row, machine, MATERIALS[spec.stock.material]))
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
-            problems += _beyond_the_mill(tool, machine, f"stock.{name}")
+            problems += [*_beyond_the_mill(tool, machine, f"stock.{name}"), *_unheld(tool, machine, f"stock.{name}")]
     problems += _beyond_the_travel(spec, machine)
     if spec.finish.finishes and spec.optics.polish:
         problems.append(
@@ -151,7 +151,7 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
 
 def cut_out_of(spec: JobSpec) -> CutOut | None:
     """Return how the lens is cut out, as the CAM package takes it; None where it is not."""
-    return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump())
+    return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
 
 
 def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, str]]:
@@ -238,20 +238,21 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
     }
 
 
-def _unheld(row: PassRow, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
-    """Return that the spindle cannot take a pass's cutter; what is not said of its shank is as thick as the ball."""
+def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+    """Return that the spindle cannot take a pass's cutter; where nothing is said of its shank that is as thick."""
     shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
     if machine.collet_mm is None or shank_mm <= machine.collet_mm:
         return []
+    cutter, with_flutes = ("ball", " with its flute_length_mm") if isinstance(row, PassRow) else ("cutter", "")
     key, remedy = (
         ("shank_radius_mm", "")
         if row.shank_radius_mm is not None
-        else ("radius_mm", ", or a thinner shank as shank_radius_mm with its flute_length_mm")
+        else ("radius_mm", f", or a thinner shank as shank_radius_mm{with_flutes}")
     )
     return [
         (
             f"{place}.{key}",
-            f"a ball R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' takes "
+            f"a {cutter} R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' takes "
             f"{machine.collet_mm:g} mm; allowed: at most {machine.collet_mm / 2:g}{remedy}",
         )
     ]

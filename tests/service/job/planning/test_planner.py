@@ -295,6 +295,17 @@ def test_a_shank_that_the_collet_cannot_take_is_refused_with_both_figures() -> N
     assert resolve_spec(overrides=("passes=[{radius_mm=6, pitch_mm=0.5}]", "machine.collet_mm=12")).passes
 
 
+@pytest.mark.parametrize("place", ["stock.face", "stock.cut_out"])
+def test_what_mills_around_the_lens_is_held_against_the_collet_too(place: str) -> None:
+    """A surfacing bit may be wider than its shank, which then has to be told."""
+    wide = ("stock.margin_mm=20", f"{place}={{radius_mm=6%s}}")
+    with pytest.raises(SpecError, match=rf"{place}.radius_mm.*cutter R 6 with a shank of 12 mm.*as shank_radius_mm$"):
+        resolve_spec(overrides=(wide[0], wide[1] % ""))
+    with pytest.raises(SpecError, match=rf"{place}.shank_radius_mm.*at most 3.175"):
+        resolve_spec(overrides=(wide[0], wide[1] % ", shank_radius_mm=3.5"))
+    assert resolve_spec(overrides=(wide[0], wide[1] % ", shank_radius_mm=3"))
+
+
 def test_layers_that_a_light_frame_cannot_stand_are_made_shallower_or_told() -> None:
     light = ("machine.profile=grbl-3018", "passes=[{radius_mm=3, pitch_mm=1.5%s}]")
     chosen = resolve_spec(overrides=(light[0], light[1] % ""))
