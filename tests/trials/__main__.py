@@ -1,8 +1,8 @@
 """`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says
 of each when it was last run, on which commit, and what was seen.
 
-    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate renderer interpreter
-                           storm-sqlite storm-postgres]
+    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended renderer
+                           interpreter storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tests.benchmarks.reporting import machine, run_sections
 from tests.benchmarks.timing import Figure
-from tests.trials import interpreter, renderer, sections
+from tests.trials import interpreter, recommended, renderer, sections
 from tests.trials.server import sections as server
 
 SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
@@ -31,6 +31,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "orders": sections.orders,
     "load": sections.load,
     "estimate": sections.estimate,
+    "recommended": recommended.figures,
     "renderer": renderer.figures,
     "interpreter": interpreter.figures,
     "storm-sqlite": server.sqlite_storm,

@@ -252,8 +252,8 @@ def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str
     return [
         (
             f"{place}.{key}",
-            f"a {cutter} R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' takes "
-            f"{machine.collet_mm:g} mm; allowed: at most {machine.collet_mm / 2:g}{remedy}",
+            f"a {cutter} R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' "
+            f"takes {machine.collet_mm:g} mm; allowed: at most {machine.collet_mm / 2:g}{remedy}",
         )
     ]
 
