@@ -14,6 +14,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from service.job.page_data.header import split_header
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import usual_seconds
+from service.server.schemas.examples import RUN_EXAMPLE
 from service.wording import duration, psnr_in_words
 from tests.levels import mostly_thorough
 from tests.page import canned_job
@@ -399,3 +400,31 @@ def test_beside_the_pictures_no_column_is_left_empty(opened: Opened, size: str) 
     pictures, programs = (page.locator(one).evaluate(place) for one in (".pictures-row", ".programs"))
     assert programs[0] > pictures[0] + SIZES[size][0] / 3, "beside each other"
     assert abs(programs[1] - pictures[1]) < NEAR_PX
+
+
+def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(opened: Opened) -> None:
+    """The picture is what will really be seen; a mill's finished runs tick the first step off."""
+    job, files = canned()
+    page = shown(opened, job, files)
+    ending = page.get_by_role("region", name="Your lens is ready to mill")
+    expect(ending.get_by_role("img", name="On the wall, as milled")).to_be_visible()
+    expect(ending.get_by_role("listitem")).to_have_text([re.compile("Mill it"), re.compile("Shine light through it")])
+    expect(ending.get_by_role("link", name="What shows more?")).to_have_attribute("href", f"#/new?from={job['id']}")
+    ending.get_by_role("button", name="Programs").click()
+    expect(page.get_by_role("heading", name="Programs")).to_be_in_viewport()
+    page = open_blank(opened, "job")
+    runs = [RUN_EXAMPLE | {"job": job["id"], "state": "finished", "program": one} for one in job["programs"]]
+    programs = [{key: run["program"][key] for key in ("number", "name", "sha256")} for run in runs]
+    told = [run | {"program": program} for run, program in zip(runs, programs, strict=True)]
+    page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told, "next": None}))
+    page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
+    milled = page.get_by_role("region", name="Your lens is milled")
+    expect(milled.get_by_role("listitem").first).to_contain_text("done")
+    expect(milled.get_by_role("button", name="Programs")).to_have_count(0)
+
+
+def test_a_job_that_failed_has_no_ending(opened: Opened) -> None:
+    job, files = canned()
+    page = shown(opened, like(job, 5, state="failed"), files)
+    expect(page.get_by_role("heading", name="Programs")).to_be_visible()
+    expect(page.locator(".ending")).to_be_hidden()

@@ -7,6 +7,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { follow } from "../lib/sse.js";
+import { endingPart } from "./ending.js";
 import { factsPart, warningsPart } from "./facts.js";
 import { passesOf, screenOf } from "./figures.js";
 import { filesPart, programsPart } from "./files.js";
@@ -40,6 +41,7 @@ export default async function view(root, params, app) {
     root.firstChild?.classList.toggle("ended", ["failed", "cancelled"].includes(job.state));
     parts.head.update(job);
     parts.progress.update(job, live, link);
+    parts.ending.update(job, artifacts);
     parts.facts.update(job);
     parts.warnings.update(job);
     parts.pictures.update(artifacts);
@@ -115,7 +117,7 @@ export default async function view(root, params, app) {
 
 function makeParts(app, changed) {
   return {
-    head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
+    head: headPart(app, changed), progress: progressPart(), ending: endingPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
     programs: programsPart(), light: lightPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
     photo: photoPart(),
     files: filesPart(),
@@ -128,7 +130,7 @@ function layout(parts, spec) {
   const column = (...names) => h("div", { class: "stack" }, names.map((name) => parts[name].node));
   return h(
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
-    parts.head.node, parts.progress.node,
+    parts.head.node, parts.progress.node, parts.ending.node,
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.light.node, parts.plan.node,
     parts.lens.node, parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,

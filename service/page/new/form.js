@@ -8,6 +8,8 @@ import { passes } from "./passes.js";
 import { row } from "./row.js";
 import { isTable, merged, put, same, valueAt } from "./spec.js";
 
+const PLANNED = { preset: "recommended" }; // what a job begins with
+
 /**
  * {main, lens, light, mill, picture, expert: elements; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
@@ -90,7 +92,7 @@ export function specForm({ profiles, onChange, planned }) {
   /** Whether all rows of "lens", "light"... are as usual. */
   function isUsual(group) {
     const { spec } = read();
-    return groups[group].every((one) => valueAt(spec, one.key) === undefined || one.field.first);
+    return groups[group].every((one) => valueAt(spec, one.key) === undefined || valueAt(spec, one.key) === PLANNED[one.key]);
   }
 
   const fields = (made) =>

@@ -1,0 +1,65 @@
+/** A lens that is made: its picture on the wall, big, and what to do next; what is done is ticked. */
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { mark } from "../lib/state.js";
+import { count, hours } from "../lib/words.js";
+import { eyeWords, isHard, likenessOf, millSeconds } from "./figures.js";
+import { ON_THE_WALL, pictureShelf } from "./pictures.js";
+import { sheetLink } from "./save.js";
+
+const SHEET = "report.html";
+const SEEN = ON_THE_WALL.filter(({ name }) => name !== "target.png"); // from ideal to what will really be seen
+
+/** {node, update(job, artifacts), free()}; there once the job has succeeded. */
+export function endingPart() {
+  const shelf = pictureShelf();
+  const picture = h("img", { class: "ending-picture", alt: "" }), next = h("div", { class: "stack" });
+  const node = h("section", { class: "ending", "aria-labelledby": "ending-title", hidden: true }, picture, next);
+  let shown = "";
+
+  async function update(job, artifacts) {
+    const seen = SEEN.findLast(({ name }) => artifacts.has(name));
+    node.hidden = job.state !== "succeeded" || !seen;
+    const key = artifacts.get(seen?.name)?.sha256 ?? "";
+    if (node.hidden || key === shown) return;
+    shown = key;
+    picture.alt = `On the wall, ${seen.title.toLowerCase()}`;
+    replace(next, words(job, artifacts, 0));
+    const milled = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => finishedOf(job, runs), () => 0);
+    picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
+    replace(next, words(job, artifacts, await milled));
+  }
+  return { node, update, free: shelf.free };
+}
+
+/** How many of a job's programs some mill has finished. */
+function finishedOf(job, runs) {
+  const done = new Set(runs.filter(({ state }) => state === "finished").map(({ program }) => program.number));
+  return job.programs.filter(({ number }) => done.has(number)).length;
+}
+
+function words(job, artifacts, milled) {
+  const { report, programs } = job, isMilled = programs.length > 0 && milled === programs.length;
+  const finish = report?.finishing?.steps.length > 0 && report.finishing;
+  const seen = likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled) ?? likenessOf(report?.optics);
+  const sheet = artifacts.get(SHEET);
+  const share = milled > 0 ? `${milled} of ${count(programs.length, "program")} milled` : `${count(programs.length, "program")}, ${hours(millSeconds(report) ?? NaN)}`;
+  const steps = [
+    [isMilled, "Mill it", share, [!isMilled && jump("#programs-title", "Programs"), sheet && !isMilled && sheetLink(sheet, "Setup sheet")]],
+    finish && [false, "Finish it by hand", hours(60 * finish.minutes), [jump("#finishing-title", "How")]],
+    artifacts.has("heightfield.npz") && [false, "Shine light through it", "a photograph says what is off", [jump("#photo-title", "Photograph")]],
+  ];
+  const better = h("a", { href: `#/new?from=${job.id}` }, "What shows more?");
+  const title = isMilled ? "Your lens is milled" : "Your lens is ready to mill";
+  return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", {}, `On the wall: ${eyeWords(seen)}. `, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
+}
+
+function step([done, what, more, links]) {
+  return h("li", {}, h("strong", {}, what), " ", done ? mark("good", "done") : h("span", { class: "dim" }, more), h("div", { class: "row" }, links));
+}
+
+/** A button to a part farther down. */
+function jump(to, words) {
+  const go = () => document.querySelector(to)?.scrollIntoView({ block: "center" });
+  return h("button", { type: "button", onclick: go }, words);
+}
