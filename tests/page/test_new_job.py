@@ -448,10 +448,26 @@ def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(w
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
     page.goto("/#/new")
     examples = page.get_by_role("group", name="Examples")
-    expect(examples.get_by_role("button")).to_have_text(["Portrait", "Photographer", "Logo", "Letters"])
+    expect(examples.get_by_role("button")).to_have_text(["Portrait", "Camera", "Logo", "Letters"])
     page.wait_for_function("[...document.querySelectorAll('.gallery img')].every((one) => one.naturalWidth > 0)")
     assert 60_000 < page.evaluate(WEIGHT) <= 150_000
     examples.get_by_role("button", name="Logo").click()
     expect(wall(page)).to_be_visible()
     expect(page.get_by_label("Name of the job")).to_have_value("logo")
     expect(page.locator(".told")).not_to_have_text("")
+
+
+SLOW_TO_OPEN = """const open = createImageBitmap;
+window.createImageBitmap = (...given) => new Promise((done) => { window.goOn = done; }).then(() => open(...given));"""
+
+
+def test_a_picture_that_takes_its_time_is_said_to_be_opened(opened: Opened) -> None:
+    page = opened("#/new", script=SLOW_TO_OPEN)
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
+    file = {"name": "huge.png", "mimeType": "image/png", "buffer": picture()}
+    page.locator("input[type=file]").first.set_input_files(file)
+    expect(page.locator(".submit-bar .why")).to_have_text("Opening huge.png…")
+    expect(make_it(page)).to_be_disabled()
+    page.evaluate("goOn()")
+    expect(wall(page)).to_be_visible()
+    expect(make_it(page)).to_be_enabled()

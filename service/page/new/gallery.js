@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 
-const PICTURES = [["portrait.jpg", "Portrait"], ["camera.jpg", "Photographer"], ["logo.png", "Logo"], ["characters.png", "Letters"]];
+const PICTURES = [["portrait.jpg", "Portrait"], ["camera.jpg", "Camera"], ["logo.png", "Logo"], ["characters.png", "Letters"]];
 
 /** An element that calls onFile(File) with the picture that a person takes. */
 export function gallery(onFile) {

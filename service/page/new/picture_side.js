@@ -16,9 +16,10 @@ const HOW = "drag to choose the part, pinch or + and − to zoom";
 
 /**
  * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate), small(spec, blurMm), blame(words), fault(),
- * focus(), sent(), draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent.
+ * focus(), sent(), draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent;
+ * onOpening(name): a picture is being read, which may take a moment.
  */
-export function pictureSide({ spec, values, onChange }) {
+export function pictureSide({ spec, values, onChange, onOpening }) {
   const now = { picture: null, edits: { ...UNTOUCHED }, estimate: null };
   const seen = wall({ state: readDrawing, onEdit: edit });
   const tools = pictureTools({ state: readDrawing, onEdit: edit });
@@ -66,6 +67,7 @@ export function pictureSide({ spec, values, onChange }) {
 
   async function take(file, called) {
     place.setAttribute("aria-busy", "true"); // a huge one takes its time
+    onOpening(file.name);
     try {
       use(await openPicture(file), null, called);
     } finally {

@@ -71,7 +71,7 @@ async function knownProfiles() {
 function newJob(profiles, app) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
