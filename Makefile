@@ -87,8 +87,9 @@ docs: $(READY)
 	$(BIN)/python -m docs.site out/docs-source
 	$(BIN)/mkdocs build --strict --quiet --config-file out/docs-source/mkdocs.yml
 
-# Long trials (hours: `recommended` alone has 90 cases of minutes): the streamer against the simulated mill, the job server under kill -9, simulated light against
-# another renderer, programs in LinuxCNC's interpreter (apt-get install linuxcnc-uspace): out/soak.json, out/soak.md.
+# Long trials (hours; `recommended` alone has 90 cases of minutes): the streamer against the simulated mill, the job
+# server under kill -9, programs against what is told of them, simulated light against another renderer,
+# programs in LinuxCNC's interpreter (apt-get install linuxcnc-uspace): out/soak.json, out/soak.md.
 soak: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-soak.lock
 	$(BIN)/python -m tests.trials
