@@ -5,8 +5,7 @@ import { mark, shape } from "../lib/state.js";
 import { hours, percentUnderWay, sentence } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
-import { tell } from "./sentences.js";
-import { millWords, standingInShop } from "./words.js";
+import { millWords, outOfReach, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
@@ -84,10 +83,10 @@ function leftWords({ run, simulated }) {
   return run?.share > 0 && Number.isFinite(run.time_left_s) ? `${hours(run.time_left_s)} left${simulated ? ", simulated" : ""}` : "";
 }
 
-/** What is wrong, in a line; its own screen has the rest. */
-function whyWords({ problem, agent, mill }) {
-  if (problem) return sentence(problem);
-  return agent.reachable ? millWords(mill).brief : tell(agent).brief;
+/** What is wrong, in a line, or what brings it back; its own screen has the rest. */
+function whyWords(machine) {
+  if (machine.problem) return sentence(machine.problem);
+  return machine.agent.reachable ? millWords(machine.mill).brief : outOfReach(machine);
 }
 
 function empty() {
