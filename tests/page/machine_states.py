@@ -48,6 +48,7 @@ MACHINE: dict[str, Any] = {
         "spindle_rpm": 0,
         "spindle_on": False,
         "pins": "",
+        "buffer_share": 0.0,
         "overrides": [100, 100, 100],
         "position_trusted": True,
         "controller": "Grbl 1.1h.20190830",

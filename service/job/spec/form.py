@@ -19,7 +19,8 @@ _UNITS = (
 class FieldLook(TypedDict, total=False):
     """How a row looks, where it is not like all others.
 
-    card   : the card that it stands on; left out: in the part for experts, under the title of its table
+    card   : the card that it stands on, "main" for what everybody chooses; left out: in the part for experts, under the
+             title of its table
     first  : before the others of its card
     usual  : in words, what counts where the key is left out and has no default
     filled : the default stands in the field
@@ -30,7 +31,7 @@ class FieldLook(TypedDict, total=False):
     look   : choices with words about each
     """
 
-    card: Literal["lens", "light", "mill", "picture"]
+    card: Literal["main", "lens", "light", "mill", "picture"]
     first: bool
     usual: str
     filled: bool

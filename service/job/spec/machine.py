@@ -21,7 +21,7 @@ class MachineSpec(Section):
     """The mill: a profile by name, and any of its figures set otherwise. Triples are X, Y, Z."""
 
     profile: Annotated[
-        str, shown("Machine", choices={_USUAL_PROFILE: _USUAL_PROFILE}, card="mill", first=True, wide=True)
+        str, shown("Machine", choices={_USUAL_PROFILE: _USUAL_PROFILE}, card="main", first=True, wide=True)
     ] = _USUAL_PROFILE
     travel_mm: Annotated[Triple | None, shown("Travel", names=_XYZ)] = None
     max_rate_mm_per_min: Annotated[Triple | None, shown("Fastest", names=_XYZ)] = None

@@ -137,7 +137,7 @@ class PlanSpec(Section):
 
     hours: Annotated[
         Annotated[float, Field(gt=0, le=10_000)] | None,
-        shown("Time at most", "On the mill, all passes.", card="mill", usual="no limit", when=_WHEN_PLANNED),
+        shown("Time at most", "On the mill, all passes.", card="main", usual="no limit", when=_WHEN_PLANNED),
     ] = None
     blur_mm: Annotated[
         Annotated[float, Field(gt=0, le=100)] | None,

@@ -32,8 +32,8 @@ class OpticsSpec(Section):
     outline       : "rectangle", "ellipse", or corners [x_mm, y_mm] as seen from above on the mill
     """
 
-    width_mm: Annotated[Length, shown("Width", card="lens", filled=True)] = 100.0
-    height_mm: Annotated[Length, shown("Height", card="lens", filled=True)] = 100.0
+    width_mm: Annotated[Length, shown("Width", card="main", filled=True)] = 100.0
+    height_mm: Annotated[Length, shown("Height", card="main", filled=True)] = 100.0
     throw_mm: Annotated[Distance, shown("Distance to the wall", card="lens", filled=True)] = 100.0
     refractive_index: Annotated[
         float,

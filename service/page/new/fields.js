@@ -20,11 +20,8 @@ const YES_NO = [
 /** All but those of the passes. */
 export const SPEC = [...rowsOf(SCHEMA)];
 
-/** What everybody chooses: mill, size, time. */
-export const MAIN = ["machine.profile", "optics.width_mm", "optics.height_mm", "plan.hours"].map((key) => SPEC.find((row) => row.key === key));
-
-const on = (card) => SPEC.filter((row) => row.card === card && !MAIN.includes(row)).sort((one, other) => Boolean(other.first) - Boolean(one.first));
-export const [LENS, LIGHT, MILL, PICTURE] = ["lens", "light", "mill", "picture"].map(on);
+const on = (card) => SPEC.filter((row) => row.card === card).sort((one, other) => Boolean(other.first) - Boolean(one.first));
+export const [MAIN, LENS, LIGHT, MILL, PICTURE] = ["main", "lens", "light", "mill", "picture"].map(on);
 
 /** [title, rows] of what is folded away: all that stands on no card. */
 const FOLDED = SPEC.filter(({ card }) => !card);
