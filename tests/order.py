@@ -36,6 +36,11 @@ FIRST = (
     "tests/cam/contour/test_contour_path.py",
     "tests/optics/test_hard_pictures.py",
     "tests/service/server/api/",
+    "tests/service/milling/agent/test_process.py",
+    "tests/optics/coupon/",
+    "tests/service/job/coupon/",
+    "tests/service/cli/test_coupon.py",
+    "tests/test_paper_figures.py",
 )
 _TOP = Path(__file__).parents[1]
 
