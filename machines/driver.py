@@ -231,6 +231,7 @@ PROBE_DEPTH_MM = (0.001, 200.0)
 PROBE_FEED = (1.0, 1000.0)  # [mm/min]
 PLATE_MM = (-100.0, 100.0)
 RETRACT_MM = (0.0, 100.0)
+OVERRIDE_PERCENT = (10, 200)  # of feed and spindle
 ZERO_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
 
 
@@ -271,7 +272,7 @@ class TrustPosition:
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """Set an override: "feed" 10..200, "rapid" 25/50/100, "spindle" 10..200 percent."""
+    """Set an override: "feed" or "spindle" within OVERRIDE_PERCENT, "rapid" 25, 50 or 100 percent."""
 
     what: str
     percent: int

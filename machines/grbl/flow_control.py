@@ -13,9 +13,10 @@ from collections import deque
 from math import inf
 from typing import Generic, TypeVar
 
+from machines.grbl.options import DEFAULT_RX_BYTES
+
 Item = TypeVar("Item")
 
-DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not tell
 # One byte less than reported: ring buffers that keep one slot free report either figure, and the documents say 127 for
 # a buffer of 128. It costs under 1 % of the window and no throughput.
 SPARE_BYTES = 1

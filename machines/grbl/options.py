@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not tell
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrblOptions:
-    """poll_s, run_poll_s: between status requests, and while a program runs; rx_bytes: receive buffer, None = ask $I;
-    corridor_mm: how far a reported position may be off the programmed path, on top of rounding, steps and arc chords
-    ($12); identify_s: until a port on which nothing like a controller answers is given up."""
+    """How a link to a GRBL controller is used.
+
+    poll_s, run_poll_s : between status requests, and while a program runs
+    rx_bytes           : receive buffer; None asks $I, and takes DEFAULT_RX_BYTES where that does not tell
+    corridor_mm        : how far a reported position may be off the programmed path, on top of rounding, steps and arc
+                         chords ($12)
+    identify_s         : until a port on which nothing like a controller answers is given up
+    """
 
     poll_s: float = 0.2
     run_poll_s: float = 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.driver import CommandDone, Override
+from machines.driver import OVERRIDE_PERCENT, CommandDone, Override
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
 
@@ -24,7 +24,8 @@ def find_refusal(what: str, percent: int) -> str:
         return "" if percent in _RAPID else f"rapid override {percent} %: only 25, 50 and 100 exist"
     if what not in _STEPS:
         return f"override '{what}': known are feed, rapid and spindle"
-    return "" if 10 <= percent <= 200 else f"{what} override {percent} %: from 10 to 200"
+    low, high = OVERRIDE_PERCENT
+    return "" if low <= percent <= high else f"{what} override {percent} %: from {low} to {high}"
 
 
 def _read_percent(what: str, overrides: tuple[int, int, int]) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from machines.driver import (
+    OVERRIDE_PERCENT,
     Command,
     CommandDone,
     DriverFacts,
@@ -144,8 +145,9 @@ class RolandUsbDriver:
             case TrustPosition():
                 self._channel.update(position_trusted=True)
             case Override("feed" | "spindle" as what, percent):
-                if not 10 <= percent <= 200:
-                    raise NotAllowedError(f"{what} override {percent} %: allowed: 10..200")
+                low, high = OVERRIDE_PERCENT
+                if not low <= percent <= high:
+                    raise NotAllowedError(f"{what} override {percent} %: allowed: {low}..{high}")
                 feed, rapid, spindle = self.status.overrides
                 if what == "feed":
                     device.set_feed_override(percent)

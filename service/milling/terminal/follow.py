@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from machines.driver import Override
+from machines.driver import OVERRIDE_PERCENT, Override
 from machines.errors import MachineError
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
@@ -213,7 +213,8 @@ class RunFollower:
         """Step the feed override; keys may come faster than the mill reports what the last one did."""
         now, asked = time.monotonic(), self._feed_asked
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
-        percent = min(200, max(10, base + change))
+        low, high = OVERRIDE_PERCENT
+        percent = min(high, max(low, base + change))
         self._feed_asked = (now, percent)
         self._tell("override", lambda mill: mill.command(Override("feed", percent)))
 

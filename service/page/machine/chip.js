@@ -9,7 +9,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
 import { count, percentUnderWay } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
-import { needsHand, standingInShop, urgency } from "./words.js";
+import { addressOf, needsHand, standingInShop, urgency } from "./words.js";
 
 /** Fills the place in the head of the page, which stays empty where no mill is known. */
 export function showMill(place) {
@@ -38,7 +38,7 @@ export function showMill(place) {
     drawn = now.join();
     write(name, machine.name);
     write(rest, restWords(machine, machines));
-    link.href = machines.length > 1 && !isOwnScreen(machine) ? "#/machines" : addressOf(machine);
+    link.href = machines.length > 1 && !isOwnScreen(machine) ? "#/machines" : addressOf(machine.name);
     bar.hidden = !(live && share > 0);
     bar.value = share ?? 0;
     hold.style.visibility = live && !isOwnScreen(machine) ? "visible" : "hidden"; // its place is kept
@@ -69,10 +69,6 @@ function restWords({ name }, machines) {
   return others.length ? `1 of ${machines.length}` : "";
 }
 
-function addressOf({ name }) {
-  return `#/machines/${encodeURIComponent(name)}`;
-}
-
 function isOwnScreen(machine) {
-  return location.hash.split("?")[0] === addressOf(machine);
+  return location.hash.split("?")[0] === addressOf(machine.name);
 }

@@ -6,7 +6,7 @@
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
-import { hasLiveRun, refusal } from "./words.js";
+import { addressOf, hasLiveRun, refusal } from "./words.js";
 
 const RENEW_MS = 20_000;
 const STALE_MS = 3000;
@@ -54,7 +54,7 @@ export class Lease {
     const { name, machine } = this.link;
     const live = hasLiveRun(machine);
     const more = live ? ` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
-    const back = { words: "Back to it", run: () => (location.hash = `#/machines/${encodeURIComponent(name)}`) };
+    const back = { words: "Back to it", run: () => (location.hash = addressOf(name)) };
     toast(`You gave back control of ${name}.${more}`, { kind: live ? "bad" : "", action: live ? back : undefined });
     this.release();
   }

@@ -5,7 +5,7 @@ import { mark, shape } from "../lib/state.js";
 import { hours, percentUnderWay, sentence } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
-import { millWords, outOfReach, standingInShop } from "./words.js";
+import { addressOf, millWords, outOfReach, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
@@ -50,7 +50,7 @@ function card(name) {
   const meter = h("div", { class: "cut" }, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
-  const link = h("a", { href: `#/machines/${encodeURIComponent(name)}` }, name);
+  const link = h("a", { href: addressOf(name) }, name);
   const node = h(
     "li",
     { class: "card" },

@@ -6,7 +6,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { isLive, mills } from "./mills.js";
-import { needsHand, standingInShop } from "./words.js";
+import { addressOf, needsHand, standingInShop } from "./words.js";
 
 const KEPT = "causticmill-notify";
 const before = new Map(); // name of a mill -> {run, hand, word} as it was seen last
@@ -66,6 +66,6 @@ function tell(name, words) {
   const shown = new Notification(name, { body: words, tag: name, icon: "/page/icon.svg" });
   shown.onclick = () => {
     focus();
-    location.hash = `#/machines/${encodeURIComponent(name)}`;
+    location.hash = addressOf(name);
   };
 }

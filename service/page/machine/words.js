@@ -46,6 +46,11 @@ export function standing(machine) {
   return { kind, word, words: millWords(mill).whole };
 }
 
+/** Of a mill's own screen. */
+export function addressOf(name) {
+  return `#/machines/${encodeURIComponent(name)}`;
+}
+
 /**
  * How it stands for who does not look at its screen: a program that waits on a mill that is well, too; one that was only
  * switched on, and not homed yet, needs nobody.

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from machines.driver import JOG_FEED, JOG_MM, PLATE_MM, PROBE_DEPTH_MM, PROBE_FEED, RETRACT_MM
+from machines.driver import JOG_FEED, JOG_MM, OVERRIDE_PERCENT, PLATE_MM, PROBE_DEPTH_MM, PROBE_FEED, RETRACT_MM
 from service.server.schemas.base import Body, Time
 from service.server.schemas.runs import Holder, Scopes
 
@@ -99,7 +99,7 @@ class ZeroBody(Body):
 
 class OverrideBody(Body):
     what: Literal["feed", "rapid", "spindle"]
-    percent: Annotated[int, Field(ge=10, le=200, strict=True, description="rapid: 25, 50 or 100", examples=[90])]
+    percent: Annotated[int, _within(OVERRIDE_PERCENT, strict=True, description="rapid: 25, 50 or 100", examples=[90])]
 
 
 class CheckBody(Body):

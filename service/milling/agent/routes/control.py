@@ -11,6 +11,7 @@ from starlette.routing import Route
 from machines.driver import (
     JOG_FEED,
     JOG_MM,
+    OVERRIDE_PERCENT,
     PLATE_MM,
     PROBE_DEPTH_MM,
     PROBE_FEED,
@@ -37,7 +38,7 @@ from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
 from service.milling.agent.request_fields import Fields, read_fields
 
-_RANGES = {"feed": (10, 200), "rapid": (25, 100), "spindle": (10, 200)}
+_RANGES = {"feed": OVERRIDE_PERCENT, "rapid": (25, 100), "spindle": OVERRIDE_PERCENT}
 _STOPS = frozenset(Stop)
 
 
