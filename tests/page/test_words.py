@@ -73,6 +73,11 @@ def test_what_a_code_is_told_by_is_whole_and_plain(modules: Page) -> None:
     assert not [words for words in told if JARGON.search(words)]
 
 
+def test_each_alarm_has_words_of_its_own(modules: Page) -> None:
+    told = modules.evaluate(TOLD, [{"code": "locked", "values": {"alarm": number}} for number in ALARMS])
+    assert not [words for words in told if re.search(r"is locked|larm \d", words)]
+
+
 def test_what_comes_without_a_code_is_shown_as_it_was_stored(modules: Page) -> None:
     rows = [{"words": "the mill was switched off"}, {"code": "of_tomorrow", "values": {}, "words": "X is 3"}, {}]
     assert modules.evaluate(TOLD, rows)[1::2] == ["The mill was switched off.", "X is 3.", ""]

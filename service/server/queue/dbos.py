@@ -27,7 +27,7 @@ WORKFLOW = "job"
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
 # A job may be begun so often before it counts as one that kills its workers.
-MAX_STARTS = 1000
+MAX_RECOVERY_ATTEMPTS = 1000
 POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
 OPEN = ["ENQUEUED", "DELAYED", "PENDING"]
 
@@ -82,7 +82,7 @@ class DbosEngine:
         runner = self._runner = TicketRunner(attempt, self, executor)
         DBOS(config=self._config(executor))
 
-        @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_STARTS)
+        @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_RECOVERY_ATTEMPTS)
         def job(text: str) -> None:
             runner.run(text)
 
