@@ -6,8 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
+from cam.moves import Array
 
 Strategy = Literal["raster", "contour"]
 Direction = Literal["x", "y"]
@@ -91,6 +94,23 @@ class PassSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Clamp:
+    """A box on the block: x_mm, y_mm its lower left corner in the work frame, height_mm how high it stands above Z0."""
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    depth_mm: float
+    height_mm: float
+
+    @property
+    def corners_mm(self) -> tuple[Array, Array]:
+        """Lower left and upper right, each (2,)."""
+        low = np.array([self.x_mm, self.y_mm])
+        return low, low + np.array([self.width_mm, self.depth_mm])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stock:
     """The block: the aperture (width, height) with a margin on all four sides; its top is Z0."""
 
@@ -98,6 +118,7 @@ class Stock:
     height_mm: float
     thickness_mm: float
     margin_mm: float
+    clamps: tuple[Clamp, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("width_mm", "height_mm", "thickness_mm"):

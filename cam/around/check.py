@@ -15,6 +15,7 @@ import numpy as np
 from cam.around.flat_removal import FlatRemoval
 from cam.around.outline import segment_distances
 from cam.around.specs import BESIDE_MM, CutOut, Facing
+from cam.checking.clamps import Clamps
 from cam.checking.findings import Finding
 from cam.checking.removal import RemovalGrid
 from cam.cutters import CUTTERS, CutterShape
@@ -172,6 +173,7 @@ class _FlatRun:
         self._low = np.array([-reach_mm, -reach_mm])
         self._high = np.array([stock.width_mm, stock.height_mm]) + reach_mm
         self._duration = DurationModel(mill.kinematics)
+        self._clamps = Clamps(stock.clamps, radius_mm=spec.radius_mm)
         self._lines = self._bytes = self._moves = self._entries = 0
         self._length_mm = self._bite_mm = 0.0
         self._ended, self._airborne = False, True
@@ -194,6 +196,7 @@ class _FlatRun:
         if len(batch) == 0:
             return
         self._duration.add(batch)
+        self._clamps.add(batch)
         drops, places = self._cut(batch)
         start, end, line = batch.start_mm, batch.end_mm, batch.line
         step = end - start
@@ -264,7 +267,7 @@ class _FlatRun:
                     f"(allowed: the mill's travel of {travel_mm:g} mm)"
                 )
         return AroundCheck(
-            faults=(*faults, *self.faults),
+            faults=(*faults, *self.faults, *self._clamps.faults),
             lines=self._lines,
             bytes=self._bytes,
             moves=self._moves,

@@ -3,7 +3,7 @@
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`coverage`, `path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
-stated, what stands beside them (`collision`).
+stated, what stands beside them (`collision`), and the clamps (`clamps`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
@@ -17,6 +17,7 @@ from itertools import chain
 
 import numpy as np
 
+from cam.checking.clamps import Clamps
 from cam.checking.clearance import Overlaps, SurfaceWitness
 from cam.checking.collision import Collisions, shank_of
 from cam.checking.coverage import Coverage
@@ -211,6 +212,7 @@ class _Run:
             shank=shank_of(spec),
         )
         self.engagement, self.collisions = Engagement(spec, cell_mm=before.cell_mm), Collisions(spec)
+        self.clamps = Clamps(stock.clamps, radius_mm=spec.radius_mm, shank_radius_mm=spec.shank_radius_mm)
         self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
         self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
@@ -252,6 +254,7 @@ class _Run:
         self.rules.judge(pending.batch, drops, pending.overlaps.result(), self.whole)
         self.engagement.add(pending.batch, drops)
         self.collisions.add(pending.batch, drops, self.whole)
+        self.clamps.add(pending.batch)
         for other in pending.others:
             other.result()
 
@@ -273,7 +276,7 @@ class _Run:
         self._judge_excess(excess)
         rules = self.rules
         rules.judge_bounds(travel_mm)
-        for sentence in (*self.collisions.faults, *self.engagement.faults):
+        for sentence in (*self.collisions.faults, *self.clamps.faults, *self.engagement.faults):
             rules.add_fault(sentence)
         regular = left.in_aperture & ~left.suspicious(self.spec)
         ratio = left.over_mm[regular] / left.cusp_mm[regular]

@@ -26,6 +26,7 @@ def top_view(job: BlockSizes) -> Markup:
         *_hatch_for_clamps(job, left, top, w, h),
         *_swept(job, zero_x, zero_y, scale),
         *_lens(job, zero_x, zero_y, scale),
+        *_clamps(job, zero_x, zero_y, scale),
         _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
         _arrow(zero_x, zero_y, zero_x, zero_y - arrow),
         f'<circle cx="{zero_x:.1f}" cy="{zero_y:.1f}" r="4.5" fill="{_ACCENT}"/>',
@@ -64,6 +65,14 @@ def _swept(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[
     box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
     size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
     return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
+
+
+def _clamps(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
+    """Draw the clamps that the spec names, where they stand."""
+    return [
+        _box(zero_x + scale * x, zero_y - scale * (y + depth), scale * width, scale * depth, "#8795a1", "#1f2933")
+        for x, y, width, depth in job.clamps_mm
+    ]
 
 
 def _lens(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:

@@ -19,6 +19,7 @@ class BlockSizes:
 
     outline_mm : corners of a lens that is no rectangle
     swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
+    clamps_mm  : left, front, width and depth of each that the spec names
     """
 
     width_mm: float
@@ -31,6 +32,7 @@ class BlockSizes:
     lamp_mm: float | None = None
     outline_mm: Sequence[Sequence[float]] = ()
     swept_mm: tuple[float, float, float, float] | None = None
+    clamps_mm: Sequence[tuple[float, float, float, float]] = ()
 
     @property
     def ring_mm(self) -> float:
@@ -92,6 +94,8 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
 def _word_holding(
     job: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
 ) -> Iterator[str]:
+    if job.clamps_mm:
+        yield "The clamps in the drawing are those of stock.clamps: every program was checked against them."
     if job.has_room_for_clamps:
         yield (
             f"Around it a ring {number(job.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "

@@ -149,6 +149,7 @@ def _block_of(
             lamp_mm=table(optics.get("light")).get("distance_mm"),
             outline_mm=_outline(optics),
             swept_mm=_swept(passes),
+            clamps_mm=[_clamp(one) for one in stock.get("clamps") or ()],
             deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
         )
     except (KeyError, TypeError, ValueError):
@@ -161,6 +162,11 @@ def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
     if outline == "ellipse":
         return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))
     return () if isinstance(outline, str) else [(float(x), float(y)) for x, y in outline]
+
+
+def _clamp(box: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    """Return left, front, width and depth of a clamp."""
+    return float(box["x_mm"]), float(box["y_mm"]), float(box["width_mm"]), float(box["depth_mm"])
 
 
 def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:

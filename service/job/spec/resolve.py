@@ -10,7 +10,7 @@ from typing import Any
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
-from cam.passes import PRESETS, PassSpec, Stock
+from cam.passes import PRESETS, Clamp, PassSpec, Stock
 from machines.profile import MachineProfile
 from service.errors import SpecError
 from service.job.spec.around import CutOutSpec, FaceSpec
@@ -127,6 +127,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
         height_mm=spec.optics.height_mm,
         thickness_mm=spec.stock.thickness_mm,
         margin_mm=spec.stock.margin_mm,
+        clamps=tuple(Clamp(**clamp.model_dump()) for clamp in spec.stock.clamps or ()),
     )
 
 

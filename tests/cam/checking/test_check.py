@@ -15,7 +15,7 @@ import pytest
 
 from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
-from cam.passes import PassSpec, Stock, ball_pass
+from cam.passes import Clamp, PassSpec, Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import ProgramError, read_program
@@ -392,3 +392,11 @@ def test_chunks_and_progress(lens, path, good):
     assert again.as_report() == good.as_report()
     np.testing.assert_array_equal(again.stock_top.top_mm, good.stock_top.top_mm)
     assert told[-1] == 1.0
+
+
+def test_a_program_that_comes_near_a_clamp_is_refused(lens, path):
+    """One in reach of the tips on the run-out, and one that stands just as far away as the check asks for."""
+    near = Clamp(x_mm=WIDTH + 1.0, y_mm=1.0, width_mm=1.0, depth_mm=2.0, height_mm=2.0)
+    for clamp, refused in ((near, True), (replace(near, x_mm=WIDTH + 2 * RADIUS + 1.001), False)):
+        found = check(program(path), lens, stock=replace(STOCK, clamps=(clamp,)))
+        assert any("stock.clamps.0" in fault for fault in found.faults) == refused

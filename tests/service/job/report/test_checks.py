@@ -111,6 +111,26 @@ def test_higher_clamps_ask_for_tools_that_stick_out_farther():
         assert f"{stick_out_mm:g} mm" in text
 
 
+def test_clamps_of_the_spec_are_drawn_where_they_stand():
+    clamp = {"x_mm": -12.0, "y_mm": 60.0, "width_mm": 10.0, "depth_mm": 20.0, "height_mm": 4.0}
+    bare = render_report(REPORT, spec=SPEC, files=FILES)
+    page = render_report(REPORT, spec=SPEC | {"stock": SPEC["stock"] | {"clamps": [clamp]}}, files=FILES)
+    (box,) = set(re.findall(r"<rect [^>]+>", page)) - set(re.findall(r"<rect [^>]+>", bare))
+    scale, zero_x, zero_y = _scale_of(page)
+    corner = [float(re.search(rf'{name}="(-?[\d.]+)"', box)[1]) for name in ("x", "y")]
+    assert corner == pytest.approx([zero_x - 12 * scale, zero_y - 80 * scale], abs=0.2)
+    assert "checked against them" in page
+
+
+def _scale_of(page: str) -> tuple[float, float, float]:
+    """Pixels per mm of the top view, and where it has the work zero."""
+    block = re.search(r'<rect x="([\d.]+)" y="([\d.]+)" width="([\d.]+)" height="([\d.]+)"', page)
+    left, top, wide, high = map(float, block.groups())
+    stock, optics = SPEC["stock"], SPEC["optics"]
+    scale = wide / (optics["width_mm"] + 2 * stock["margin_mm"])
+    return scale, left + stock["margin_mm"] * scale, top + high - stock["margin_mm"] * scale
+
+
 @given(width_mm=st.floats(5, 200), height_mm=st.floats(5, 200), margin_mm=st.floats(0, 30))
 def test_the_top_view_draws_the_outline_inside_the_block(width_mm, height_mm, margin_mm):
     """To scale, and the right way up: seen from above with the front of the mill at the bottom."""
