@@ -6,11 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
-from cam.moves import Array
 
 Strategy = Literal["raster", "contour"]
 Direction = Literal["x", "y"]
@@ -102,12 +99,6 @@ class Clamp:
     width_mm: float
     depth_mm: float
     height_mm: float
-
-    @property
-    def corners_mm(self) -> tuple[Array, Array]:
-        """Lower left and upper right, each (2,)."""
-        low = np.array([self.x_mm, self.y_mm])
-        return low, low + np.array([self.width_mm, self.depth_mm])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

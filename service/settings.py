@@ -42,6 +42,8 @@ class ServerSettings(BaseSettings):
     start_agents      : `serve` starts an agent for every configured machine that has a port
     prepare           : compile soon after the start what the first estimate and the first job would have to wait for
     simulated_mill    : `serve` offers a simulated mill, too, to try everything on
+    notify_url        : web address to which it is POSTed, as JSON, what needs a person at a mill; None: nobody is told
+    notify_email      : mailbox that is told the same, through smtp_url: smtp://user:password@host:port, or smtps://
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
 
@@ -73,6 +75,9 @@ class ServerSettings(BaseSettings):
     start_agents: bool = True
     prepare: bool = True
     simulated_mill: bool = False
+    notify_url: Annotated[str, Field(pattern=r"^https?://\S+$")] | None = None
+    notify_email: Annotated[str, Field(pattern=r"^[^@\s]+@[^@\s]+$")] | None = None
+    smtp_url: Annotated[str, Field(pattern=r"^smtps?://\S+$")] = "smtp://localhost:25"
     log_level: Literal["debug", "info", "warning"] = "info"
     log_format: Literal["auto", "json", "text"] = "auto"
 

@@ -42,11 +42,17 @@ class Clamps:
         return [sentence for finding in self._near for sentence in finding.sentences]
 
 
+def corners_mm(clamp: Clamp) -> tuple[Array, Array]:
+    """Return the box's lower left and upper right corners, each (2,)."""
+    low = np.array([clamp.x_mm, clamp.y_mm])
+    return low, low + np.array([clamp.width_mm, clamp.depth_mm])
+
+
 def distances_below_mm(start_mm: Array, end_mm: Array, clamp: Clamp, most_mm: float) -> Array:
     """Return how near each straight move (n, 3) comes to the box, seen from above, where the tip is lower than its top
     and the clearance; inf for moves that stay higher, or farther away than most_mm.
     """
-    low, high = clamp.corners_mm
+    low, high = corners_mm(clamp)
     top_mm = clamp.height_mm + CLEARANCE_MM
     found = np.full(len(start_mm), np.inf)
     least, greatest = np.minimum(start_mm, end_mm), np.maximum(start_mm, end_mm)

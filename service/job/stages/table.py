@@ -27,7 +27,7 @@ from service.job.spec.resolved import ResolvedJob
 from service.job.stages.order import FileRef
 from service.job.stages.source_state import state_of_sources
 
-_BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm")
+_BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps")
 _BENCH = (
     "optics.width_mm", "optics.height_mm", "screen_mm", "optics.screen_shift_x_mm", "optics.screen_shift_y_mm",
     "optics.throw_mm", "optics.refractive_index", "optics.surface", "optics.outline", "optics.light", "light_path_mm",

@@ -52,6 +52,10 @@ class Fleet:
         """End the event streams with the server: they would not by themselves."""
         self._core.ending.set()
 
+    async def await_end(self, seconds: float) -> bool:
+        """Wait so long, or until the server ends: then True."""
+        return await self._core.await_end(seconds)
+
     async def watch(self, every_s: float = WATCH_S) -> None:
         """Look at every open run now and then: one that ends while nobody asks is closed all the same."""
         while not await self._core.await_end(every_s):

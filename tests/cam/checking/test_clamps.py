@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cam.checking.clamps import CLEARANCE_MM, Clamps, distances_below_mm
+from cam.checking.clamps import CLEARANCE_MM, Clamps, corners_mm, distances_below_mm
 from cam.passes import Clamp
 from tests.cam.checking.test_engagement import batch_of
 
@@ -19,7 +19,7 @@ def test_each_move_is_as_near_as_the_nearest_of_its_points_below_the_top(points)
     points = np.array(points)
     found = distances_below_mm(points[:-1], points[1:], CLAMP, 100.0)
     t = np.linspace(0, 1, 4001)[:, None]
-    low, high = CLAMP.corners_mm
+    low, high = corners_mm(CLAMP)
     for start, end, distance_mm in zip(points[:-1], points[1:], found, strict=True):
         on_it = start + t * (end - start)
         away = np.hypot(*np.maximum(np.maximum(low - on_it[:, :2], on_it[:, :2] - high), 0).T)

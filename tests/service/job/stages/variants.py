@@ -89,6 +89,7 @@ OTHER: dict[str, Any] = {
 ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
+CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
 FELT = {"process": "felt", "k0_rad_per_mm": 3.0, "order": 1.0, "depth_um": 10.0, "minutes": 2.0, "pad_mm": 10.0}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
@@ -102,6 +103,7 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
     "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
+    "stock.clamps": ({}, {"stock.clamps": [CLAMP]}),
     "machine.blend_tolerance_mm": (LINUXCNC, {**LINUXCNC, "machine.blend_tolerance_mm": 0.002}),
     "machine.high_precision": ({}, {"machine.high_precision": None}),
     "optics.light.kind": ({}, {"optics.light": {"kind": "sun"}}),

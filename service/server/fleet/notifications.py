@@ -1,0 +1,106 @@
+"""What somebody elsewhere should know of the mills: one needs a hand, a program is done, the next tool is due.
+
+The mills are looked at every few seconds; what is news since the look before is told, each thing once. How it gets to
+people is `delivery`'s business.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import structlog
+
+from service.errors import printable
+from service.server.database.runs import FINISHED, INTERRUPTED, LIVE_WORDS, LOST
+from service.server.fleet.fleet import Fleet
+from service.server.schemas.runs import MachineView, RunView
+
+LOOK_S = 5.0
+_RUNS = 100  # the newest, whose ends are told
+Event = Literal["needs_hand", "tool_change", "finished"]
+_TROUBLE = {"alarm": "is locked by an alarm", "door": "its door is open", "tool": "waits for a tool change"}
+_log = structlog.get_logger("api")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Notification:
+    """at: Unix time [s]; run, program: empty where none is concerned."""
+
+    machine: str
+    event: Event
+    words: str
+    run: str = ""
+    program: str = ""
+    at: float
+
+
+class MillWatch:
+    """Compares each look at the mills and the newest runs with the one before."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.time) -> None:
+        self._clock_s = clock_s
+        self._troubles: dict[str, str] = {}  # of a machine, as it was told
+        self._ended: set[str] | None = None  # runs that were finished at the look before
+
+    def compare(self, machines: Iterable[MachineView], runs: Iterable[RunView]) -> list[Notification]:
+        """Return what is to be told. Programs that were finished before the first look are not."""
+        told = []
+        for machine in machines:
+            trouble = _trouble_of(machine)
+            if trouble and self._troubles.get(machine.name) != trouble:
+                told.append(self._trouble(machine, trouble))
+            self._troubles[machine.name] = trouble
+        finished = {run.id: run for run in runs if run.state == FINISHED}
+        if self._ended is not None:
+            told += [self._end(run) for name, run in finished.items() if name not in self._ended]
+        self._ended = set(finished)
+        return told
+
+    def _trouble(self, machine: MachineView, words: str) -> Notification:
+        run = machine.run
+        about = {} if run is None else {"run": run.id, "program": run.program}
+        words = f"{machine.name}: {words}"
+        return Notification(machine=machine.name, event="needs_hand", words=words, at=self._clock_s(), **about)
+
+    def _end(self, run: RunView) -> Notification:
+        done = f"{run.machine}: {run.program.name} is finished"
+        return Notification(
+            machine=run.machine,
+            event="finished" if run.next is None else "tool_change",
+            words=f"{done}." if run.next is None else f"{done}. Next: {run.next.name}; its tool is due.",
+            run=run.id,
+            program=run.program.name,
+            at=self._clock_s(),
+        )
+
+
+def _trouble_of(machine: MachineView) -> str:
+    """Return why a mill needs a person, in words; nothing where it does not."""
+    run, mill = machine.run, machine.mill or {}
+    if not machine.agent.reachable:
+        live = run is not None and run.state in LIVE_WORDS
+        return f"out of reach while a program is on it ({machine.agent.words})" if live else ""
+    if run is not None and run.state in (INTERRUPTED, LOST):
+        return f"{run.program} was interrupted" + (f": {run.words}" if run.words else "")
+    if mill.get("state") == "alarm" and run is None and not mill.get("alarm"):
+        return ""  # switched on and not homed yet
+    return _TROUBLE.get(mill.get("state", ""), "")
+
+
+async def watch_mills(
+    fleet: Fleet, tell: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
+) -> None:
+    """Tell what happens, until the server ends. A look that fails is left out."""
+    watch = MillWatch()
+    while True:
+        try:
+            runs = await fleet.runs(machine=None, job=None, limit=_RUNS, before=None)
+            for one in watch.compare((await fleet.machines()).machines, runs):
+                await tell(one)
+        except Exception as error:  # the database is away, or an agent talks nonsense
+            _log.warning("mills were not looked at", error=printable(str(error))[:200])
+        if await fleet.await_end(every_s):
+            return
