@@ -62,7 +62,7 @@ class Floor:
     @property
     def server(self) -> httpx.Client:
         headers = {"Authorization": f"Bearer {self.token}"}
-        return httpx.Client(base_url=self.url, headers=headers, timeout=PATIENCE_S, trust_env=False)
+        return httpx.Client(base_url=self.url, headers=headers, timeout=PATIENCE_S, trust_env=False, verify=False)
 
     @property
     def agent_token(self) -> str:
@@ -78,7 +78,7 @@ class Floor:
         headers = {"Authorization": f"Bearer {self.agent_token}"}
         limits = httpx.Limits(max_connections=1, keepalive_expiry=None)
         with httpx.Client(
-            base_url=self.agent_url, headers=headers, timeout=timeout_s, limits=limits, trust_env=False
+            base_url=self.agent_url, headers=headers, timeout=timeout_s, limits=limits, trust_env=False, verify=False
         ) as client:
             client.get("/v1/status").raise_for_status()
             yield client
