@@ -1,4 +1,7 @@
-"""Where to start with speeds and feeds, as data with its sources. Start values to expose, never limits."""
+"""Where to start with speeds and feeds, as data with its sources. Start values to expose, never limits.
+
+What light makes of a material is the spec's: `optics.refractive_index` in `service/job/spec/optics`.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from cam.rows.turned import turn_block, turn_lens, turn_paths, turn_stock
 from cam.rows.turns import first_row, row_cuts
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
-from cam.surface.cutter import largest_fitting_radius_mm, share_reached
+from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
@@ -256,7 +256,7 @@ def _check_job(
     if safe_z_mm < needed:
         raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=needed)
     if spec.finishes:
-        share = share_reached(heightfield, spec.radius_mm)
+        share = find_reached_share(heightfield, spec.radius_mm)
         if share < LEAST_REACHED:
             largest = largest_fitting_radius_mm(heightfield)
             raise CutterTooLargeError(

@@ -176,7 +176,7 @@ def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...
     return (base / "causticmill" / "machines",) if base else ()
 
 
-def profile_sources(folders: Sequence[Path] | None = None) -> dict[str, str]:
+def find_profiles(folders: Sequence[Path] | None = None) -> dict[str, str]:
     """File of each profile by name, sorted; a person's own profile takes the place of a built-in of its name."""
     built_in = resources.files("machines") / "profiles"
     found = {e.name.removesuffix(".toml"): str(e) for e in built_in.iterdir() if e.name.endswith(".toml")}
@@ -188,12 +188,12 @@ def profile_sources(folders: Sequence[Path] | None = None) -> dict[str, str]:
 
 def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
     """Return names of all profiles, sorted."""
-    return tuple(profile_sources(folders))
+    return tuple(find_profiles(folders))
 
 
 def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachineProfile:
     """The profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in a file."""
-    sources = profile_sources(folders)
+    sources = find_profiles(folders)
     if name not in sources:
         raise UnknownProfileError(name, tuple(sources))
     file = sources[name]
@@ -217,7 +217,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
     file = sources[name]
     raw = _read(file)
     try:
-        tables = {name: _table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
+        tables = {name: _check_table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
         own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
         if own.setdefault("name", name) != name:
@@ -237,7 +237,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
 _TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
 
 
-def _table(name: str, values: object, rules: Rules) -> dict[str, Any]:
+def _check_table(name: str, values: object, rules: Rules) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise BadValueError(name, values, f"a table: [{name}] and below it {', '.join(rules.keys)}")
     return {key: rules.check(key, value, f"{name}.") for key, value in values.items()}

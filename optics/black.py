@@ -20,7 +20,7 @@ from optics.bench import Bench, Branch
 from optics.errors import OpticsError
 from optics.outline import share_notched
 from optics.spline import Array
-from optics.transport.grid_levels import box_averaged
+from optics.transport.grid_levels import average_boxes
 from optics.transport.solver import solve_transport
 
 DARK = 0.02  # of the brightest pixel: below is black
@@ -139,7 +139,7 @@ def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: fl
 def _sketch_slopes(target: Array, bench: Bench) -> tuple[float, float]:
     """Return (steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
     ny, nx = (min(n, _SKETCH_PIXELS) for n in target.shape)
-    path = solve_transport(box_averaged(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)
+    path = solve_transport(average_boxes(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)
     if not path.converged:
         return math.inf, math.inf
     x_mm, y_mm = np.linspace(0.0, bench.width_mm, nx + 1), np.linspace(0.0, bench.height_mm, ny + 1)

@@ -53,7 +53,12 @@ def simulate_caustic(
     """
     ny, nx = pixels
     light, total, reflected = _trace_light(
-        heightfield, bench, cells_covered(heightfield, bench), pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams
+        heightfield,
+        bench,
+        find_covered_cells(heightfield, bench),
+        pixels=pixels,
+        tubes_per_cell=tubes_per_cell,
+        beams=beams,
     )
     irradiance = light * (ny * nx / total)
     outside = 1.0 - float(irradiance.mean()) - reflected / total
@@ -74,7 +79,7 @@ def share_by_way_of(
 
     cells : (rows, columns) share of each cell that counts
     """
-    cover = cells_covered(heightfield, bench)
+    cover = find_covered_cells(heightfield, bench)
     own, whole = (
         _trace_light(heightfield, bench, part, pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams)[0]
         for part in (cells * cover, cover)
@@ -135,7 +140,7 @@ def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
     )
 
 
-def cells_covered(heightfield: Heightfield, bench: Bench) -> Array:
+def find_covered_cells(heightfield: Heightfield, bench: Bench) -> Array:
     """Return the share of each cell of the heightfield within the outline; (1, 1) of 1 where there is none."""
     if bench.outline_mm is None:
         return np.ones((1, 1))

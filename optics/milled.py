@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from optics.bench import Bench
-from optics.caustic import Caustic, aim_at, cells_covered
+from optics.caustic import Caustic, aim_at, find_covered_cells
 from optics.heightfield import Heightfield
 from optics.light import Beam, leave, meet, strength_on_face
 from optics.spline import Array
@@ -46,7 +46,7 @@ def simulate_milled(
     part        : (n, 4, 5) corners in order around, each x, y, z [mm] and slopes in x and y
     heightfield : the lens meant, for the aperture and its outline
     """
-    aim, bundle, cover = aim_at(bench, pixels), bench.bundle(beams), cells_covered(heightfield, bench)
+    aim, bundle, cover = aim_at(bench, pixels), bench.bundle(beams), find_covered_cells(heightfield, bench)
     cells = (heightfield.dx_mm, heightfield.dy_mm) if cover.size > 1 else (1.0, 1.0)
     bounds = np.linspace(0, parts, _STRIPS + 1).astype(int)
     done = [0] * _STRIPS

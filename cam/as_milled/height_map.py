@@ -75,7 +75,7 @@ def map_departure(
     lens = heightfield.spline_with_run_out(beyond_mm + radius_mm + 1.0).kernel_arguments
     corner = (float(heightfield.x_mm[0]) - (beyond + 0.5) * dx, float(heightfield.y_mm[0]) - (beyond + 0.5) * dy)
     places = _Places(*corner, dx / _PER_CELL, dy)
-    chords = [one.divided(_LONGEST_MM) for one in tracks]
+    chords = [one.divide(_LONGEST_MM) for one in tracks]
     reach_mm = reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm)
     tall_mm = _TALL * error_mm + pitch_mm**2 / radius_mm
     bounds = np.linspace(0, ny, _STRIPS + 1).astype(int)

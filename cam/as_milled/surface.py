@@ -61,7 +61,7 @@ class MilledSurface:
         radius = max(one.radius_mm for one in tracks)
         reach = reach_of(radius, pitch_mm=pitch_mm, error_mm=error_mm)
         return cls(
-            chords=sort_chords([one.divided(_LONGEST_MM) for one in tracks], side_mm=max(0.5 * reach, _BOX_MM)),
+            chords=sort_chords([one.divide(_LONGEST_MM) for one in tracks], side_mm=max(0.5 * reach, _BOX_MM)),
             lens=heightfield.spline_with_run_out(radius + 1.0).kernel_arguments,
             reach_mm=reach,
             crossed_mm=_CROSSED * pitch_mm,

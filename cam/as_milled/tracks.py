@@ -62,7 +62,7 @@ class Tracks:
             tips[:, 2] += noise.errors_mm(self.tips_mm, self.joined)
         return Tracks(radius_mm=self.radius_mm, tips_mm=tips, joined=self.joined)
 
-    def divided(self, longest_mm: float) -> Tracks:
+    def divide(self, longest_mm: float) -> Tracks:
         """Return the same tracks with no chord longer than that; a chord that does not move in plan is left out."""
         count = _count(self.tips_mm, self.joined, longest_mm)
         tips, joined = np.empty((count, 3)), np.empty(count, dtype=np.bool_)

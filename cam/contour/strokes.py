@@ -30,7 +30,7 @@ def without_holes(
     strokes = strokes_over(bare, pitch_mm)
     ring_mm = field.ring_mm
     inside = np.clip(strokes.xy_mm, -ring_mm, (width_mm + ring_mm, height_mm + ring_mm))
-    return ContourLines.joined([tracks, replace(strokes, xy_mm=on_ticks(inside))])
+    return ContourLines.join([tracks, replace(strokes, xy_mm=on_ticks(inside))])
 
 
 def strokes_over(places_mm: Array, pitch_mm: float) -> ContourLines:

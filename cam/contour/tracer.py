@@ -39,7 +39,7 @@ class ContourLines:
         return self.start.size - 1
 
     @classmethod
-    def joined(cls, parts: list[ContourLines]) -> ContourLines:
+    def join(cls, parts: list[ContourLines]) -> ContourLines:
         starts = [part.start[:-1] + before for part, before in zip(parts, _before(parts), strict=True)]
         xy = np.concatenate([part.xy_mm for part in parts])
         return cls(xy_mm=xy, start=np.concatenate([*starts, [len(xy)]]).astype(np.int64))
@@ -70,7 +70,7 @@ def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
         return ContourLines(xy_mm=xy[: start[count]].copy(), start=start[: count + 1].copy())
 
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
-        return ContourLines.joined(list(pool.map(chunk, shares[:-1].tolist(), shares[1:].tolist())))
+        return ContourLines.join(list(pool.map(chunk, shares[:-1].tolist(), shares[1:].tolist())))
 
 
 @njit(cache=True, nogil=True)

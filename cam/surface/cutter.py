@@ -51,6 +51,6 @@ def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
     return FittingRadius(everywhere_mm=1.0 / most if most > 0 else inf, nearly_mm=1.0 / nearly if nearly > 0 else inf)
 
 
-def share_reached(heightfield: Heightfield, radius_mm: float) -> float:
+def find_reached_share(heightfield: Heightfield, radius_mm: float) -> float:
     """Return the share of the area whose curvature a ball of this radius fits."""
     return float((concave_curvature(heightfield) * radius_mm <= 1.0).mean())

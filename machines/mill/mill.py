@@ -49,7 +49,7 @@ class Mill:
         folder: Path,
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
-        reentry: Reentry | None = None,
+        reentry: Reentry,
         open_journal: Callable[[Path], Journal] = Journal,
         pause: Callable[[float], object] | None = None,
         orders: OrderGate | None = None,
@@ -69,7 +69,7 @@ class Mill:
         self._control = RunControl(context)
         self._commands = Commands(context, unattended)
         self._cycle = MillCycle(context, self._control, self._commands, unattended, self.publish)
-        self._planner = RecoveryPlanner(context, self._cycle, reentry or Reentry())
+        self._planner = RecoveryPlanner(context, self._cycle, reentry)
         self._starter = RunStarter(context, self._cycle, self._control, unattended, self._planner)
         self.publish()
 

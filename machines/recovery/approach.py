@@ -35,8 +35,10 @@ def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reen
     return max(min(wanted_mm, floor(1000.0 * (present.top_mm - zero_mm[2])) / 1000.0), highest)
 
 
-def way_in(entry: EntryPoint, tool_z_mm: float, facts: Preflight, safe_mm: float, reentry: Reentry) -> tuple[str, ...]:
-    """From where the tool stands to the entry point. Always up before across, always across before down."""
+def plan_lead_in(
+    entry: EntryPoint, tool_z_mm: float, facts: Preflight, safe_mm: float, reentry: Reentry
+) -> tuple[str, ...]:
+    """Return blocks to the entry point: always up before across, always across before down."""
     state = entry.state
     blocks = [f"G21 G90 G94 G17 {state.wcs}"]
     turns = state.spindle != "M5" and entry.position_mm is not None
@@ -65,7 +67,7 @@ def _mm(value: float) -> str:
     return f"{value:.5f}".rstrip("0").rstrip(".") if abs(value) >= 5e-6 else "0"
 
 
-def unreadable(blocks: Sequence[str]) -> Iterator[str]:
+def find_unreadable(blocks: Sequence[str]) -> Iterator[str]:
     """Our own blocks go through the same reader as a program: what it refuses is never sent."""
     interpreter = Interpreter(ModalState())
     for block in blocks:

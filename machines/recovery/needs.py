@@ -44,7 +44,7 @@ def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
         yield Need(MillCode.STAND_STILL, words, values)
 
 
-def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
+def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     status = present.status
     yield from needs_of_standing_mill(status)
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
@@ -91,7 +91,7 @@ def _number(text: str) -> float:
         return 0.0
 
 
-def offsets_compared(
+def compare_offsets(
     record: Mapping[str, Any], present: Present, entry: EntryPoint | None
 ) -> tuple[tuple[str, ...], tuple[Need, ...]]:
     """Return offsets then and now: each difference in words, and whether one of them moves this program."""

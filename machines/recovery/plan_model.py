@@ -23,12 +23,12 @@ _NOT_THERE = (
 class Reentry:
     """How the tool is brought back.
 
-    safe_z_mm : work Z at which it travels; the highest Z of the program itself if that is higher
+    safe_z_mm : work Z at which it travels, of the profile; the highest Z of the program itself if that is higher
     plunge_mm_per_min : fastest plunge; the slowest feed of the program if that is lower
     spin_up_s : dwell after the spindle is switched on
     """
 
-    safe_z_mm: float = 5.0
+    safe_z_mm: float
     plunge_mm_per_min: float = 300.0
     spin_up_s: float = 4.0
 

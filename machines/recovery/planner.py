@@ -15,10 +15,10 @@ from machines.errors import MachineError
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
-from machines.recovery.approach import height_mm, travel_height_mm, unreadable, way_in
+from machines.recovery.approach import find_unreadable, height_mm, plan_lead_in, travel_height_mm
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
-from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
+from machines.recovery.needs import axes_words, compare_offsets, find_needs, position_doubt, zero_back
 from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
 
 GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
@@ -41,12 +41,13 @@ def plan_recovery(
     tells = facts.dialect in GRBL_DIALECTS
     if not tells:
         refusals.append(by_sequence_number(record, facts, reader))
-    differences, zero_needs = offsets_compared(record, present, entry)
-    needs = (*first_needs(record, present), *zero_needs) if tells else ()
+    differences, zero_needs = compare_offsets(record, present, entry)
+    needs = (*find_needs(record, present), *zero_needs) if tells else ()
     blocks: tuple[str, ...] = ()
     if entry is not None and tells and (tool_z_mm := height_mm(present, entry.state.wcs)) is not None:
-        blocks = way_in(entry, tool_z_mm, facts, travel_height_mm(present, entry.state.wcs, facts, reentry), reentry)
-        refusals.extend(unreadable(blocks))
+        travel_mm = travel_height_mm(present, entry.state.wcs, facts, reentry)
+        blocks = plan_lead_in(entry, tool_z_mm, facts, travel_mm, reentry)
+        refusals.extend(find_unreadable(blocks))
     plan = RecoveryPlan(
         run_id=str(record.get("id", "")),
         executed_line=executed,

@@ -9,7 +9,7 @@ from machines.simulated.blocks import carry_out_gcode, is_out_of_travel
 from machines.simulated.controller import ROOM, Controller, Task
 from machines.simulated.interpreter import Triple
 from machines.simulated.realtime import obey_realtime
-from machines.simulated.system_commands import system_command
+from machines.simulated.system_commands import run_system_command
 from machines.simulated.words import GcodeError
 
 _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+))"
@@ -93,7 +93,7 @@ class Firmware(Controller):
     def _line_task(self, code: bytes) -> Task:
         try:
             if code[:1] == b"$":
-                yield from system_command(self, code.decode("latin-1"))
+                yield from run_system_command(self, code.decode("latin-1"))
             elif self.state in ("Alarm", "Jog"):
                 raise GcodeError(9)
             else:

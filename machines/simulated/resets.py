@@ -67,10 +67,10 @@ def restart(fw: Controller, *, locked: bool) -> None:
 def _run_startup(fw: Controller) -> None:
     lines = [line for line in fw.startup.values() if line]
     if lines:
-        fw.begin(_startup_task(fw, lines))
+        fw.begin(_run_startup_lines(fw, lines))
 
 
-def _startup_task(fw: Controller, lines: list[str]) -> Task:
+def _run_startup_lines(fw: Controller, lines: list[str]) -> Task:
     for line in lines:
         try:
             yield from carry_out_gcode(fw, line.encode())

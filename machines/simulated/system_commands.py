@@ -18,7 +18,7 @@ _SETTING = re.compile(r"\$([-+]?\d+\.?\d*)=([-+]?(?:\d+\.?\d*|\.\d+))")
 _LIMITED_HZ = 30_000
 
 
-def system_command(fw: Controller, line: str) -> Task:
+def run_system_command(fw: Controller, line: str) -> Task:
     """Carry out; raises GcodeError. The `ok` is the caller's."""
     if line == "$":
         fw.say(_HELP)
@@ -32,7 +32,7 @@ def system_command(fw: Controller, line: str) -> Task:
     elif line == "$G":
         fw.say(reports.parser_state(fw))
     elif line == "$C":
-        _check_mode(fw)
+        _toggle_check_mode(fw)
     elif line == "$X":
         if fw.state == "Alarm":
             if "D" in fw.pressed:
@@ -47,7 +47,7 @@ def system_command(fw: Controller, line: str) -> Task:
         yield from _when_standing(fw, line)
 
 
-def _check_mode(fw: Controller) -> None:
+def _toggle_check_mode(fw: Controller) -> None:
     if fw.state == "Check":
         fw.say("[MSG:Disabled]")
         fw.after_task = partial(reset, fw)  # the answer comes first, then the banner
@@ -79,7 +79,7 @@ def _when_standing(fw: Controller, line: str) -> Task:
         for k, text in fw.startup.items():
             fw.say(f"$N{k}={text}")
     elif line.startswith("$N"):
-        yield from _startup_line(fw, line)
+        yield from _run_startup_line(fw, line)
     else:
         yield from _change_setting(fw, line)
 
@@ -111,7 +111,7 @@ def _change_setting(fw: Controller, line: str) -> Task:
         fw.wco_in = 0
 
 
-def _startup_line(fw: Controller, line: str) -> Task:
+def _run_startup_line(fw: Controller, line: str) -> Task:
     match = re.fullmatch(r"\$N([01])=(.*)", line)
     if match is None:
         raise GcodeError(3 if line[2:3].isdigit() else 2)

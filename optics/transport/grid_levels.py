@@ -20,7 +20,7 @@ def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     return shapes
 
 
-def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
+def average_boxes(values: Array, shape: tuple[int, int]) -> Array:
     """Return the exact means of a piecewise constant grid over a coarser one's cells (any ratio)."""
     for axis, n in enumerate(shape):
         if values.shape[axis] == n:

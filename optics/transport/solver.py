@@ -24,7 +24,7 @@ from optics.errors import NoSurfaceError
 from optics.map_inversion import screen_positions
 from optics.spline import Array
 from optics.transport.anderson import Anderson
-from optics.transport.grid_levels import box_averaged, level_shapes, prolong
+from optics.transport.grid_levels import average_boxes, level_shapes, prolong
 from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.transport.total_reflection import move_far_away, refuse_wide_turns
 from optics.transport.transport_level import Misses, TransportLevel
@@ -137,7 +137,7 @@ def _solve_levels(
         if c.shape != shape:
             c = prolong(c, shape, bench)
         most = most_iterations if number == len(shapes) else _MOST_COARSE
-        c, record, met_reflection = _solve_level(box_averaged(g, shape), c, bench, skim_mm, tolerance, most)
+        c, record, met_reflection = _solve_level(average_boxes(g, shape), c, bench, skim_mm, tolerance, most)
         records.append(record)
         reflected |= met_reflection
         report(4.0 ** (number - len(shapes)))
@@ -191,6 +191,6 @@ def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
 
     How far it must go hardly depends on the throw, so a coarse solution for a far screen tells it.
     """
-    coarse = box_averaged(g, level_shapes(g.shape)[0])
+    coarse = average_boxes(g, level_shapes(g.shape)[0])
     moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()
     refuse_wide_turns(moved.lens_mm, moved.screen_mm, bench)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from optics.bench import Bench
-from optics.caustic import aim_at, cells_covered
+from optics.caustic import aim_at, find_covered_cells
 from optics.heightfield import Heightfield
 from optics.light import Beam
 from optics.spline import Array
@@ -118,7 +118,7 @@ class TubePicture:
 
         Together they give the mean pixel 1.
         """
-        cover = cells_covered(self.lens, self.bench)
+        cover = find_covered_cells(self.lens, self.bench)
         whole = (self.rows, 2, self.columns)
         lights = [self._light(beam, cover) for beam in self.beams]
         total = sum(float(np.broadcast_to(light, whole).sum()) for light in lights)

@@ -9,9 +9,9 @@ from machines.profile import (
     MachineProfile,
     ProfileError,
     UnknownProfileError,
+    find_profiles,
     load_profile,
     profile_names,
-    profile_sources,
     user_folders,
 )
 from service.errors import EXIT_FAILURE, InputError
@@ -32,7 +32,7 @@ def run_machines(name: str | None = None, *, check: bool = False) -> int:
 
 def list_machines(*, check: bool = False, name: str | None = None) -> tuple[list[str], list[str]]:
     """Return (lines to show, problems found). A file that cannot be used is a problem even without `check`."""
-    sources = profile_sources()
+    sources = find_profiles()
     if name is not None and name not in sources:
         raise InputError(str(UnknownProfileError(name, tuple(sources))))
     profiles, problems = [], []

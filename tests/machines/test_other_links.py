@@ -17,6 +17,7 @@ from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.preflight.preflight import Preflight
 from machines.profile import LinkSettings, MachineProfile, load_profile
+from machines.recovery.plan_model import Reentry
 from machines.roland.serial_driver import RolandSerialDriver
 from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
@@ -121,6 +122,7 @@ class Shop:
         self.lines = list(ProgramReader(path, self.facts.index).lines())
         self.mill = Mill(
             name="far",
+            reentry=Reentry(safe_z_mm=5.0),
             connect=lambda: link.driver(self.machine),
             folder=folder / "mill",
             clock=self.machine.clock,

@@ -11,9 +11,9 @@ from machines.profile import (
     LinkSettings,
     ProfileError,
     UnknownProfileError,
+    find_profiles,
     load_profile,
     profile_names,
-    profile_sources,
     user_folders,
 )
 from machines.profile_values import DIALECTS, DRIVERS
@@ -178,7 +178,7 @@ def test_where_own_profiles_are_looked_for(tmp_path: Path) -> None:
     assert user_folders({"HOME": "/h"}) == (Path("/h/.config/causticmill/machines"),)
     assert user_folders({}) == ()
     path = written(tmp_path, "grbl", 'extends = "grbl-3018"\n')
-    assert profile_sources([tmp_path])["grbl"] == str(path), "one's own takes the place of a built-in"
+    assert find_profiles([tmp_path])["grbl"] == str(path), "one's own takes the place of a built-in"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
 from service.job.page_data.thumbnail import thumbnail_png
-from service.job.picture.tone import srgb_to_linear
+from service.job.picture.linear_light import srgb_to_linear
 from tests.page import form
 from tests.page.browser import NOWHERE, Watched
 from tests.page.conftest import Opened

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
-from service.job.picture.tone import invert_tones, linear_to_srgb, srgb_to_linear
+from service.job.picture.linear_light import invert_tones, linear_to_srgb, srgb_to_linear
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE

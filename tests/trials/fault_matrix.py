@@ -15,6 +15,7 @@ from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.preflight.preflight import Preflight
 from machines.profile import load_profile
+from machines.recovery.plan_model import Reentry
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
 from service.milling.preflight import run_preflight
@@ -125,6 +126,7 @@ def _mill(mill: SimulatedMill, log: StopLog, folder: Path) -> Mill:
 
     return Mill(
         name="trial",
+        reentry=Reentry(safe_z_mm=5.0),
         connect=lambda: GrblDriver(WatchedPort(mill, log)),
         folder=folder,
         clock=lambda: mill.now_s,

@@ -10,6 +10,7 @@ from machines.grbl.driver import GrblDriver
 from machines.journal.disk import RealDisk, RealFile
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
+from machines.recovery.plan_model import Reentry
 from machines.simulated.memory_port import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, GRBLHAL
@@ -84,6 +85,7 @@ class Bench:
 
         return Mill(
             name="sim",
+            reentry=Reentry(safe_z_mm=5.0),
             connect=lambda: GrblDriver(MemoryPort(self.sim)),
             folder=self.folder,
             clock=lambda: self.sim.now_s,

@@ -20,7 +20,7 @@ from optics.photograph.homography import apply_homography
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.tone import linear_strip, value_scale
+from service.job.picture.linear_light import linear_strip, value_scale
 
 PIXELS_PER_MM = 40
 _CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above

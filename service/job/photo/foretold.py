@@ -17,7 +17,7 @@ from service.errors import InputError
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP
 from service.job.photo.names import FORETOLD, Kind
-from service.job.picture.tone import srgb_to_linear
+from service.job.picture.linear_light import srgb_to_linear
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import load_stored_spec
 

@@ -18,8 +18,8 @@ from PIL import Image
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture.linear_light import invert_tones, linear_strip, value_scale
 from service.job.picture.resampling import Span, weights_to_resample
-from service.job.picture.tone import invert_tones, linear_strip, value_scale
 
 Array = npt.NDArray[np.float64]
 

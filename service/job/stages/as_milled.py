@@ -95,7 +95,7 @@ def read_tracks(
         batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
-        one = one.divided(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
+        one = one.divide(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
         tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise))
         on_progress(0.8 * done / len(passes))
     return tracks

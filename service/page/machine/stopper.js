@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { refusal, stands } from "./words.js";
 
 const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
-const URGENT_MS = 6000;
+const STOP_ANSWER_MS = 6000;
 const BEHIND_MS = 1000;
 const BUTTON = "Use the stop button on the mill itself.";
 
@@ -56,8 +56,8 @@ export class Stopper {
     const { aborts } = this;
     const timeout = new Error("No answer in time.");
     const note = ({ mill }) => (this.answered = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
-    const first = Promise.race([this.socket.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(timeout))]).then(note);
-    const how = { timeout_ms: URGENT_MS, quiet: true, keepalive: true };
+    const first = Promise.race([this.socket.send(this.name, what), after(STOP_ANSWER_MS).then(() => Promise.reject(timeout))]).then(note);
+    const how = { timeout_ms: STOP_ANSWER_MS, quiet: true, keepalive: true };
     const post = () => api.post(`/v1/machines/${encodeURIComponent(this.name)}/control/${what}`, {}, how).then(note);
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;

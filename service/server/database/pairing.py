@@ -21,11 +21,10 @@ from sqlalchemy import Connection, Engine, delete, select, update
 
 from service.server.database.connection import begin_reading, begin_writing, insert_new
 from service.server.database.tables import pairing_tries, pairings
-from service.server.database.tokens import Token, TokenBook, TokenScope
+from service.server.database.tokens import PAGE_TOKEN_LIFE_S, Token, TokenBook, TokenScope
 from service.server.pairing_code import ALPHABET, read_code
 
 CODE_LIFE_S = 86400.0
-TOKEN_LIFE_S = 86400.0
 _MOST_CODES = 4
 SCOPES = (TokenScope.JOBS_READ, TokenScope.JOBS_WRITE, TokenScope.MACHINE_RUN)
 _OFFER = re.compile(rf"([0-9a-f]{{32}}):((?:[{ALPHABET}]{{4}}-){{2}}[{ALPHABET}]{{4}})")
@@ -87,7 +86,7 @@ class PairingBook:
             if not any(right):
                 raise WrongCodeError(tries_left(connection, address, self._clock()))
             give_back(connection, address, counts_for_all=counts_for_all)
-        return self._tokens.create_paired(person, SCOPES, life_s=TOKEN_LIFE_S)
+        return self._tokens.create_paired(person, SCOPES, life_s=PAGE_TOKEN_LIFE_S)
 
     def is_live(self, offer: str) -> bool:
         """Return whether the code of this offer is still taken."""

@@ -28,6 +28,7 @@ _SECRET = re.compile(r"cm_[A-Za-z0-9_-]{43}")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._@-]{0,79}")
 _USE_NOTED_EVERY_S = 60.0
 _ENDED_KEPT_S = 14 * 86400.0
+PAGE_TOKEN_LIFE_S = 86400.0  # of the one that the page gets for a code; a run renews it
 LONGEST_LIFE_S = 100 * 365 * 86400.0
 
 

@@ -16,8 +16,8 @@ from machines.profile import (
     MachineProfile,
     ProfileError,
     UnknownProfileError,
+    find_profiles,
     load_profile,
-    profile_sources,
     user_folders,
 )
 from service.errors import InputError, printable, sentence_of_os_error
@@ -96,7 +96,7 @@ def _describe_simulated(settings: ServerSettings) -> KnownMachine:
 
 def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
     own = {str(folder) for folder in user_folders()}
-    for name, file in profile_sources().items():
+    for name, file in find_profiles().items():
         if str(Path(file).parent) not in own:
             continue
         folders = (local_folder(settings, name), state_home() / name)

@@ -83,7 +83,7 @@ def test_facets_of_coarse_steps_cover_the_aperture_once(step, chord, seed):
     tracks = row_tracks(over, radius_mm=0.5, pitch_mm=0.02)
     near = (np.abs(tracks.tips_mm[:, 1] - 0.5) < 0.6) | ~tracks.joined
     tracks = Tracks(radius_mm=0.5, tips_mm=tracks.tips_mm[near], joined=tracks.joined[near])
-    tracks = tracks.divided(chord).made_by(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
+    tracks = tracks.divide(chord).made_by(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
     facets = facets_of(surface_of(tracks, over, pitch_mm=max(0.02, step), step_mm=step, z_noise_mm=0.001))
     assert np.isfinite(facets).all()
     _, weights = spread_over(facets, np.full(2, 0.2), np.full(2, 0.8), parts=10)
@@ -159,7 +159,7 @@ def test_a_program_that_is_read_in_batches_leaves_the_same_tracks(parting):
 
 def test_of_a_move_that_steps_have_made_vertical_the_deeper_end_counts():
     tips = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, -1.5], [2.0, 0.0, -1.0]])
-    tracks = Tracks(radius_mm=0.5, tips_mm=tips, joined=np.array([False, True, True, True])).divided(10.0)
+    tracks = Tracks(radius_mm=0.5, tips_mm=tips, joined=np.array([False, True, True, True])).divide(10.0)
     assert tracks.tips_mm[:, 2].tolist() == [-1.0, -1.5, -1.0]
     assert tracks.joined.tolist() == [False, True, True]
 

@@ -106,6 +106,6 @@ def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed)
 )
 def test_slopes_of_moves_hardly_longer_than_steps_are_those_of_brute_force(radius, pitch, step, noise, chord):
     over = lens(tilt=(0.15, -0.1), bend=(0.03, -0.05))
-    tracks = row_tracks(over, radius_mm=radius, pitch_mm=pitch).divided(chord)
+    tracks = row_tracks(over, radius_mm=radius, pitch_mm=pitch).divide(chord)
     tracks = near_the_window(tracks.made_by(step_mm=step, noise=Noise(sigma_mm=noise)), 0.2 * math.sqrt(radius) + 0.3)
     judge(tracks, over, pitch=pitch, step=step, noise=noise, places=3000)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from cam.errors import CamError, PassValueError
 from cam.materials import PMMA
 from cam.passes import PRESETS, PassSpec, ball_pass
-from cam.surface.cutter import BallEndMill, largest_fitting_radius_mm, share_reached
+from cam.surface.cutter import BallEndMill, find_reached_share, largest_fitting_radius_mm
 
 
 @pytest.mark.parametrize(("radius_mm", "pitch_mm", "cusp_um"), [(3, 0.5, 10.4), (0.5, 0.05, 0.6), (0.5, 0.02, 0.1)])
@@ -28,8 +28,8 @@ def test_largest_ball_in_a_paraboloid(make_lens):
     lens = make_lens(lambda x, y: (x - 4) ** 2 / 5 + (y - 3) ** 2 / 10)
     assert largest_fitting_radius_mm(lens).everywhere_mm == pytest.approx(2.5, rel=1e-6)
     assert largest_fitting_radius_mm(lens).nearly_mm >= 2.5
-    assert share_reached(lens, 2.49) == 1.0
-    assert 0.0 < share_reached(lens, 4.0) < 1.0
+    assert find_reached_share(lens, 2.49) == 1.0
+    assert 0.0 < find_reached_share(lens, 4.0) < 1.0
 
 
 def test_a_hill_admits_every_ball(make_lens):

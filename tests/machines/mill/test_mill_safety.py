@@ -19,6 +19,7 @@ from machines.mill.mill import Mill
 from machines.mill.run_store import RunFolders
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Bounds, Preflight
+from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
@@ -265,7 +266,7 @@ def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, mon
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(JournalError, match="can be written"):
-        Mill(name="m", connect=lambda: None, folder=tmp_path / "file" / "mill")  # type: ignore[arg-type, return-value]
+        Mill(name="m", connect=lambda: None, folder=tmp_path / "file" / "mill", reentry=Reentry(safe_z_mm=5.0))  # type: ignore[arg-type, return-value]
 
 
 # ---------------------------------------------------------------------- place and frame

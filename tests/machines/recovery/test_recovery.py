@@ -24,6 +24,7 @@ RASTER = [
     f"X{x}Y{y}Z-{1 + (x % 3) / 10}{'F900' if x == 11 and y == 10 else ''}" for y in (10, 11) for x in range(11, 19)
 ]
 TAIL = ["G0 Z5", "M5", "M2"]
+REENTRY = Reentry(safe_z_mm=5.0)
 IDLE = MillStatus(state=MillState.IDLE, work_mm=(3.0, 4.0, -1.2), machine_mm=(3.0, 4.0, -1.2), position_trusted=True)
 OFFSETS = {"G54": (0.0, 0.0, 0.0), "G55": (1.0, 2.0, 3.0), "G92": (0.0, 0.0, 0.0), "TLO": (0.0, 0.0, 0.0)}
 NOW = Present(status=IDLE, offsets=OFFSETS, parser_state="G1 G54 G17 G21 G90 G94 M3 M8 T0 F900 S12000")
@@ -43,7 +44,7 @@ class Shop:
 
     def plan(self, executed: int, present: Present = NOW, **record: Any) -> RecoveryPlan:
         reader = ProgramReader(self.path, self.facts.index)
-        return plan_recovery(self.record | {"executed_line": executed} | record, self.facts, reader, present, Reentry())
+        return plan_recovery(self.record | {"executed_line": executed} | record, self.facts, reader, present, REENTRY)
 
     def sent(self, plan: RecoveryPlan) -> list[tuple[int, str]]:
         reader = ProgramReader(self.path, self.facts.index)

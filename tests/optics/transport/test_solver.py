@@ -19,7 +19,7 @@ from optics.metrics import CausticScore, score_caustic
 from optics.refraction import tangent_per_slope
 from optics.settings import LensSettings
 from optics.transport.even_light import rim_slopes
-from optics.transport.grid_levels import box_averaged, level_shapes
+from optics.transport.grid_levels import average_boxes, level_shapes
 from optics.transport.solver import solve_transport
 
 
@@ -246,7 +246,7 @@ def test_light_is_kept_between_levels() -> None:
     values = np.random.default_rng(0).random((48, 37))
     for shape in level_shapes((300, 37)):
         assert shape[0] >= 8
-    coarse = box_averaged(values, (24, 10))
+    coarse = average_boxes(values, (24, 10))
     assert coarse.mean() == pytest.approx(values.mean(), abs=1e-14)
     np.testing.assert_allclose(coarse[:, 0], values[:, :3].reshape(24, 2, 3).mean(1) @ [1, 1, 1] / 3.7
                                + values[:, 3].reshape(24, 2).mean(1) * 0.7 / 3.7)  # fmt: skip

@@ -32,8 +32,7 @@ from service.server.api.access.scopes import (
     note_stopper,
 )
 from service.server.api.services import Services
-from service.server.database.pairing import TOKEN_LIFE_S
-from service.server.database.tokens import Token
+from service.server.database.tokens import PAGE_TOKEN_LIFE_S, Token
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
 OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
@@ -181,7 +180,7 @@ class Guard:
     def _note_use(self, token: Token) -> None:
         """Note a use. A page's token does not end while it watches a run: its use renews it."""
         with contextlib.suppress(SQLAlchemyError):
-            self._tokens.note_use(token, renew_s=TOKEN_LIFE_S if self._fleet.has_live_run else None)
+            self._tokens.note_use(token, renew_s=PAGE_TOKEN_LIFE_S if self._fleet.has_live_run else None)
 
     def _charge(self, scope: Scope, principal: Principal | None, *, bucket: str = "peer") -> None:
         """Raise 429 for one who asks for too much."""

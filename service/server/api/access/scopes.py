@@ -96,7 +96,7 @@ def note_principal(scope: Scope, principal: Principal) -> None:
     scope[_KEY] = principal
 
 
-def open_here(request: Request) -> bool:
+def is_open_here(request: Request) -> bool:
     """Return whether the guard let this request in anonymously: it came from this computer, to an open address."""
     return bool(request.scope.get(_OPEN_KEY))
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from service.http.problems import Kind, Problem
-from service.server.api.access.scopes import ADMIN, open_here, require
+from service.server.api.access.scopes import ADMIN, is_open_here, require
 from service.server.api.openapi import Responses, answers, example
 from service.server.api.services import services_of
 from service.server.schemas.jobs import Alive, Ready
@@ -18,12 +18,12 @@ router = APIRouter(tags=["operations"])
 
 async def _here_or_known(request: Request) -> None:
     """Admit callers on this computer, or with any token."""
-    if not open_here(request):
+    if not is_open_here(request):
         await require()(request, None)
 
 
 async def _here_or_admin(request: Request) -> None:
-    if not open_here(request):
+    if not is_open_here(request):
         await require(ADMIN)(request, None)
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 from optics.finish import Finish
 from optics.irradiance import picture_from_irradiance
 from service.job.coupon.programs import mill_piece, predict_light
-from service.job.picture.tone import linear_to_srgb
+from service.job.picture.linear_light import linear_to_srgb
 from service.job.spec.loading import load_stored_job
 from tests.optics.photographs import camera, photographed
 

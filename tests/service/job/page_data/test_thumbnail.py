@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.job.page_data.thumbnail import MOST_BYTES, SIDES, thumbnail_png
-from service.job.picture.tone import srgb_to_linear
+from service.job.picture.linear_light import srgb_to_linear
 from service.job.report.figures.base import picture_png, srgb_levels
 
 

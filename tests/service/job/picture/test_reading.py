@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.errors import PictureError
+from service.job.picture.linear_light import linear_to_srgb, srgb_to_linear
 from service.job.picture.reading import Picture, read_picture
 from service.job.picture.resampling import Span, weights_to_resample
-from service.job.picture.tone import linear_to_srgb, srgb_to_linear
 from service.job.spec.model import ImageSpec
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722

@@ -1,4 +1,4 @@
-"""Pixel values of any Pillow mode -> linear-light luminance, and the sRGB curve both ways."""
+"""Pixel values of any Pillow mode -> linear-light luminance, clear parts over white; the sRGB curve both ways."""
 
 from __future__ import annotations
 
