@@ -47,6 +47,7 @@ SECTIONS = {
     "accuracy": accuracy.figures,
     "programs": programs.figures,
     "contour": contour.figures,
+    "contours": contour.range_figures,
     "plans": plans.figures,
     "milled": milled.figures,
     "make": whole.figures,

@@ -12,14 +12,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from cam.checking.check import PassCheck, check_program
-from cam.passes import PAPER_PASSES, Stock
+from cam.passes import PAPER_PASSES, PassSpec, Stock
+from cam.planning.shop import pitches_mm
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
@@ -29,17 +31,19 @@ from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
 from service.job.spec.kinematics import kinematics_of
+from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
 
 LENSES = ("camera", "astronaut", "logo")
 FINISH = replace(PAPER_PASSES[2], strategy="contour")
+WINDOW = 0.3  # of a lens along each side
 SKIN_MM = 0.03  # what the pass before leaves, along Z
 FEED_MM_PER_S = FINISH.feed_mm_per_min / 60
 
 
-def lens_of(name: str, pixels: int = 512) -> Heightfield:
-    settings = replace(PAPER_SETTING, corrections=2, min_radius_mm=FINISH.radius_mm)
+def lens_of(name: str, pixels: int = 512, *, radius_mm: float = FINISH.radius_mm) -> Heightfield:
+    settings = replace(PAPER_SETTING, corrections=2, min_radius_mm=radius_mm)
     return design_lens(target(name, pixels), settings).heightfield
 
 
@@ -65,14 +69,14 @@ def make(folder: Path) -> dict[str, float]:
     return {"wall_s": wall_s, "cpu_s": time.process_time(), "peak_gb": peak / 1e6}
 
 
-def judge(folder: Path, lens: Heightfield) -> PassCheck:
+def judge(chunks: Iterable[bytes], lens: Heightfield, spec: PassSpec, cell_mm: float = 0.05) -> PassCheck:
     machine = load_profile("grbl")
     return check_program(
-        read_chunks(folder / "finish.nc"),
+        chunks,
         heightfield=lens,
-        spec=FINISH,
+        spec=spec,
         stock=block_of(lens),
-        stock_top=skin_over(lens, 0.05),
+        stock_top=skin_over(lens, cell_mm),
         kinematics=kinematics_of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
@@ -97,7 +101,7 @@ def figures() -> Iterator[Figure]:
             made = made_apart(folder, lens)
             megabytes = (folder / "finish.nc").stat().st_size / 1e6
             started = time.perf_counter()
-            verdict = judge(folder, lens)
+            verdict = judge(read_chunks(folder / "finish.nc"), lens, FINISH)
             judged_s = time.perf_counter() - started
         note = f"CPU {made['cpu_s']:.0f} s with start; {verdict.lines:,} lines, {megabytes:.0f} MB; asked: 240 (90)"
         yield Figure(f"contour finish of {name}, made with file", made["wall_s"], "s", note)
@@ -130,6 +134,36 @@ def _path_figures(verdict: PassCheck) -> Iterator[Figure]:
     yield Figure("  gouge", 1000 * verdict.gouge_um, "nm", "asked: 20")
     engagement = f"allowed {FINISH.step_down_mm:g} mm and the cusps before; climbing {100 * verdict.climb_share:.0f} %"
     yield Figure("  engagement", verdict.max_engagement_mm, "mm", engagement)
+
+
+def window_of(lens: Heightfield) -> Heightfield:
+    """The middle of a lens: as steep and as tight as all of it, and soon gone over."""
+    ny, nx = lens.z_mm.shape
+    rows, columns = (slice(round(n * (1 - WINDOW) / 2), round(n * (1 + WINDOW) / 2)) for n in (ny, nx))
+    z_mm = lens.z_mm[rows, columns]
+    size_mm = (z_mm.shape[1] - 1) * lens.dx_mm, (z_mm.shape[0] - 1) * lens.dy_mm
+    return Heightfield.on_aperture(z_mm - z_mm.max() - 0.1, width_mm=size_mm[0], height_mm=size_mm[1])
+
+
+def range_figures() -> Iterator[Figure]:
+    """Every ball of the tool list at every pitch that plans may give it, scanned everywhere."""
+    for tool, name in product(load_tools(), LENSES):
+        window = window_of(lens_of(name, radius_mm=tool.radius_mm))
+        shares, gaps, faults = {}, {}, []
+        for pitch_mm in pitches_mm(tool):
+            spec = replace(FINISH, radius_mm=tool.radius_mm, pitch_mm=pitch_mm)
+            stock_top = skin_over(window, 0.25)
+            verdict = judge(
+                generate_program(window, spec, block_of(window), stock_top=stock_top, post=GRBL), window, spec
+            )
+            assert verdict.contour is not None
+            shares[pitch_mm] = 100 * verdict.contour.aligned_share
+            gaps[pitch_mm] = verdict.contour.gap.width_mm / pitch_mm
+            faults += [f"{pitch_mm:g}: {fault}" for fault in verdict.faults]
+        least, widest = min(shares, key=shares.__getitem__), max(gaps, key=gaps.__getitem__)
+        note = f"least, at pitch {least:g}; of {len(shares)} pitches; asked: 95; " + ("; ".join(faults) or "no faults")
+        yield Figure(f"R {tool.radius_mm:g} on {name}, along the contour", shares[least], "%", note)
+        yield Figure("  widest gap between tracks", gaps[widest], "pitches", f"at pitch {widest:g}; asked: 1.02")
 
 
 if __name__ == "__main__":
