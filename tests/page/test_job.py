@@ -271,6 +271,48 @@ def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) 
     assert body.screenshot() != turned
 
 
+WALL = """async (viewedFrom) => {
+    const { lensPicture } = await import("/page/job/lens_gl.js");
+    const canvas = new OffscreenCanvas(200, 200);
+    const shown = new OffscreenCanvas(64, 64), pen = shown.getContext("2d");
+    pen.fillRect(0, 0, 64, 64);
+    pen.fillStyle = "red";
+    pen.fillRect(4, 4, 24, 24); // above on the left
+    const grid = { nx: 2, ny: 2, x0: 0, y0: 0, dx: 10, dy: 10, z0: -1, dz: 1, steps: [0, 0, 0, 0] };
+    const picture = lensPicture(canvas, grid);
+    picture.showWall(shown, { screen: { width: 40, height: 40 }, shift: [0, 0], throw_mm: 30, viewedFrom });
+    picture.draw({ yaw: viewedFrom === "lens" ? 0 : Math.PI, pitch: 0, distance: 1.9, stretch: 1, wall: true });
+    const flat = new OffscreenCanvas(200, 200).getContext("2d");
+    flat.drawImage(canvas, 0, 0);
+    const { data } = flat.getImageData(0, 0, 200, 200), sums = [0, 0, 0];
+    for (let at = 0; at < data.length; at += 4) {
+        if (data[at] < 150 || data[at + 1] > 100) continue;
+        const pixel = at / 4;
+        [1, pixel % 200, Math.floor(pixel / 200)].forEach((value, k) => (sums[k] += value));
+    }
+    picture.free();
+    return [sums[1] / sums[0], sums[2] / sums[0], sums[0]];
+}"""
+
+
+@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
+def test_the_wall_beyond_the_lens_shows_the_picture_the_right_way_round(modules: Page, viewed_from: str) -> None:
+    """From the side that it is for: what is above on the left in the picture is so on the wall."""
+    x, y, count = modules.evaluate(WALL, viewed_from)
+    assert count > 100 and x < 95 and y < 95
+
+
+def test_the_lens_is_shown_with_its_wall_or_alone(at_job: Page) -> None:
+    body, wall = at_job.locator(".lens-canvas"), at_job.get_by_role("button", name="With the wall")
+    at_job.locator("#lens-title").scroll_into_view_if_needed()
+    expect(wall).to_have_attribute("aria-pressed", "true")
+    both = body.screenshot()
+    wall.click()
+    expect(wall).to_have_attribute("aria-pressed", "false")
+    at_job.wait_for_timeout(200)
+    assert body.screenshot() != both
+
+
 @pytest.mark.thorough
 def test_without_webgl_there_is_the_map_of_heights(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)

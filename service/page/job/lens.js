@@ -3,13 +3,16 @@ import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { mm } from "../lib/words.js";
 import { surfaceOf } from "./drawing_file.js";
+import { screenOf } from "./figures.js";
 import { heightPicture } from "./height_map.js";
 import { lensPicture } from "./lens_gl.js";
 import { lensStage } from "./lens_stage.js";
 import { extremes, heightAt, heightColour } from "./surface.js";
 import { whenSeen } from "./when_seen.js";
 
-/** {node, update(artifacts), free()} */
+const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"]; // what the wall will show, as far as it is known
+
+/** {node, update(artifacts, spec), free()} */
 export function lensPart() {
   const map = h("canvas", { class: "height-map", role: "img" });
   const reading = h("p", { class: "height-reading" }, "Point at the map to read its height.");
@@ -20,10 +23,26 @@ export function lensPart() {
   const box = h("div", { class: "lens-halves" }, bodyBox, mapBox);
   const title = h("h2", { id: "lens-title" }, "Lens");
   const node = h("section", { class: "card", "aria-labelledby": "lens-title", hidden: true }, title, box);
-  let wanted = null, known = "", grid = null, stage = null;
+  let wanted = null, known = "", grid = null, stage = null, spec = null, picture = null, hung = "";
   const stop = whenSeen(node, load, (seen) => stage?.seen(seen));
 
   async function load() {
+    await loadSurface();
+    await loadWall();
+  }
+  async function loadWall() {
+    if (!stage || !picture || picture.sha256 === hung) return;
+    const { sha256, url } = picture;
+    hung = sha256;
+    const { screen_shift_x_mm: x, screen_shift_y_mm: y, throw_mm, viewed_from: viewedFrom } = spec.optics;
+    try {
+      const image = await createImageBitmap(new Blob([await api.bytes(url)]));
+      if (hung === sha256) stage?.showWall(image, { screen: screenOf(spec), shift: [x ?? 0, y ?? 0], throw_mm, viewedFrom });
+    } catch {
+      hung = ""; // the lens stands alone
+    }
+  }
+  async function loadSurface() {
     if (!wanted || wanted.sha256 === known) return;
     const file = wanted;
     known = file.sha256;
@@ -37,8 +56,9 @@ export function lensPart() {
     drawMap();
     stage?.free();
     stage = lensStage(grid, lensPicture);
+    hung = "";
     bodyBox.hidden = !stage;
-    if (stage) bodyBox.replaceChildren(h("figcaption", {}, "The lens: drag to turn it"), stage.node);
+    if (stage) bodyBox.replaceChildren(h("figcaption", {}, "The lens and its light: drag to turn it"), stage.node);
     stage?.seen(stop.seen());
   }
   function drawMap() {
@@ -59,8 +79,10 @@ export function lensPart() {
     const z = heightAt(grid, x, y);
     if (z !== null) write(reading, `X ${x.toFixed(2)}  Y ${y.toFixed(2)}  Z ${z.toFixed(3)} mm`);
   });
-  function update(artifacts) {
+  function update(artifacts, own) {
     wanted = artifacts.get("surface.bin") ?? null;
+    picture = WALLS.map((name) => artifacts.get(name)).find(Boolean) ?? null;
+    spec = own;
     node.hidden = !wanted;
     stop.again();
   }

@@ -1,21 +1,24 @@
 /** The lens as a body of acrylic, drawn by WebGL2. No events, no clock: what it looks like from one direction. */
 import { programOf, release } from "./gl.js";
 import { extremes, triangles, vertices, walls } from "./surface.js";
+import { wallCorners, wallPicture } from "./wall_gl.js";
 
 const VERTEX = `#version 300 es
-uniform mat4 u_view; uniform float u_stretch; uniform float u_middle;
+uniform mat4 u_view; uniform float u_stretch; uniform float u_middle; uniform bool u_upright;
 layout(location = 0) in vec3 a_point; layout(location = 1) in vec3 a_slope;
 out vec3 v_point; out vec2 v_slope; out float v_bulge;
 void main() {
   v_point = vec3(a_point.xy, (a_point.z - u_middle) * u_stretch);
   v_slope = a_slope.xy * u_stretch;
   v_bulge = a_slope.z;
-  gl_Position = u_view * vec4(v_point, 1.0);
+  gl_Position = u_view * vec4(u_upright ? vec3(-v_point.x, v_point.z, v_point.y) : v_point, 1.0);
 }`;
+
+const GLASS = 0.35; // how much of the light is kept back by the block that one looks through
 
 const FRAGMENT = `#version 300 es
 precision highp float;
-uniform vec3 u_eye; uniform bool u_wall;
+uniform vec3 u_eye; uniform bool u_wall; uniform float u_opaque;
 in vec3 v_point; in vec2 v_slope; in float v_bulge; out vec4 colour;
 void main() {
   vec3 normal = u_wall ? normalize(cross(dFdx(v_point), dFdy(v_point))) : normalize(vec3(-v_slope, 1.0));
@@ -25,10 +28,13 @@ void main() {
   float lit = 0.30 + 0.62 * max(dot(normal, lamp), 0.0) + 0.16 * max(dot(normal, fill), 0.0);
   float shine = u_wall ? 0.0 : pow(max(dot(reflect(-lamp, normal), to_eye), 0.0), 40.0);
   float rim = pow(1.0 - abs(dot(normal, to_eye)), 3.0);
-  colour = vec4(base * lit + 0.45 * shine + 0.12 * rim, 1.0);
+  colour = vec4((base * lit + 0.45 * shine + 0.12 * rim) * u_opaque, u_opaque);
 }`;
 
-/** A picture of the lens on this canvas: {draw(eye), free()}; null where the browser has no WebGL2. */
+/**
+ * A picture of the lens on this canvas: {draw(look), showWall(image, place), free()}; null where the browser has no WebGL2.
+ * With look.wall the block stands upright, its light goes away from who looks, and the wall is there with its picture.
+ */
 export function lensPicture(canvas, grid) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
   if (!gl) return null;
@@ -37,33 +43,61 @@ export function lensPicture(canvas, grid) {
   const size = Math.hypot((grid.nx - 1) * grid.dx, (grid.ny - 1) * grid.dy);
   const relief = Math.max(high - low, 1e-6);
   const corners = triangles(grid.nx, grid.ny), block = walls(grid, low - Math.max(relief * 0.5, size * 0.04));
-  const surface = array(gl, vertices(grid), 6), sides = array(gl, block, 3);
+  const back = floorOf(block);
+  const surface = array(gl, vertices(grid), 6), sides = array(gl, new Float32Array([...block, ...back]), 3);
   gl.bindVertexArray(surface);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
   const at = (name) => gl.getUniformLocation(program, name);
   const [view, eye, stretch, wall] = ["u_view", "u_eye", "u_stretch", "u_wall"].map(at);
-  gl.useProgram(program);
-  gl.uniform1f(at("u_middle"), (low + high) / 2);
+  const [middle, upright, opaque] = ["u_middle", "u_upright", "u_opaque"].map(at);
+  let scene = null;
   gl.enable(gl.DEPTH_TEST);
+
+  function showWall(image, place) {
+    scene?.wall.free();
+    const [x, y] = [(grid.nx - 1) * grid.dx / 2, (grid.ny - 1) * grid.dy / 2], half = place.throw_mm / 2;
+    const lens = [[x, -half, -y], [-x, -half, -y], [-x, -half, y], [x, -half, y]];
+    const corners = wallCorners(place, half), far = corners.map((corner) => 2 * Math.hypot(corner[0], corner[2]));
+    scene = { wall: wallPicture(gl, image, corners, lens, place.viewedFrom), middle: half, size: Math.hypot(Math.max(size, ...far), place.throw_mm) };
+  }
 
   function draw(look) {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const from = eyeOf(look, size);
-    gl.uniformMatrix4fv(view, false, viewOf(from, canvas.width / canvas.height, size));
-    gl.uniform3fv(eye, from);
-    gl.uniform1f(stretch, look.stretch);
+    const shown = look.wall ? scene : null, whole = shown?.size ?? size;
+    const from = eyeOf(look, whole), matrix = viewOf(from, canvas.width / canvas.height, whole);
+    shown?.wall.draw(matrix);
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(view, false, matrix);
+    gl.uniform3fv(eye, shown ? [-from[0], from[2], from[1]] : from);
+    gl.uniform1f(stretch, shown ? 1 : look.stretch);
+    gl.uniform1f(middle, shown?.middle ?? (low + high) / 2);
+    gl.uniform1i(upright, shown ? 1 : 0);
+    gl.uniform1f(opaque, 1);
     gl.bindVertexArray(surface);
     gl.uniform1i(wall, 0);
     gl.drawElements(gl.TRIANGLES, corners.length, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(sides);
     gl.uniform1i(wall, 1);
-    gl.drawArrays(gl.TRIANGLES, 0, block.length / 3);
+    if (shown) {
+      gl.enable(gl.BLEND);
+      gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+      gl.uniform1f(opaque, GLASS);
+    }
+    gl.drawArrays(gl.TRIANGLES, 0, (block.length + (shown ? back.length : 0)) / 3);
+    gl.disable(gl.BLEND);
   }
 
-  return { draw, free: () => release(gl) };
+  return { draw, showWall, free: () => release(gl) };
+}
+
+/** The block's flat back, at the height of the lowest of its walls' points. */
+function floorOf(block) {
+  const ends = [0, 1].map((axis) => block.filter((_, k) => k % 3 === axis)).map((all) => [all.reduce((a, b) => Math.min(a, b)), all.reduce((a, b) => Math.max(a, b))]);
+  const [[left, right], [front, rear]] = ends, z = block[2];
+  return [left, front, z, right, front, z, right, rear, z, left, front, z, right, rear, z, left, rear, z];
 }
 
 /** Vertices of so many floats each: a point, and where there are 6 slope and bulge after it. */

@@ -1,8 +1,9 @@
-/** The lens on a turntable: turns by itself until somebody takes hold of it, or wishes for no motion at all. */
+/** The lens on a turntable, alone or with the wall that it lights: turns by itself until somebody takes hold of it, or wishes for no motion at all. */
 import { h } from "../lib/dom.js";
 import { gestures } from "./gestures.js";
 
-const START = { yaw: -0.6, pitch: 0.62, distance: 2.15, stretch: 1 };
+const START = { yaw: -0.6, pitch: 0.62, distance: 2.15 };
+const WITH_WALL = { yaw: -0.7, pitch: 0.3, distance: 2.2 };
 const TURN_PER_S = 0.25;
 const PER_PIXEL = 0.008;
 const STRETCHES = [1, 2, 4];
@@ -10,29 +11,41 @@ const FRAME_MS = 33;
 const SLOW_MS = 120;
 const SLOW_FRAMES = 12; // in a row, after which a browser that has to draw by itself is spared
 
-/** {node, seen(on), free()}, drawn by `make(canvas, grid)`; null where that gives nothing. */
+/** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null where that gives nothing. */
 export function lensStage(grid, make) {
   const label = "The lens in three dimensions. Arrow keys turn it, plus and minus zoom.";
   const canvas = h("canvas", { class: "lens-canvas", tabindex: 0, role: "img", "aria-label": label });
   let picture = make(canvas, grid);
   if (!picture) return null;
   const still = matchMedia("(prefers-reduced-motion: reduce)");
-  const look = { ...START };
-  let turns = !still.matches, seen = false, frame = 0, last = 0, slow = 0, freed = false;
+  const look = { ...START, stretch: 1, wall: false };
+  let turns = !still.matches, hung = null, seen = false, frame = 0, last = 0, slow = 0, freed = false;
 
   const spin = h("button", { type: "button", onclick: () => setTurning(!turns) });
   const stretch = h(
     "select", { "aria-label": "Height", onchange: () => ((look.stretch = Number(stretch.value)), ask()) },
     STRETCHES.map((by) => h("option", { value: by }, by === 1 ? "true height" : `height × ${by}`)),
   );
-  const front = () => (Object.assign(look, START, { stretch: look.stretch }), ask());
+  const front = () => (Object.assign(look, startOf()), ask());
+  const wall = h("button", { type: "button", hidden: true, onclick: () => setWall(!look.wall) }, "With the wall");
   const reset = h("button", { type: "button", onclick: front }, "Front");
-  const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, spin, reset, stretch));
+  const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, wall, spin, reset, stretch));
 
   function setTurning(on) {
     turns = on;
     spin.textContent = on ? "Stop turning" : "Turn";
     ask();
+  }
+  /** Where one looks from at first: at a wall from the side that its picture is for. */
+  function startOf() {
+    if (!look.wall) return START;
+    return hung.place.viewedFrom === "lens" ? WITH_WALL : { ...WITH_WALL, yaw: Math.PI - WITH_WALL.yaw };
+  }
+  function setWall(on) {
+    look.wall = on;
+    wall.setAttribute("aria-pressed", String(on));
+    stretch.hidden = on;
+    front();
   }
   function ask() {
     if (!frame && seen && !freed) frame = requestAnimationFrame(draw);
@@ -73,6 +86,7 @@ export function lensStage(grid, make) {
   canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
   canvas.addEventListener("webglcontextrestored", () => {
     picture = make(canvas, grid);
+    if (hung) picture.showWall(hung.image, hung.place);
     ask();
   });
   setTurning(turns);
@@ -81,6 +95,14 @@ export function lensStage(grid, make) {
     node,
     seen(on) {
       seen = on;
+      ask();
+    },
+    showWall(image, place) {
+      const first = !hung;
+      hung = { image, place };
+      picture.showWall(image, place);
+      wall.hidden = false;
+      if (first) setWall(true);
       ask();
     },
     free() {

@@ -47,7 +47,7 @@ export default async function view(root, params, app) {
     parts.pictures.update(artifacts);
     parts.programs.update(job);
     parts.light.update(artifacts, job);
-    parts.lens.update(artifacts);
+    parts.lens.update(artifacts, job.spec);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
     parts.photo.update(job, artifacts);
     parts.plan.update(job);
