@@ -179,3 +179,34 @@ def test_what_a_mill_has_cut_is_told_with_the_hours_of_each_ball_and_kept_as_a_t
         ("3", "finished", "1.5000"),
     ]
     assert rows[1]["operator"] == "'=HYPERLINK(1)"
+
+
+SKETCH = """async (done) => {
+    const { PathSketch } = await import("/page/machine/path_sketch.js");
+    const lens = new OffscreenCanvas(10, 10), pen = lens.getContext("2d");
+    [["red", 0, 0], ["lime", 5, 0], ["blue", 0, 5], ["yellow", 5, 5]].forEach(([colour, x, y]) => {
+        pen.fillStyle = colour;
+        pen.fillRect(x, y, 5, 5);
+    });
+    const corners = [[0, 7], [9, 7], [9, 2], [0, 2]]; // along the upper half, then back along the lower one
+    const data = new Uint16Array(corners.flatMap(([x, y]) => [(x / 9) * 65535, (y / 9) * 65535, 0, 0]));
+    const rows = [{ count: 4, low: [0, 0], high: [9, 9], line0: 0, line1: 30 }];
+    const path = { head: { programs: [{ file: "p", lines: 30 }] }, levels: [{ rows, data: { get: () => data } }] };
+    const sketch = new PathSketch(), canvas = new OffscreenCanvas(100, 100);
+    globalThis.getComputedStyle = () => ({ getPropertyValue: () => "gray" });
+    sketch.take(path, "p", { picture: lens, x0: 0, y0: 0, dx: 1, dy: 1 });
+    const scale = { k: 10, dense: 1, x: (mm) => 5 + 10 * mm, y: (mm) => 95 - 10 * mm };
+    const scene = { lens: { x0: 0, y0: 0, x1: 9, y1: 9 }, block: { x0: -1, y0: -1, x1: 10, y1: 10 }, radius: 1 };
+    sketch.draw(canvas, scale, scene, done);
+    const ink = canvas.getContext("2d");
+    const at = (x, y) => [...ink.getImageData(scale.x(x), scale.y(y), 1, 1).data].slice(0, 3).join();
+    return [[2, 7.3], [7, 7.3], [2, 2.3], [7, 2.3]].map(([x, y]) => at(x, y));
+}"""
+
+
+def test_the_lens_appears_where_it_is_cut(modules: Page) -> None:
+    """As wide as the ball, each place in the colours of its height."""
+    red, lime, blue, yellow, bare = "255,0,0", "0,255,0", "0,0,255", "255,255,0", "128,128,128"
+    assert modules.evaluate(SKETCH, {"line": 0, "whole": False}) == [bare] * 4
+    assert modules.evaluate(SKETCH, {"line": 12, "whole": False}) == [red, lime, bare, bare]
+    assert modules.evaluate(SKETCH, {"line": 30, "whole": True}) == [red, lime, blue, yellow]

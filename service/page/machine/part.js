@@ -1,7 +1,13 @@
-/** The part seen from above: block, lens, the path of the pass with what is cut of it, and the tool where it is now. */
+/**
+ * The part seen from above: block, the path of the pass, the lens as far as it is cut, and the tool where it is now. A
+ * pass that leaves stock shows its lines alone.
+ */
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
+import { surfaceOf } from "../job/drawing_file.js";
+import { passesOf } from "../job/figures.js";
+import { heightPicture } from "../job/height_map.js";
 import { openPath } from "../job/path_file.js";
 import { PathSketch } from "./path_sketch.js";
 import { coordinate } from "./words.js";
@@ -31,8 +37,10 @@ export function part(link) {
     if (shown !== run.id || !job?.spec) return;
     scene = sceneOf(job.spec, run);
     draw();
-    const path = await pathOf(run).catch(() => null); // without it there is still the tool on the block
-    if (path && shown === run.id) sketch.take(path, run.program.name);
+    const { artifacts } = await api.get(`/v1/jobs/${run.job}/artifacts`).catch(() => ({ artifacts: [] }));
+    const path = await pathOf(run, artifacts).catch(() => null); // without it there is still the tool on the block
+    const lens = path && (await lensOf(job, run, artifacts).catch(() => null));
+    if (path && shown === run.id) sketch.take(path, run.program.name, lens);
     draw();
   }
 
@@ -64,11 +72,20 @@ export function part(link) {
 }
 
 /** The path of the run's pass, where its job has one to draw. */
-async function pathOf(run) {
+async function pathOf(run, artifacts) {
   const name = `${/pass-\d+/.exec(run.program.name)?.[0]}.path`;
-  const { artifacts } = await api.get(`/v1/jobs/${run.job}/artifacts`);
   const file = artifacts.find((one) => one.name === name);
   return file ? openPath((from, to) => api.bytes(file.url, { from, to: Math.min(to, file.bytes) })) : null;
+}
+
+/** The lens as `PathSketch.take` wants it; null where the run's pass does not make it. */
+async function lensOf(job, run, artifacts) {
+  const number = Number(/pass-(\d+)/.exec(run.program.name)?.[1]), file = artifacts.find((one) => one.name === "surface.bin");
+  if (!file || passesOf(job)[number - 1]?.stock_to_leave_mm !== 0) return null;
+  const { nx, ny, x0, y0, dx, dy, ...rest } = surfaceOf(await api.bytes(file.url));
+  const picture = new OffscreenCanvas(nx, ny);
+  picture.getContext("2d").putImageData(heightPicture({ nx, ny, ...rest }), 0, 0);
+  return { picture, x0, y0, dx, dy };
 }
 
 /** Lens and block in work coordinates, mm. */

@@ -1,26 +1,32 @@
 /**
- * The coarse level of a pass's path, drawn once faintly and then, as lines are cut, over it; what was drawn is kept in
- * a picture of its own, so that a new position costs no more than the lines since the last one.
+ * The coarse level of a pass's path, drawn once faintly and then, as lines are cut, over it: as a line, or, by a pass
+ * that makes the lens, as wide as its ball in the colours of the lens's heights. What was drawn is kept in a picture of
+ * its own, so that a new position costs no more than the lines since the last one.
  */
 
 const POINT = 4; // numbers of a point in the file: shares of x, y, z and time with two bits
 const GAP = 2; // bit of the last one: no line leads here
 const RAPID = 1;
+const LEAST_PX = 3; // wide: the coarse level leaves rows out
 
 export class PathSketch {
   constructor() {
-    this.layer = document.createElement("canvas");
+    this.layer = new OffscreenCanvas(1, 1);
     this.clear();
   }
 
   clear() {
-    this.points = null;
+    this.points = this.lens = null;
     this.drawn = "";
   }
 
-  /** path : a PathFile whose coarsest level is there; name: of the program of it that runs. */
-  take(path, name) {
+  /**
+   * path: a PathFile whose coarsest level is there; name: of the program of it that runs; lens: {picture, x0, y0, dx, dy},
+   * a canvas of its nodes with the highest y on top, where this pass makes it.
+   */
+  take(path, name, lens) {
     this.points = pointsOf(path);
+    this.lens = lens;
     this.firstLine = linesBefore(path.head.programs, name);
     this.drawn = "";
   }
@@ -31,7 +37,7 @@ export class PathSketch {
     const now = [canvas.width, canvas.height, scale.k, colours.cut, Boolean(this.points)].join();
     if (now !== this.drawn) this.begin(canvas, scale, scene, colours);
     this.drawn = now;
-    this.cutUpTo(done, scale, colours);
+    this.cutUpTo(done, scale, scene, colours);
     const ink = canvas.getContext("2d");
     ink.clearRect(0, 0, canvas.width, canvas.height);
     ink.drawImage(this.layer, 0, 0);
@@ -57,13 +63,25 @@ export class PathSketch {
     if (this.points) stroke(ink, scale, this.points, 0, this.points.count, colours.edge);
   }
 
-  cutUpTo({ line, whole }, scale, colours) {
+  cutUpTo({ line, whole }, scale, { radius }, colours) {
     if (!this.points) return;
     const to = whole ? this.points.count : firstAfter(this.points.lines, line + this.firstLine);
     if (to < this.cut) this.cut = 0; // taken back after a fault; a full redraw is not worth it
-    if (to > this.cut) stroke(this.layer.getContext("2d"), scale, this.points, Math.max(0, this.cut - 1), to, colours.cut, 1.5);
+    if (to > this.cut) {
+      const ink = this.layer.getContext("2d"), wide = (2 * radius * scale.k) / scale.dense;
+      const [style, width] = this.lens ? [lensPattern(ink, scale, this.lens), Math.max(LEAST_PX, wide)] : [colours.cut, 1.5];
+      stroke(ink, scale, this.points, Math.max(0, this.cut - 1), to, style, width);
+    }
     this.cut = to;
   }
+}
+
+/** The lens's picture where the lens is. */
+function lensPattern(ink, { k, x, y }, { picture, x0, y0, dx, dy }) {
+  const pattern = ink.createPattern(picture, "no-repeat");
+  const [left, top] = [x0 - dx / 2, y0 + (picture.height - 0.5) * dy];
+  pattern.setTransform(new DOMMatrix([k * dx, 0, 0, k * dy, x(left), y(top)]));
+  return pattern;
 }
 
 function linesBefore(programs, name) {
