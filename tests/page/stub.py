@@ -15,6 +15,7 @@ import re
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 import uvicorn
@@ -25,6 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.http.listener import bind_address, url_of
 from service.http.problems import Problem
+from service.job.spec.tools import BUILT_IN, load_tools
 from service.server.api.errors import install_problems
 from service.server.api.routes import page, root
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
@@ -165,6 +167,7 @@ class Stub:
             ("GET", f"{machine}/orders", lambda _request, _name: {"orders": [_entry(1, "connected")], "next": None}),
             ("POST", f"{machine}/control/(hold|abort)", self.stop),
             ("GET", "/v1/profiles", lambda _: {"profiles": _PROFILES}),
+            ("GET", "/v1/tools", lambda _: {"tools": TOOLS, "own": False}),
             ("GET", "/v1/runs", lambda _: {"runs": [], "next": None}),
         ]
 
@@ -247,6 +250,7 @@ def _summary(job: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in job.items() if key not in ("report", "spec", "stages", "programs")}
 
 
+TOOLS = [asdict(tool) for tool in load_tools(BUILT_IN)]
 _PROFILES = [
     {"name": name, "description": words, "dialect": "grbl", "travel_mm": [300.0, 300.0, 80.0], "mills": mills}
     for name, words, mills in (

@@ -37,7 +37,7 @@ from tests.page.jobs import canned, shown, with_plan
 from tests.page.machine_states import NAME as MILL
 from tests.page.test_next_step import after
 
-REST = {"optics.light.profile", "stock.face", "stock.cut_out"}  # reached by the text of other values
+REST = {"optics.light.profile", "stock.face", "stock.cut_out", "stock.clamps"}  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
 
 

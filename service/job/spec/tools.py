@@ -6,9 +6,10 @@ the folder of their machines, takes its place.
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from cam.tools import Tool
 from machines.profile import user_folders
 from machines.profile_values import BadValueError, Rule, Rules, number, whole
 from service.errors import InputError, sentence_of_os_error
+from service.job.files import write_bytes
 
 BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
@@ -60,7 +62,36 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    data = read_library(path, "tool library")
+    return _tools_of(path, read_library(path, "tool library"))
+
+
+def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
+    """Write the person's own library, whole or not at all, and return it. InputError says what is wrong with a row."""
+    path = _own_path()
+    tools = _tools_of(Path(path.name), {"tool": [dict(row) for row in rows]})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, "\n".join(_as_toml(tool) for tool in tools).encode())
+    return tools
+
+
+def forget_tools() -> None:
+    """Go back to the shipped library."""
+    _own_path().unlink(missing_ok=True)
+
+
+def _own_path() -> Path:
+    path = own_file()
+    if path is None:
+        raise InputError("no folder for tools of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
+    return path
+
+
+def _as_toml(tool: Tool) -> str:
+    values = {field.name: getattr(tool, field.name) for field in fields(Tool)}
+    return "[[tool]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+
+
+def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
     rows = data.pop("tool", [])
     if data:
         raise InputError(f"{path}: {next(iter(data))}: there is no such key; allowed: [[tool]] tables alone")

@@ -74,6 +74,9 @@ export const api = {
     const json = body === undefined ? {} : { body: JSON.stringify(body), type: "application/json" };
     return readJson(await request("POST", path, { ...options, ...json }));
   },
+  async put(path, body, options = {}) {
+    return readJson(await request("PUT", path, { ...options, body: JSON.stringify(body), type: "application/json" }));
+  },
   async delete(path, options = {}) {
     return readJson(await request("DELETE", path, options));
   },

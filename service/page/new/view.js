@@ -7,6 +7,7 @@ import { shape } from "../lib/state.js";
 import { capital, sentence } from "../lib/words.js";
 import { foretell } from "../job/foretold.js";
 import { couponPart } from "./coupon.js";
+import { cuttersPart } from "./cutters.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
 import { usualOf } from "./fields.js";
@@ -76,6 +77,7 @@ function newJob(profiles, app) {
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
   const coupon = couponPart({ take: takeChange });
+  const cutters = cuttersPart({ onChange: changed });
   const improve = improvements({ make: estimateForm, take: takeChange, draw: (values, blurMm) => side.small(withChange(form.read().spec, values), blurMm) });
   const foot = submitBar();
   const sending = sender({ onWait: foot.wait });
@@ -85,6 +87,7 @@ function newJob(profiles, app) {
   const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
   const settings = [
     Object.values(folds),
+    cutters.element,
     coupon.element,
     h("details", { class: "card" }, h("summary", {}, "Expert: passes, optics, stock, machine"), expert),
   ];

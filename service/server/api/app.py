@@ -36,6 +36,7 @@ from service.server.api.routes import (
     stops,
     submit,
     tokens,
+    tools,
 )
 from service.server.api.services import Services
 from service.server.fleet.delivery import Delivery, ways_out
@@ -64,6 +65,7 @@ _ROUTERS = (
     events,
     artifacts,
     profiles,
+    tools,
     archive,
     machines,
     control,

@@ -46,8 +46,10 @@ async def stops(socket: WebSocket) -> None:
             await socket.close(_NOT_KNOWN, "a token with machine:run is needed")
             return
         await _serve(socket, services, context)
-    except (WebSocketDisconnect, TimeoutError, RuntimeError):  # starlette raises RuntimeError for a closed one
-        with contextlib.suppress(RuntimeError):
+    except WebSocketDisconnect:
+        pass  # the page has gone
+    except (TimeoutError, RuntimeError):  # starlette raises RuntimeError for a closed one
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await socket.close()
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from service.errors import InputError
 from service.job.spec import tools
@@ -68,3 +72,24 @@ def test_a_persons_own_library_takes_the_place_of_the_shipped(tmp_path: Path, mo
     (tool,) = tools.load_tools()
     assert tool.name == "a"
     assert any(str(tmp_path) in line for line in tools.table((tool,), tools.library_file()))
+
+
+LENGTHS = st.floats(0.5, 20).map(lambda value: round(value, 3))
+
+
+@given(st.lists(st.tuples(LENGTHS, LENGTHS, LENGTHS), min_size=1, max_size=8))
+def test_tools_that_were_saved_are_those_that_are_there(rows: list[tuple[float, float, float]]) -> None:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CAUSTICMILL_CONFIG_DIR", str(Path(folder) / "shop"))
+        asked = [
+            {"name": f"Ø {number} \"own\"", "radius_mm": r, "flutes": 2, "flute_length_mm": r + flute,
+             "shank_radius_mm": shank, "stick_out_mm": r + flute + shank, "max_rpm": 30000.0, "cost_class": 2}
+            for number, (r, flute, shank) in enumerate(rows)
+        ]  # fmt: skip
+        tools.save_tools(asked)
+        assert sorted(map(str, asked)) == sorted(str(asdict(tool)) for tool in tools.load_tools())
+        with pytest.raises(InputError, match="tool 1: flute_length_mm"):
+            tools.save_tools([asked[0] | {"flute_length_mm": asked[0]["radius_mm"] / 2}])
+        assert len(tools.load_tools()) == len(rows)
+        tools.forget_tools()
+        assert tools.library_file() == tools.BUILT_IN

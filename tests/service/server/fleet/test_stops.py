@@ -18,6 +18,7 @@ from wsproto import ConnectionType, WSConnection
 from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
 
 from machines.mill.orders import suspend_aware_clock_s
+from service.server.api.routes import stops as stops_route
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.server.api.server import api_server, problem
@@ -171,6 +172,20 @@ def test_the_socket_is_for_our_own_pages_and_known_tokens(floor: Shop) -> None:
     until(lambda: floor.server.services.stop_access.find(token) is not None)
     with contextlib.closing(StopSocket(port, token=token, more=ELSEWHERE)) as known:
         assert known.hear() == {"ready": True}
+
+
+def test_a_page_that_goes_is_no_error(floor: Shop, caplog: pytest.LogCaptureFixture) -> None:
+    """Whether it says so or its connection is cut: nobody has to read a traceback of it."""
+    open_ones = stops_route._open
+    for says_so in (True, False):
+        page = StopSocket(floor.server.port)
+        assert page.hear() == {"ready": True} and open_ones
+        if says_so:
+            page._send(CloseConnection(code=1001))
+        page.close()
+        until(lambda: not open_ones)
+    httpx.get(f"{floor.server.address}/livez").raise_for_status()
+    assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == []
 
 
 @pytest.mark.thorough

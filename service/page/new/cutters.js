@@ -1,0 +1,70 @@
+/** The balls that the shop has, by diameter as catalogues give them: plans choose among these. Kept on the server. */
+
+import { api } from "../lib/api.js";
+import { freshId, h, replace, write } from "../lib/dom.js";
+import { sentence } from "../lib/words.js";
+
+const TITLE = "Your ball cutters";
+const INTRO = "New jobs are planned with these alone. Sizes are diameters in mm, as on the box.";
+const FIELDS = [["diameter", "Diameter", ""], ["flute", "Cutting length", "usual"], ["shank", "Shank", "usual"], ["stick_out", "Sticks out", "usual"]];
+
+/** {element}. onChange(): there are others now. Asked for when it is unfolded. */
+export function cuttersPart({ onChange }) {
+  const list = h("ul", { class: "row cutters" }), said = h("p", { class: "fault", role: "alert" });
+  const inputs = Object.fromEntries(FIELDS.map(([key, label, placeholder]) => [key, numberInput(label, placeholder)]));
+  const add = h("button", { type: "button", disabled: true, onclick: () => send("put", [...tools, asTool()]) }, "Add");
+  const usual = h("button", { type: "button", class: "quiet", onclick: () => send("delete") }, "Back to the usual ones");
+  const fields = h("div", { class: "row cutter-fields" }, Object.values(inputs).map(({ node }) => node), add);
+  const element = h(
+    "details", { class: "card", ontoggle: () => element.open && !tools && load() },
+    h("summary", {}, TITLE), h("p", { class: "dim" }, INTRO), list, fields, said, usual,
+  );
+  let tools = null;
+  usual.hidden = true;
+
+  async function load() {
+    await answered(() => api.get("/v1/tools"));
+  }
+  async function send(method, wanted) {
+    if (!(await api.need("jobs:write"))) return;
+    if (await answered(() => api[method]("/v1/tools", wanted && { tools: wanted }))) onChange();
+  }
+  async function answered(ask) {
+    try {
+      const found = await ask();
+      tools = found.tools;
+      usual.hidden = !found.own;
+      add.disabled = false;
+      replace(list, tools.map(shown));
+      write(said, "");
+      return true;
+    } catch (error) {
+      write(said, sentence(error.detail ?? error.message));
+      return false;
+    }
+  }
+  function shown(tool) {
+    const size = `Ø ${round(2 * tool.radius_mm)}`;
+    const drop = () => send("put", tools.filter((one) => one !== tool));
+    const button = h("button", { type: "button", "aria-label": `Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
+    return h("li", { title: `cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
+  }
+  /** What is left out is usual for such a cutter. */
+  function asTool() {
+    const read = (key, usually) => inputs[key].read() ?? usually;
+    const diameter = read("diameter", 0), flute = read("flute", 3 * diameter), radius_mm = diameter / 2;
+    const names = new Set(tools.map(({ name }) => name)), plain = `ball-r${round(radius_mm)}`;
+    const name = [plain, ...tools.map((_, k) => `${plain}-${k + 2}`)].find((one) => !names.has(one)) ?? `${plain}-1`;
+    const shank_radius_mm = read("shank", Math.max(diameter, diameter < 3.175 ? 3.175 : 6)) / 2;
+    return { name, radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)) };
+  }
+  return { element };
+}
+
+function numberInput(label, placeholder) {
+  const id = freshId("cutter"), input = h("input", { id, type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
+  const read = () => (input.value === "" ? null : Number(input.value));
+  return { node: h("div", { class: "field" }, h("label", { for: id }, label), input), read };
+}
+
+const round = (value) => String(Number(value.toFixed(3)));
