@@ -12,7 +12,7 @@ _NAME = r"^[^\x00-\x1f\x7f]{1,40}$"
 
 
 class ToolView(Body):
-    """A ball end mill; lengths in mm, the ball by its radius. Of two that do as well that of the lower cost_class goes."""
+    """A ball end mill; lengths in mm. Of two that do equally well a plan takes that of the lower cost_class."""
 
     name: Annotated[str, Field(pattern=_NAME, examples=["ball-r1"])]
     radius_mm: Annotated[float, Field(ge=0.05, le=25)]
