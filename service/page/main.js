@@ -4,6 +4,7 @@ import { api, ProblemError } from "./lib/api.js";
 import { h, replace } from "./lib/dom.js";
 import { askForKey, showWho } from "./lib/key.js";
 import { watchKeyEnd } from "./lib/key_end.js";
+import { choose, language, LANGUAGES, t } from "./lib/language.js";
 import { shape } from "./lib/state.js";
 import { sentence } from "./lib/words.js";
 import { showMill } from "./machine/chip.js";
@@ -55,7 +56,7 @@ async function show({ focus = true } = {}) {
   scrollTo(0, 0);
   app.title("");
   try {
-    if (!route) throw new ProblemError(404, "There is no such page here.");
+    if (!route) throw new ProblemError(404, t("There is no such page here."));
     const { default: view } = await route.load();
     if (!isCurrent()) return;
     const made = await view(place, { ...decoded(route.found.groups), ...query }, app);
@@ -87,20 +88,20 @@ function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
   const none = error.status === 404;
   if (!expected) console.error(error);
-  const detail = error.status === 401 ? "This server asks for its code before it shows this." : sentence(error.detail ?? "");
-  const words = expected ? detail : `This view cannot be shown (${error.message}). Load the page again.`;
-  app.title("Not shown");
+  const detail = error.status === 401 ? t("This server asks for its code before it shows this.") : sentence(error.detail ?? "");
+  const words = expected ? detail : t`This view cannot be shown (${error.message}). Load the page again.`;
+  app.title(t("Not shown"));
   replace(
     place,
-    h("h1", {}, "Not shown"),
+    h("h1", {}, t("Not shown")),
     h("p", { class: "notice bad", role: "alert" }, shape("bad"), h("span", {}, words)),
     h(
       "p",
       { class: "row" },
-      !none && h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
+      !none && h("button", { type: "button", class: "primary", onclick: () => show() }, t("Try again")),
       error.status === 401 &&
-        h("button", { type: "button", onclick: () => askForKey("jobs:read") }, "Enter the code"),
-      h("a", { class: none ? "button primary" : "button", href: "#/" }, "All jobs"),
+        h("button", { type: "button", onclick: () => askForKey("jobs:read") }, t("Enter the code")),
+      h("a", { class: none ? "button primary" : "button", href: "#/" }, t("All jobs")),
     ),
   );
   const mended = [api.onAway((away) => !away && show()), api.onWho(() => show())];
@@ -115,7 +116,7 @@ function markPlace(place) {
 }
 
 function showAway(away) {
-  const words = "The server does not answer. This page goes on by itself when it is back.";
+  const words = t("The server does not answer. This page goes on by itself when it is back.");
   replace(
     document.getElementById("away"),
     away && h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words)),
@@ -123,11 +124,24 @@ function showAway(away) {
   document.body.classList.toggle("away", away);
 }
 
+/** The words of index.html, which is the same in every language. */
+function translateFrame() {
+  for (const one of document.querySelectorAll("[data-t]")) one.textContent = t(one.textContent);
+  for (const one of document.querySelectorAll(".bar [aria-label]")) one.ariaLabel = t(one.ariaLabel);
+}
+
+function languageChoice() {
+  const options = Object.entries(LANGUAGES).map(([value, name]) => h("option", { value, lang: value, selected: value === language }, name));
+  return h("label", {}, t("Language"), h("select", { onchange: (event) => choose(event.target.value) }, options));
+}
+
 /** A file dropped beside a drop place must not take the page away. */
 function keepDropsHere() {
   for (const kind of ["dragover", "drop"]) addEventListener(kind, (event) => event.preventDefault());
 }
 
+translateFrame();
+replace(document.querySelector("footer"), languageChoice());
 api.onAway(showAway);
 api.setKeyDialog(askForKey);
 showWho(document.getElementById("who"));

@@ -6,6 +6,8 @@
  * with `onAway` is told both.
  */
 
+import { t } from "./language.js";
+
 const TIMEOUT_MS = 20_000;
 const AGREE_MS = 5000;
 const DECLINED_MS = 60_000;
@@ -148,7 +150,7 @@ export const api = {
     if (!found.name) {
       token = before;
       await api.hello();
-      throw new ProblemError(401, "The server does not know this token: it is mistyped, ended or revoked.");
+      throw new ProblemError(401, t("The server does not know this token: it is mistyped, ended or revoked."));
     }
     return found;
   },
@@ -221,7 +223,7 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, k
   } catch (error) {
     if (signal?.aborted) throw error;
     setAway(true);
-    throw new ProblemError(0, "The server does not answer. Is it running, and is the cable in?");
+    throw new ProblemError(0, t("The server does not answer. Is it running, and is the cable in?"));
   }
 }
 
@@ -244,7 +246,7 @@ async function problemOf(response) {
   } catch {
     // a proxy's page, or nothing: the status must do
   }
-  const detail = body.detail ?? `The server answered ${response.status}; its log says why.`;
+  const detail = body.detail ?? t`The server answered ${response.status}; its log says why.`;
   return new ProblemError(response.status, detail, body);
 }
 

@@ -1,6 +1,7 @@
 /** Questions that wait for an answer, and words that pass by. */
 
 import { freshId, h } from "./dom.js";
+import { t } from "./language.js";
 
 const TOAST_MS = 6000;
 
@@ -54,7 +55,7 @@ function button({ words, value, kind = "" }, close) {
 }
 
 /** Asks before something that cannot be undone, or that moves a mill; the harmless answer has the focus. */
-export async function confirm({ title, words, yes, no = "Cancel", danger = false }) {
+export async function confirm({ title, words, yes, no = t("Cancel"), danger = false }) {
   const paragraphs = [words].flat().map((text) => (typeof text === "string" ? h("p", {}, text) : text));
   const actions = [
     { words: no, value: false },
@@ -73,7 +74,7 @@ export function toast(words, { kind = "", action, stays = false } = {}) {
     { class: `toast ${kind}` },
     h("span", {}, words),
     action && h("button", { type: "button", onclick: () => (shown.remove(), action.run()) }, action.words),
-    h("button", { type: "button", class: "quiet", "aria-label": "Close", onclick: () => shown.remove() }, "×"),
+    h("button", { type: "button", class: "quiet", "aria-label": t("Close"), onclick: () => shown.remove() }, "×"),
   );
   shelf().append(shown);
   const leave = () => setTimeout(() => (shown.matches(":hover, :focus-within") ? leave() : shown.remove()), TOAST_MS);

@@ -3,18 +3,19 @@
 import { api } from "./api.js";
 import { confirm, open } from "./dialog.js";
 import { freshId, h, replace } from "./dom.js";
+import { t } from "./language.js";
 import { sentence } from "./words.js";
 
 const CODE = /^[0-9A-Z]{12}$/;
 const WHAT = {
-  "machine:run": "Whoever runs a mill enters the code first.",
-  "jobs:write": "Whoever makes or changes jobs enters the code first.",
-  "jobs:read": "This server asks for its code.",
+  "machine:run": t("Whoever runs a mill enters the code first."),
+  "jobs:write": t("Whoever makes or changes jobs enters the code first."),
+  "jobs:read": t("This server asks for its code."),
 };
 
 /** Asks for the code; resolves whether one was given that the server knows. */
 export async function askForKey(scope) {
-  return (await open({ title: "Enter the code", body: (close) => form(scope, close) })) === true;
+  return (await open({ title: t("Enter the code"), body: (close) => form(scope, close) })) === true;
 }
 
 function form(scope, close) {
@@ -37,7 +38,7 @@ function form(scope, close) {
     value: api.who.anonymous ? "" : api.who.name,
   });
   const wrong = h("p", { class: "fault", id: fault, role: "alert" });
-  const submit = h("button", { type: "submit", class: "primary" }, "Enter");
+  const submit = h("button", { type: "submit", class: "primary" }, t("Enter"));
   const send = async (event) => {
     event.preventDefault();
     submit.disabled = true;
@@ -58,21 +59,21 @@ function form(scope, close) {
     h(
       "div",
       { class: "field" },
-      h("label", { for: key.id }, "Code"),
+      h("label", { for: key.id }, t("Code")),
       key,
-      h("small", { id: hint }, "Twelve letters and digits, printed where the server runs."),
+      h("small", { id: hint }, t("Twelve letters and digits, printed where the server runs.")),
       wrong,
     ),
     h(
       "details",
       {},
-      h("summary", {}, "No code at hand?"),
-      h("p", {}, "Where the server runs, this prints a new one, DIR being the server's folder:"),
+      h("summary", {}, t("No code at hand?")),
+      h("p", {}, t("Where the server runs, this prints a new one, DIR being the server's folder:")),
       h("p", {}, h("code", {}, "causticmill token pair --data DIR")),
-      h("p", {}, "A token may be pasted in place of a code, too."),
+      h("p", {}, t("A token may be pasted in place of a code, too.")),
     ),
-    h("label", { class: "field" }, h("span", {}, "Your name, as others see it"), name),
-    h("div", { class: "actions" }, h("button", { type: "button", onclick: () => close(false) }, "Cancel"), submit),
+    h("label", { class: "field" }, h("span", {}, t("Your name, as others see it")), name),
+    h("div", { class: "actions" }, h("button", { type: "button", onclick: () => close(false) }, t("Cancel")), submit),
   );
 }
 
@@ -80,16 +81,16 @@ async function exchange(text, name) {
   const code = text.replace(/[\s-]/g, "").toUpperCase();
   if (CODE.test(code)) return api.pair(code, name);
   if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
-  throw new Error("A code is twelve letters and digits, like XXXX-XXXX-XXXX.");
+  throw new Error(t("A code is twelve letters and digits, like XXXX-XXXX-XXXX."));
 }
 
 /** A touch on one's own name must not take the mill out of one's hands. */
 async function giveBack() {
   const sure = await confirm({
-    title: "Forget the code here?",
-    words: "This page cannot run a mill then, until the code is entered again.",
-    yes: "Forget it",
-    no: "Keep it",
+    title: t("Forget the code here?"),
+    words: t("This page cannot run a mill then, until the code is entered again."),
+    yes: t("Forget it"),
+    no: t("Keep it"),
   });
   if (sure) api.forget();
 }
@@ -98,8 +99,8 @@ async function giveBack() {
 export function showWho(button) {
   const show = (who) => {
     const known = api.token !== "" && who.name;
-    button.textContent = known ? who.name : "Enter code";
-    button.title = known ? "Forget the code on this page" : "To run a mill from this page";
+    button.textContent = known ? who.name : t("Enter code");
+    button.title = known ? t("Forget the code on this page") : t("To run a mill from this page");
   };
   button.addEventListener("click", () => (api.token ? giveBack() : api.need("machine:run")));
   api.onWho(show);

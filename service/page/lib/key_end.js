@@ -5,6 +5,7 @@
 
 import { api } from "./api.js";
 import { toast } from "./dialog.js";
+import { t } from "./language.js";
 import { hours } from "./words.js";
 
 const WARN_S = [2 * 3600, 1800, 600, 0]; // before the end; said once each
@@ -24,7 +25,7 @@ export function watchKeyEnd(enter) {
     warned = warn_s;
     const words = inWords(warn_s && secondsLeft(api.who), await findLiveRun());
     notice.close();
-    notice = toast(words, { kind: "bad", stays: true, action: { words: "Enter a new code", run: enter } });
+    notice = toast(words, { kind: "bad", stays: true, action: { words: t("Enter a new code"), run: enter } });
   }
 
   api.onWho((who) => {
@@ -48,9 +49,9 @@ function findWarning(who, warned) {
 }
 
 function inWords(left_s, run) {
-  const end = left_s > 0 ? `ends in ${hours(left_s)}` : "has ended";
-  if (run) return `The code on this page ${end}, and ${run.program} is on ${run.machine}. Enter a new one: without it this page can only HOLD and STOP.`;
-  return `The code on this page ${end}. Enter a new one, and everything goes on.`;
+  const end = left_s > 0 ? t`ends in ${hours(left_s)}` : t("has ended");
+  if (run) return t`The code on this page ${end}, and ${run.program} is on ${run.machine}. Enter a new one: without it this page can only HOLD and STOP.`;
+  return t`The code on this page ${end}. Enter a new one, and everything goes on.`;
 }
 
 /** {machine, program} of a program that is under way on any mill; null where none is, or nobody can say. */

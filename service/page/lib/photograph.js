@@ -1,15 +1,16 @@
 /** A photograph taken with the phone or chosen, sent to the server and shown with what it tells. */
 import { api } from "./api.js";
 import { h, replace, write } from "./dom.js";
+import { t } from "./language.js";
 import { sentence } from "./words.js";
 
-const BUSY = "Looking at the photograph…";
+const BUSY = t("Looking at the photograph…");
 
 /**
  * {button, node, clear()}: node holds what was told. address(): where it is sent; lines(told): texts or elements of a
  * list; alt(): of the picture that comes with them.
  */
-export function photograph({ words = "Take or choose a photograph", address, lines, alt }) {
+export function photograph({ words = t("Take or choose a photograph"), address, lines, alt }) {
   const message = h("p", { class: "photo-said", "aria-live": "polite" });
   const found = h("ul", { class: "photo-findings" });
   const picture = h("img", { class: "photo-picture", alt: "", hidden: true });

@@ -7,6 +7,7 @@
  */
 
 import { api } from "./api.js";
+import { t } from "./language.js";
 import { canShare, nameOf, share } from "./shared_stream.js";
 
 const SILENCE_MS = 46_000;
@@ -89,7 +90,7 @@ async function readOnce(path, place, say, alive, stopped) {
     return { over: false, words: "" };
   } catch (error) {
     if (HOPELESS.has(error.status) || error.status === 401) return { over: true, words: error.detail };
-    return { over: false, words: error.detail || "The connection to the server broke; trying again." };
+    return { over: false, words: error.detail || t("The connection to the server broke; trying again.") };
   } finally {
     clearTimeout(timer);
   }

@@ -1,13 +1,14 @@
 /** The state of a job or run as a word and a shape; the colour comes third. */
 
 import { h, svg } from "./dom.js";
+import { t } from "./language.js";
 
 const LOOKS = {
-  queued: ["waiting", "wait"],
-  running: ["working", "busy"],
-  succeeded: ["done", "good"],
-  failed: ["failed", "bad"],
-  cancelled: ["cancelled", "off"],
+  queued: [t("waiting"), "wait"],
+  running: [t("working"), "busy"],
+  succeeded: [t("done"), "good"],
+  failed: [t("failed"), "bad"],
+  cancelled: [t("cancelled"), "off"],
 };
 const SHAPES = {
   wait: () => [svg("circle", { cx: 8, cy: 8, r: 5.5, fill: "none", "stroke-dasharray": "2.2 2.2" })],

@@ -1,24 +1,22 @@
 /** Figures and times as a person says them. */
 
+import { language, locale, t } from "./language.js";
+
 /** Seconds as "1 h 45 min", "12 min", "40 s"; from a day on "2 d 3 h". */
 export function hours(seconds) {
-  if (!Number.isFinite(seconds)) return "unknown";
+  if (!Number.isFinite(seconds)) return t("unknown");
   const whole = Math.max(0, Math.round(seconds));
-  if (whole < 60) return `${whole} s`;
+  if (whole < 60) return t`${whole} s`;
   const minutes = Math.round(whole / 60);
-  if (minutes < 60) return `${minutes} min`;
-  if (minutes < 24 * 60) return pair(Math.floor(minutes / 60), "h", minutes % 60, "min");
+  if (minutes < 60) return t`${minutes} min`;
+  if (minutes < 24 * 60) return minutes % 60 ? t`${Math.floor(minutes / 60)} h ${minutes % 60} min` : t`${minutes / 60} h`;
   const inHours = Math.round(minutes / 60);
-  return pair(Math.floor(inHours / 24), "d", inHours % 24, "h");
-}
-
-function pair(big, bigUnit, small, smallUnit) {
-  return small ? `${big} ${bigUnit} ${small} ${smallUnit}` : `${big} ${bigUnit}`;
+  return inHours % 24 ? t`${Math.floor(inHours / 24)} d ${inHours % 24} h` : t`${inHours / 24} d`;
 }
 
 /** A length: "0.62 mm", "12.4 mm", "100 mm"; below 0.1 mm in µm. */
 export function mm(length) {
-  if (!Number.isFinite(length)) return "unknown";
+  if (!Number.isFinite(length)) return t("unknown");
   const size = Math.abs(length);
   if (size > 0 && size < 0.0995) return `${figures(length * 1000, 2)} µm`;
   return `${figures(length, size < 10 ? 2 : 3)} mm`;
@@ -31,7 +29,7 @@ export function ball(radiusMm) {
 
 /** At least so many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
 export function figures(value, count) {
-  if (!Number.isFinite(value)) return "unknown";
+  if (!Number.isFinite(value)) return t("unknown");
   if (value === 0) return "0";
   const places = Math.max(0, count - 1 - Math.floor(Math.log10(Math.abs(value))));
   return String(Number(value.toFixed(Math.min(places, 12))));
@@ -39,7 +37,7 @@ export function figures(value, count) {
 
 /** "812 B", "13 kB", "2.4 MB". */
 export function bytes(count) {
-  if (!Number.isFinite(count)) return "unknown";
+  if (!Number.isFinite(count)) return t("unknown");
   const units = ["B", "kB", "MB", "GB", "TB"];
   let value = count;
   let unit = 0;
@@ -55,13 +53,13 @@ export function ago(iso, now = Date.now()) {
   const then = new Date(iso);
   const seconds = (now - then.getTime()) / 1000;
   if (!Number.isFinite(seconds)) return "";
-  if (seconds < 45) return "just now";
-  if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
-  const clock = then.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
+  if (seconds < 45) return t("just now");
+  if (seconds < 3600) return t`${Math.max(1, Math.round(seconds / 60))} min ago`;
+  const clock = then.toLocaleTimeString(locale, { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
   const days = Math.round((startOfDay(now) - startOfDay(then.getTime())) / 86_400_000);
-  if (days === 0) return `today ${clock}`;
-  if (days === 1) return `yesterday ${clock}`;
-  return `${then.toLocaleDateString([], { day: "numeric", month: "short" })} ${clock}`;
+  if (days === 0) return t`today ${clock}`;
+  if (days === 1) return t`yesterday ${clock}`;
+  return `${then.toLocaleDateString(locale, { day: "numeric", month: "short" })} ${clock}`;
 }
 
 function startOfDay(time) {
@@ -94,9 +92,9 @@ export function count(number, word, several = `${word}s`) {
   return `${number} ${number === 1 ? word : several}`;
 }
 
-/** A whole number with its thousands apart, the same in every country: 41210 is "41,210". */
+/** A whole number with its thousands apart: 41210 is "41,210"; a German would take that comma for a point. */
 export function thousands(whole) {
-  return whole.toLocaleString("en");
+  return whole.toLocaleString("en").replaceAll(",", language === "de" ? "\u202f" : ",");
 }
 
 /** A word that nobody else has: "page-" and 32 digits. */
@@ -108,5 +106,5 @@ export function freshKey() {
 /** Words of the server as a sentence: "no such job" is "No such job."; a name at the beginning stays as it is. */
 export function sentence(words) {
   const first = /^[a-z]+[ ,:']/.test(words) ? capital(words) : words;
-  return /[.!?]$/.test(first) ? first : `${first}.`;
+  return /[.!?。]$/.test(first) ? first : `${first}.`;
 }

@@ -5,6 +5,7 @@
  */
 
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 
 export function guardedButton(label, { words, yes, act, kind = "" }) {
   const place = h("div", { class: "ask" });
@@ -24,7 +25,7 @@ export function guardedButton(label, { words, yes, act, kind = "" }) {
 
 /** Puts the question into its place; Cancel has the focus. */
 export function askIn(place, label, { words, yes, go, cancel, kind = "primary" }) {
-  const no = h("button", { type: "button", onclick: cancel }, "Cancel");
+  const no = h("button", { type: "button", onclick: cancel }, t("Cancel"));
   const sure = h("button", { type: "button", class: kind, onclick: go }, yes);
   replace(place, h("div", { class: "question", role: "group", "aria-label": label }, h("p", {}, words), h("div", { class: "row" }, no, sure)));
   no.focus();

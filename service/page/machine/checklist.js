@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { enable } from "./refusal_line.js";
 import { checkWords } from "./words.js";
 
@@ -18,7 +19,7 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
   const count = () => {
     const left = boxes.filter(({ box }) => !box.checked).length;
     const named = operator.value.trim() !== "";
-    const lacking = left ? `${left} of ${boxes.length} still to tick.` : named ? "" : "Give your name.";
+    const lacking = left ? t`${left} of ${boxes.length} still to tick.` : named ? "" : t("Give your name.");
     enable([go], why === "" && lacking === "");
     write(missing, why || lost || lacking);
   };
@@ -26,8 +27,8 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
   const node = h(
     "div",
     { class: "checklist" },
-    h("fieldset", {}, h("legend", {}, "Look, then tick"), boxes.map(({ check, box }) => line(check, box, run))),
-    h("label", { class: "field" }, h("span", {}, "Operator"), operator),
+    h("fieldset", {}, h("legend", {}, t("Look, then tick")), boxes.map(({ check, box }) => line(check, box, run))),
+    h("label", { class: "field" }, h("span", {}, t("Operator")), operator),
     go,
     missing,
     words.node,

@@ -6,8 +6,9 @@
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
-import { count, percentUnderWay } from "../lib/words.js";
+import { percentUnderWay } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
 import { addressOf, needsHand, standingInShop, urgency } from "./words.js";
 
@@ -15,9 +16,9 @@ import { addressOf, needsHand, standingInShop, urgency } from "./words.js";
 export function showMill(place) {
   const [name, rest] = [h("span", {}), h("span", {})];
   const state = h("span", { class: "chip-state" });
-  const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const link = h("a", {}, h("span", { class: "chip-name" }, name, rest), state, bar);
-  const hold = h("button", { type: "button", class: "hold", onclick: () => mills.hold(shown) }, "HOLD");
+  const hold = h("button", { type: "button", class: "hold", onclick: () => mills.hold(shown) }, t("HOLD"));
   const alarm = h("p", { class: "arrived", role: "alert" });
   replace(place, hold, link, alarm);
   let shown = "";
@@ -33,7 +34,7 @@ export function showMill(place) {
     const live = isLive(machine);
     const { share } = machine.run ?? {};
     const { kind, word } = standingInShop(machine);
-    const now = [api.away ? "off" : kind, `${api.away ? "last seen " : ""}${word}`, live && share > 0 ? percentUnderWay(share) : ""];
+    const now = [api.away ? "off" : kind, api.away ? t`last seen ${word}` : word, live && share > 0 ? percentUnderWay(share) : ""];
     if (now.join() !== drawn) replace(state, mark(now[0], h("span", {}, now[1])), " ", h("span", {}, now[2]));
     drawn = now.join();
     write(name, machine.name);
@@ -42,7 +43,7 @@ export function showMill(place) {
     bar.hidden = !(live && share > 0);
     bar.value = share ?? 0;
     hold.style.visibility = live && !isOwnScreen(machine) ? "visible" : "hidden"; // its place is kept
-    hold.setAttribute("aria-label", `HOLD ${machine.name}`);
+    hold.setAttribute("aria-label", t`HOLD ${machine.name}`);
     write(alarm, isOwnScreen(machine) ? "" : mills.stopper(machine.name).words);
   }
 
@@ -65,8 +66,8 @@ function choose(machines, before) {
 function restWords({ name }, machines) {
   const others = machines.filter((one) => one.name !== name);
   const hands = others.filter(needsHand).length;
-  if (hands) return `+ ${count(hands, "needs", "need")} a hand`;
-  return others.length ? `1 of ${machines.length}` : "";
+  if (hands) return hands === 1 ? t`+ ${hands} needs a hand` : t`+ ${hands} need a hand`;
+  return others.length ? t`1 of ${machines.length}` : "";
 }
 
 function isOwnScreen(machine) {

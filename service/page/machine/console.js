@@ -1,6 +1,7 @@
 /** What happened at the mill, and a line said to it while it stands. */
 
 import { h, replace } from "../lib/dom.js";
+import { locale, t } from "../lib/language.js";
 import { askIn } from "./ask.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { logWords, refusal, whyNot } from "./words.js";
@@ -9,10 +10,10 @@ const SHOWN = 200;
 
 export function terminal(link) {
   const words = refusalLine();
-  const lines = h("ol", { class: "log", tabIndex: 0, "aria-label": "What happened at the mill" });
-  const empty = h("p", { class: "dim" }, "Nothing yet.");
+  const lines = h("ol", { class: "log", tabIndex: 0, "aria-label": t("What happened at the mill") });
+  const empty = h("p", { class: "dim" }, t("Nothing yet."));
   const text = h("input", { type: "text", maxLength: 78, autocomplete: "off", autocapitalize: "characters", spellcheck: false, placeholder: "G0 X0 Y0" });
-  const send = h("button", { type: "submit" }, "Send");
+  const send = h("button", { type: "submit" }, t("Send"));
   const question = h("div", { class: "ask" });
 
   function submit(event) {
@@ -37,11 +38,11 @@ export function terminal(link) {
   function askAgain(body, error) {
     const cancel = () => (replace(question), text.focus());
     const go = () => give({ ...body, confirm: true });
-    askIn(question, `Send ${body.text}`, { words: refusal(error), yes: `Send ${body.text} all the same`, go, cancel });
+    askIn(question, t`Send ${body.text}`, { words: refusal(error), yes: t`Send ${body.text} all the same`, go, cancel });
   }
 
-  const form = h("form", { class: "say", onsubmit: submit }, h("label", { class: "field" }, h("span", {}, "One line to the mill"), text), send);
-  const node = h("section", { class: "card terminal", "aria-labelledby": "terminal-title" }, h("h2", { id: "terminal-title" }, "Console"), empty, lines, form, question, words.node);
+  const form = h("form", { class: "say", onsubmit: submit }, h("label", { class: "field" }, h("span", {}, t("One line to the mill")), text), send);
+  const node = h("section", { class: "card terminal", "aria-labelledby": "terminal-title" }, h("h2", { id: "terminal-title" }, t("Console")), empty, lines, form, question, words.node);
   let last = null;
   return {
     node,
@@ -67,7 +68,7 @@ function show(list, log, last) {
 
 function line(entry) {
   const when = new Date(entry.at_s * 1000);
-  const clock = when.toLocaleTimeString([], { hour12: false });
+  const clock = when.toLocaleTimeString(locale, { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
   item.append(h("time", { dateTime: when.toISOString() }, clock), " ", h("span", {}, logWords(entry)));
   if (entry.by) item.append(" ", h("small", {}, entry.by));

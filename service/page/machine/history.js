@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { locale, t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { ball, hours, percent } from "../lib/words.js";
 import { saveBlob } from "../job/save.js";
@@ -26,14 +27,14 @@ const COLUMNS = {
 export function history(link) {
   const said = refusalLine();
   const place = h("div", { class: "stack" });
-  const fold = h("details", { ontoggle: () => fold.open && said.run(show) }, h("summary", {}, h("h2", { id: "history-title" }, "History")), place, said.node);
+  const fold = h("details", { ontoggle: () => fold.open && said.run(show) }, h("summary", {}, h("h2", { id: "history-title" }, t("History"))), place, said.node);
   const node = h("section", { class: "card history", "aria-labelledby": "history-title" }, fold);
 
   async function show() {
     const runs = (await allRuns(link.name)).filter((run) => run.started_at);
-    const save = h("button", { type: "button", onclick: () => saveBlob(new Blob([csvOf(runs)], { type: "text/csv" }), `${link.name}-history.csv`) }, "Save as CSV");
+    const save = h("button", { type: "button", onclick: () => saveBlob(new Blob([csvOf(runs)], { type: "text/csv" }), `${link.name}-history.csv`) }, t("Save as CSV"));
     const rows = runs.slice(0, SHOWN).map((run) => h("li", {}, h("span", {}, run.program.name), " ", stateOf(run), h("span", { class: "dim" }, factsOf(run))));
-    replace(place, h("p", {}, runs.length ? sums(runs) : "Nothing has been cut on this mill yet."), runs.length ? [save, h("ol", { class: "given", tabIndex: 0, "aria-label": "Programs, newest first" }, rows)] : null);
+    replace(place, h("p", {}, runs.length ? sums(runs) : t("Nothing has been cut on this mill yet.")), runs.length ? [save, h("ol", { class: "given", tabIndex: 0, "aria-label": t("Programs, newest first") }, rows)] : null);
   }
 
   return { node, update() {} };
@@ -60,7 +61,7 @@ function sums(runs) {
   const byBall = Map.groupBy(runs, (run) => run.setup?.tool?.radius_mm);
   const total = (some) => hours(some.reduce((sum, run) => sum + cutSeconds(run), 0));
   const each = [...byBall].filter(([radius]) => radius).sort(([a], [b]) => b - a);
-  return `${total(runs)} cut. ${each.map(([radius, some]) => `${ball(radius)}: ${total(some)}`).join(", ")}`;
+  return t`${total(runs)} cut. ${each.map(([radius, some]) => `${ball(radius)}: ${total(some)}`).join(", ")}`;
 }
 
 function stateOf({ state }) {
@@ -68,7 +69,7 @@ function stateOf({ state }) {
 }
 
 function factsOf(run) {
-  const when = new Date(run.started_at).toLocaleString([], { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" });
+  const when = new Date(run.started_at).toLocaleString(locale, { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" });
   return [when, hours(cutSeconds(run)), run.share < 1 && percent(run.share), run.operator].filter(Boolean).join(" · ");
 }
 

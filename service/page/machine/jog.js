@@ -5,6 +5,7 @@
  */
 
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { holdToJog } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
 import { enable, refusalLine } from "./refusal_line.js";
@@ -13,7 +14,7 @@ import { isConnected, whyNot } from "./words.js";
 const STEPS_MM = [0.01, 0.1, 1, 10, 50, 100];
 const MOST_Z_MM = 10;
 const FEED_MM_PER_MIN = 1000;
-const HELD = "while pressed";
+const HELD = t("while pressed");
 const KEYS = {
   ArrowRight: [1, 0, 0],
   ArrowLeft: [-1, 0, 0],
@@ -24,12 +25,12 @@ const KEYS = {
 };
 /** [place in the grid, label, arrow, direction] */
 const PAD = [
-  ["y-plus", "Y plus", "↑ Y", [0, 1, 0]],
-  ["x-minus", "X minus", "← X", [-1, 0, 0]],
-  ["x-plus", "X plus", "X →", [1, 0, 0]],
-  ["y-minus", "Y minus", "↓ Y", [0, -1, 0]],
-  ["z-plus", "Z up", "↑ Z", [0, 0, 1]],
-  ["z-minus", "Z down", "↓ Z", [0, 0, -1]],
+  ["y-plus", t("Y plus"), "↑ Y", [0, 1, 0]],
+  ["x-minus", t("X minus"), "← X", [-1, 0, 0]],
+  ["x-plus", t("X plus"), "X →", [1, 0, 0]],
+  ["y-minus", t("Y minus"), "↓ Y", [0, -1, 0]],
+  ["z-plus", t("Z up"), "↑ Z", [0, 0, 1]],
+  ["z-minus", t("Z down"), "↓ Z", [0, 0, -1]],
 ];
 const UP = 4; // place in PAD
 
@@ -50,9 +51,9 @@ export function jog(link) {
       oncontextmenu: (event) => steps.held() && event.preventDefault(), // that a long touch would open
     }, arrow, direction[2] !== 0 && h("small", {})),
   );
-  const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.sendUrgent("jog-cancel") }, "End jog");
+  const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.sendUrgent("jog-cancel") }, t("End jog"));
   const arm = armKeys({ begin, end: hold.end });
-  const pad = h("div", { class: "pad", role: "group", "aria-label": "Jog" }, buttons, cancel);
+  const pad = h("div", { class: "pad", role: "group", "aria-label": t("Jog") }, buttons, cancel);
   const showStep = () => {
     pad.style.setProperty("touch-action", steps.held() ? "none" : "manipulation");
     const shorter = !steps.held() && steps.mm() > MOST_Z_MM;
@@ -64,11 +65,11 @@ export function jog(link) {
     h(
       "div",
       { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.onFocusOut(event) },
-      h("div", { class: "row spread" }, h("h2", { id: "jog-title" }, "Jog"), arm.node),
+      h("div", { class: "row spread" }, h("h2", { id: "jog-title" }, t("Jog")), arm.node),
       pad,
     ),
     steps.node,
-    h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), inside.node),
+    h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, t("Feed")), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), inside.node),
     words.node,
   );
   let fitted = false;
@@ -99,15 +100,15 @@ export function jog(link) {
 
 /** The step as far as it may go; Error where it may not go at all. */
 function limitStep({ machine }, inside, by_mm) {
-  if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error("The tool stands in the block: raise Z first.");
+  if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error(t("The tool stands in the block: raise Z first."));
   const found = withinTravel(machine, by_mm);
-  if (!found.some(Boolean)) throw new Error("The travel ends here: take a step of 10 mm or less.");
+  if (!found.some(Boolean)) throw new Error(t("The travel ends here: take a step of 10 mm or less."));
   return found;
 }
 
 /** A switch that lets a tool in the block go anywhere all the same, until it is out; its place is always kept. */
 function allowInBlock(changed) {
-  const button = h("button", { type: "button", class: "inside", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, "Jog in the block");
+  const button = h("button", { type: "button", class: "inside", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, t("Jog in the block"));
   const isOn = () => button.getAttribute("aria-pressed") === "true";
   const set = (on) => button.setAttribute("aria-pressed", String(on));
   let inBlock = false;
@@ -141,7 +142,7 @@ function stepChoice(changed) {
   const choice = (value) => h("input", { type: "radio", name: "jog-step", value, checked: value === "1", onchange: changed });
   const inputs = [...STEPS_MM.map(String), HELD].map(choice);
   const labels = inputs.map((input) => h("label", {}, input, input.value));
-  const node = h("fieldset", { class: "steps" }, h("legend", {}, "Step, mm"), h("div", { class: "choice" }, labels));
+  const node = h("fieldset", { class: "steps" }, h("legend", {}, t("Step, mm")), h("div", { class: "choice" }, labels));
   const chosen = () => inputs.find((input) => input.checked).value;
   return { node, inputs, mm: () => Number(chosen()), held: () => chosen() === HELD };
 }
@@ -153,7 +154,7 @@ function armKeys({ begin, end }) {
   const isOn = () => button.getAttribute("aria-pressed") === "true";
   const set = (on) => {
     button.setAttribute("aria-pressed", String(on));
-    write(words, on ? "Keys move the mill: arrows, Page Up, Page Down" : "Use the keyboard");
+    write(words, on ? t("Keys move the mill: arrows, Page Up, Page Down") : t("Use the keyboard"));
   };
   set(false);
   return {

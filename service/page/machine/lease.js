@@ -6,6 +6,7 @@
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { addressOf, hasLiveRun, refusal } from "./words.js";
 
 const RENEW_MS = 20_000;
@@ -53,9 +54,9 @@ export class Lease {
   leave() {
     const { name, machine } = this.link;
     const live = hasLiveRun(machine);
-    const more = live ? ` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
-    const back = { words: "Back to it", run: () => (location.hash = addressOf(name)) };
-    toast(`You gave back control of ${name}.${more}`, { kind: live ? "bad" : "", action: live ? back : undefined });
+    const more = live ? t` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
+    const back = { words: t("Back to it"), run: () => (location.hash = addressOf(name)) };
+    toast(t`You gave back control of ${name}.${more}`, { kind: live ? "bad" : "", action: live ? back : undefined });
     this.release();
   }
 
@@ -70,7 +71,7 @@ export class Lease {
   /** Who has control, as the mill says; a server that has lost the mill does not know, and what it said before is late. */
   check({ agent, control }) {
     if (!this.held || !agent.reachable || Date.now() < this.freshUntil || control?.since === this.since) return;
-    this.lose(control ? `${control.operator} has taken control.` : "Control has ended: this page was not heard of for a minute.");
+    this.lose(control ? t`${control.operator} has taken control.` : t("Control has ended: this page was not heard of for a minute."));
   }
 
   lose(words) {

@@ -1,6 +1,7 @@
 /** All mills of the shop on one screen: what each does now, how far it is, and HOLD, which keeps its place. */
 
 import { h, replace, sheet, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
 import { hours, percentUnderWay, sentence } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
@@ -9,7 +10,7 @@ import { addressOf, millWords, outOfReach, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
-  app.title("Machines");
+  app.title(t("Machines"));
   const faults = h("div", { class: "stack" });
   const list = h("ul", { class: "machine-list" });
   const none = empty();
@@ -36,17 +37,17 @@ export default async function view(root, _params, app) {
 
   await mills.look();
   show();
-  replace(root, h("div", { class: "list-head" }, h("h1", {}, "Machines"), notifySwitch()), h("div", { class: "stack" }, faults, list, none));
+  replace(root, h("div", { class: "list-head" }, h("h1", {}, t("Machines")), notifySwitch()), h("div", { class: "stack" }, faults, list, none));
   return { leave: mills.watch(show) };
 }
 
 /** What a press is meant for stays in its place: the parts of a card are made once, and as high whatever they say. */
 function card(name) {
   const state = h("p", { class: "state" });
-  const hold = h("button", { type: "button", class: "big hold", "aria-label": `HOLD ${name}`, onclick: () => mills.hold(name) }, "HOLD");
+  const hold = h("button", { type: "button", class: "big hold", "aria-label": t`HOLD ${name}`, onclick: () => mills.hold(name) }, t("HOLD"));
   const alarm = h("p", { class: "arrived", role: "alert" });
   const share = h("strong", {});
-  const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const meter = h("div", { class: "cut" }, bar, share);
   const words = h("p", { class: "words" });
   const about = h("p", { class: "dim" });
@@ -74,13 +75,13 @@ function card(name) {
     meter.style.visibility = cut ? "visible" : "hidden";
     bar.value = run?.share ?? 0;
     write(words, [run?.program, whyWords(machine) || leftWords(machine)].filter(Boolean).join(": "));
-    write(about, [simulated ? "Simulated: no real mill moves" : profile?.description, control && `${control.operator} has control`].filter(Boolean).join(" · "));
+    write(about, [simulated ? t("Simulated: no real mill moves") : profile?.description, control && t`${control.operator} has control`].filter(Boolean).join(" · "));
   }
   return { node, update };
 }
 
 function leftWords({ run, simulated }) {
-  return run?.share > 0 && Number.isFinite(run.time_left_s) ? `${hours(run.time_left_s)} left${simulated ? ", simulated" : ""}` : "";
+  return run?.share > 0 && Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(", simulated") : ""}` : "";
 }
 
 /** What is wrong, in a line, or what brings it back; its own screen has the rest. */
@@ -93,9 +94,9 @@ function empty() {
   return h(
     "div",
     { class: "card stack" },
-    h("p", {}, "No mill is set up on this computer."),
-    h("p", {}, "Write a file ", h("code", {}, "~/.config/causticmill/machines/my-mill.toml"), " with what yours is and where its cable ends:"),
+    h("p", {}, t("No mill is set up on this computer.")),
+    h("p", {}, t("Write a file "), h("code", {}, "~/.config/causticmill/machines/my-mill.toml"), t(" with what yours is and where its cable ends:")),
     h("pre", { tabIndex: 0 }, 'extends = "grbl"\ndescription = "the mill by the window"\n[link]\nport = "/dev/serial/by-id/..."'),
-    h("p", {}, "Then start the server again. To try everything without a mill: ", h("code", {}, "causticmill serve --with-simulated-mill"), "."),
+    h("p", {}, t("Then start the server again. To try everything without a mill: "), h("code", {}, "causticmill serve --with-simulated-mill"), "."),
   );
 }

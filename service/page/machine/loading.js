@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./refusal_line.js";
@@ -17,11 +18,11 @@ export function loadCard(link, chosen) {
   const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
   // An answer that is still on its way must not put another program in the place of the one that was taken.
   const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
-  const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, "Load onto the mill");
+  const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, t("Load onto the mill"));
   const reason = h("p", { class: "missing", role: "status" });
-  const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load, reason);
-  const none = h("p", { class: "dim" }, "No job has programs yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
-  const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, "Load a program"), none, form, words.node);
+  const form = h("div", { class: "load-form" }, field(t("Job"), jobs), field(t("Program"), passes), load, reason);
+  const none = h("p", { class: "dim" }, t("No job has programs yet. "), h("a", { href: "#/new" }, t("Make one")), t(": its programs can be loaded here."));
+  const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, t("Load a program")), none, form, words.node);
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
   none.hidden = form.hidden = true;
@@ -49,7 +50,7 @@ export function loadCard(link, chosen) {
     clearTimeout(timer);
     later.hidden = !job || !["queued", "running"].includes(job.state);
     if (later.hidden) return;
-    write(later.lastChild, `${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded once all of them have been checked.`);
+    write(later.lastChild, t`${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded once all of them have been checked.`);
     timer = setTimeout(again, AGAIN_MS);
   }
 
@@ -58,7 +59,7 @@ export function loadCard(link, chosen) {
     if (jobs.value !== id) return;
     const meant = id === chosen.job && job.programs.find((one) => [one.name, String(one.number)].includes(chosen.program));
     const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
-    replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? `${one.name} (done on this mill)` : one.name)));
+    replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? t`${one.name} (done on this mill)` : one.name)));
     link.changed();
   }
 

@@ -4,6 +4,7 @@
  */
 
 import { api } from "../lib/api.js";
+import { t } from "../lib/language.js";
 import { follow } from "../lib/sse.js";
 import { sendGranted } from "./granted.js";
 import { Lease } from "./lease.js";
@@ -32,7 +33,7 @@ export class MillLink {
     this.lease = new Lease(this);
     this.socket = new StopSocket();
     this.stopper = new Stopper(name, this.socket);
-    const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : this.streamAway));
+    const stopListening = api.onAway((away) => this.setAway(away ? t("The server does not answer.") : this.streamAway));
     const stream = follow(`${this.path}/events`, {
       onEvent: (kind, data) => this.receive(kind, data),
       onState: (state, words) => this.setStreamState(state, words),
@@ -68,7 +69,7 @@ export class MillLink {
   }
 
   setStreamState(state, words) {
-    if (state === "ended") this.gone = words || "This machine is not known here.";
+    if (state === "ended") this.gone = words || t("This machine is not known here.");
     if (state === "away") this.stopper.lost = true;
     this.streamAway = state === "away" ? words : "";
     this.setAway(this.streamAway);
@@ -177,7 +178,7 @@ export class MillLink {
 
   /** One at a time, and not while an order is on its way. */
   async runExclusively(act) {
-    if (this.busy) throw new Error("The order before this one is still on its way.");
+    if (this.busy) throw new Error(t("The order before this one is still on its way."));
     this.sending = true;
     this.changed();
     try {

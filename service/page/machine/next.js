@@ -4,6 +4,7 @@
  */
 
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { enable } from "./refusal_line.js";
 import { refusalOf } from "./words.js";
@@ -18,9 +19,9 @@ export function next(link, cards) {
   const trouble = h("p", { class: "trouble", role: "alert" });
   const step = h("p", { class: "step", role: "status" });
   const more = h("div", { class: "next-more", tabIndex: 0 });
-  const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, "More"), more);
+  const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, t("More")), more);
   const place = h("div", { class: "next-act" });
-  const node = h("section", { class: "next", "aria-label": "Next step" }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
+  const node = h("section", { class: "next", "aria-label": t("Next step") }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
   let [shown, drawn, refusal] = ["", "", NONE];
   let fresh = 0;
   let button = null;
@@ -28,7 +29,7 @@ export function next(link, cards) {
 
   function draw(nextStep) {
     const { act, go } = nextStep;
-    const label = act?.label ?? (go ? "Show" : "");
+    const label = act?.label ?? (go ? t("Show") : "");
     if (label !== drawn) {
       button = label ? h("button", { type: "button", class: act ? "primary" : "", onclick: () => press() }, label) : null;
       replace(place, button);
@@ -54,9 +55,9 @@ export function next(link, cards) {
     const kind = refusal.whole ? "bad" : nextStep.kind;
     node.className = `next ${kind}`;
     replace(look, shape(kind || "wait"));
-    const brief = refusal.whole.length > SHORT ? refusal.brief || "Not carried out." : refusal.whole;
+    const brief = refusal.whole.length > SHORT ? refusal.brief || t("Not carried out.") : refusal.whole;
     write(trouble, brief || nextStep.trouble?.wrong || "");
-    const words = nextStep.whole ? nextStep.words : `Next: ${nextStep.words}`;
+    const words = nextStep.whole ? nextStep.words : t`Next: ${nextStep.words}`;
     write(step, words);
     const all = brief === refusal.whole ? (nextStep.trouble?.more ?? "") : refusal.whole;
     write(more, all);

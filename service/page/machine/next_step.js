@@ -3,17 +3,18 @@
  * what is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
  */
 
+import { t } from "../lib/language.js";
 import { ball, capital, percent } from "../lib/words.js";
 import { isAtHome, depthInBlock, isPlaced, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
 import { hasLiveRun } from "./words.js";
 
-const HOME = { label: "Home", what: "home", body: {} };
-const ZERO_XY = { label: "X and Y = 0 here", what: "zero", body: { axes: "XY" } };
-const ZERO_Z = { label: "Z = 0 here", what: "zero", body: { axes: "Z" } };
-const RESUME = "Resume when all is clear, or STOP.";
-const RAISE = "raise Z first.";
-const IN_DOUBT = "From this zero the program may not fit the travel: set the zero where it does.";
+const HOME = { label: t("Home"), what: "home", body: {} };
+const ZERO_XY = { label: t("X and Y = 0 here"), what: "zero", body: { axes: "XY" } };
+const ZERO_Z = { label: t("Z = 0 here"), what: "zero", body: { axes: "Z" } };
+const RESUME = t("Resume when all is clear, or STOP.");
+const RAISE = t("raise Z first.");
+const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
 const RAISE_MM_PER_MIN = 500;
 
 /**
@@ -24,7 +25,7 @@ const RAISE_MM_PER_MIN = 500;
 export function findNextStep(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
   const standsStill = trouble && !["home", "recover"].includes(trouble.step);
-  if (!link.machine && !trouble) return makeStep("wait", "Asking the server.", { whole: true });
+  if (!link.machine && !trouble) return makeStep("wait", t("Asking the server."), { whole: true });
   if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
   if (!link.mine) return { ...findControlStep(link), trouble };
@@ -36,28 +37,28 @@ function makeStep(step, words, more = {}) {
 }
 
 function findRunningStep({ machine: { mill, run }, mine }) {
-  const resume = mine ? RESUME : "take control, then Resume; or STOP.";
+  const resume = mine ? RESUME : t("take control, then Resume; or STOP.");
   if (mill.state === "held") return makeStep("resume", resume, { kind: "warn" });
-  const cut = `The program runs: ${percent(run.share)} is cut.`;
+  const cut = t`The program runs: ${percent(run.share)} is cut.`;
   if (run.state === "running") return makeStep("run", cut, { kind: "busy", whole: true });
-  return makeStep("run", "wait until it stands.", { kind: "busy" });
+  return makeStep("run", t("wait until it stands."), { kind: "busy" });
 }
 
 function findControlStep({ machine: { control } }) {
-  if (control) return makeStep("other", `${control.operator} has control; you are watching.`, { kind: "off", whole: true });
-  return makeStep("control", "take control of the mill.");
+  if (control) return makeStep("other", t`${control.operator} has control; you are watching.`, { kind: "off", whole: true });
+  return makeStep("control", t("take control of the mill."));
 }
 
 function findStandingStep(link, trouble, load, ticked) {
   const { machine, run } = link;
   const { mill } = machine;
-  if (mill.state === "homing") return makeStep("wait", "wait until it is home.", { kind: "busy" });
+  if (mill.state === "homing") return makeStep("wait", t("wait until it is home."), { kind: "busy" });
   if (mill.state === "held") return makeStep("resume", RESUME, { kind: "warn" });
-  if (mill.state === "check") return makeStep("check", "end the check mode (line $C), then go on.", { kind: "warn" });
+  if (mill.state === "check") return makeStep("check", t("end the check mode (line $C), then go on."), { kind: "warn" });
   if (trouble?.step === "home") return makeStep("home", trouble.next, { kind: trouble.kind, act: HOME });
   const first = findRaiseStep(link, trouble) ?? findHomeStep(machine);
   if (first) return first;
-  if (trouble && mill.state === "jog") return makeStep("wait", "wait until it stands.", { kind: trouble.kind });
+  if (trouble && mill.state === "jog") return makeStep("wait", t("wait until it stands."), { kind: trouble.kind });
   if (trouble) return makeStep("recover", trouble.next, { kind: trouble.kind, go: "recover" });
   return findSetupStep(machine, run, load, ticked);
 }
@@ -70,11 +71,12 @@ function findRaiseStep({ machine, run }, trouble) {
   const rise = riseToSafe(machine);
   if (rise < 0.01) return null;
   const stopped = run && !run.open || trouble;
-  const above = `only ${machine.mill.work_mm[2].toFixed(1)} mm above the block`;
-  const where = depth ? `${depthWords(depth)} ${stopped ? "in the block" : "below the block's top"}` : above;
-  const act = { label: "Raise Z", what: "jog", body: { by_mm: [0, 0, rise], feed_mm_per_min: RAISE_MM_PER_MIN } };
+  const above = t`only ${machine.mill.work_mm[2].toFixed(1)} mm above the block`;
+  const deep = stopped ? t`${depthWords(depth)} in the block` : t`${depthWords(depth)} below the block's top`;
+  const where = depth ? deep : above;
+  const act = { label: t("Raise Z"), what: "jog", body: { by_mm: [0, 0, rise], feed_mm_per_min: RAISE_MM_PER_MIN } };
   const more = { kind: "warn", act, whole: true, bars: capital(RAISE) };
-  return makeStep("raise", `The tool stands ${where}: ${RAISE}`, more);
+  return makeStep("raise", t`The tool stands ${where}: ${RAISE}`, more);
 }
 
 function depthWords(mm) {
@@ -83,17 +85,17 @@ function depthWords(mm) {
 
 function findHomeStep({ mill, profile }) {
   if (mill.position_trusted || profile?.homing === false || !isPlaced(mill)) return null;
-  return makeStep("home", "home the mill, so that it knows where it is.", { act: HOME });
+  return makeStep("home", t("home the mill, so that it knows where it is."), { act: HOME });
 }
 
 /** The program comes first: it says which tool and which block the zero is for. */
 function findSetupStep(machine, run, load, ticked) {
   if (!run?.open) return findLoadStep(run, load);
-  if (run.state === "preparing") return makeStep("wait", "wait, the program is on its way to the mill.", { kind: "busy" });
-  if (run.state !== "parked") return makeStep("wait", "see what is said of the program.", { go: "program" });
+  if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
+  if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
   const doubt = run.travel_in_doubt && { words: IN_DOUBT, kind: "warn", whole: true };
-  if (ticked) return { ...makeStep("start", "start the program.", { go: "program" }), ...doubt };
-  return findZeroStep(machine, run.setup ?? {}) ?? { ...makeStep("tick", "look, tick the list, then start.", { go: "program" }), ...doubt };
+  if (ticked) return { ...makeStep("start", t("start the program."), { go: "program" }), ...doubt };
+  return findZeroStep(machine, run.setup ?? {}) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
 /** null where the zero holds, or where nobody can say: a link that tells no position. */
@@ -103,31 +105,31 @@ function findZeroStep(machine, setup) {
   const toolStays = setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
   const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has; this one is for another tool or block
   if (!ended && isZeroKnown(machine, "Z")) return null;
-  return findTopStep(machine, ended && setup.change ? `change to ${ball(setup.tool.radius_mm)}, then ` : "");
+  return findTopStep(machine, ended && setup.change ? t`change to ${ball(setup.tool.radius_mm)}, then ` : "");
 }
 
 function findCornerStep(machine, setup) {
   const margin = setup.stock?.margin_mm;
-  const mount = setup.tool?.radius_mm ? `clamp the block, put in ${ball(setup.tool.radius_mm)}; ` : "";
-  if (isAtHome(machine, "XY")) return makeStep("corner", `${mount}jog over the lens's front left corner.`, { go: "jog" });
-  const where = Number.isFinite(margin) ? ` (${margin} mm inside the block)` : "";
-  return makeStep("zero", `jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
+  const mount = setup.tool?.radius_mm ? t`clamp the block, put in ${ball(setup.tool.radius_mm)}; ` : "";
+  if (isAtHome(machine, "XY")) return makeStep("corner", t`${mount}jog over the lens's front left corner.`, { go: "jog" });
+  const where = Number.isFinite(margin) ? t` (${margin} mm inside the block)` : "";
+  return makeStep("zero", t`jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
 }
 
 function findTopStep(machine, before) {
-  if (isAtHome(machine, "Z")) return makeStep("top", `${before}lower the tool onto the block's top.`, { go: "jog" });
-  return makeStep("zero", `${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
+  if (isAtHome(machine, "Z")) return makeStep("top", t`${before}lower the tool onto the block's top.`, { go: "jog" });
+  return makeStep("zero", t`${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
 function findLoadStep(run, { ready, jobs, atWork }) {
   const none = ready && !jobs;
-  if (none && atWork) return makeStep("wait", "wait for the job at work, then load its program here. Clamp the block meanwhile.", { kind: "busy" });
-  if (none) return makeStep("make", "make a lens: its programs are loaded here.", { go: "load" });
+  if (none && atWork) return makeStep("wait", t("wait for the job at work, then load its program here. Clamp the block meanwhile."), { kind: "busy" });
+  if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   return makeStep("load", loadWords(run), { go: "load" });
 }
 
 function loadWords(run) {
-  if (run?.state !== "finished") return "load a program.";
-  if (run.next) return `load the next program, ${run.next.name}.`;
-  return "the lens is milled: take it out, or load another program.";
+  if (run?.state !== "finished") return t("load a program.");
+  if (run.next) return t`load the next program, ${run.next.name}.`;
+  return t("the lens is milled: take it out, or load another program.");
 }

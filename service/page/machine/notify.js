@@ -5,6 +5,7 @@
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { isLive, mills } from "./mills.js";
 import { addressOf, needsHand, standingInShop } from "./words.js";
 
@@ -22,7 +23,7 @@ export function notifySwitch() {
     show(on && !granted);
   }
   function show(blocked = false) {
-    write(button, blocked ? "Blocked by the browser" : "Notify me");
+    write(button, blocked ? t("Blocked by the browser") : t("Notify me"));
     button.setAttribute("aria-pressed", String(mills.inBackground));
   }
   show();
@@ -35,7 +36,7 @@ export function watchForNotifications() {
   mills.watch(() => api.away || mills.seen.machines.forEach(compare));
   api.onAway((away) => {
     const cutting = mills.seen.machines.find(isLive);
-    if (away && cutting && isWanted()) tell(cutting.name, "The server does not answer. Look at the mill.");
+    if (away && cutting && isWanted()) tell(cutting.name, t("The server does not answer. Look at the mill."));
   });
 }
 
@@ -58,7 +59,7 @@ async function endWords(name) {
   const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(name)}&limit=1`, { quiet: true }).catch(() => ({ runs: [] }));
   const [run] = runs;
   if (run?.state !== "finished") return "";
-  return [`${run.program.name} is done.`, run.next && `Next: ${run.next.name}.`].filter(Boolean).join(" ");
+  return [t`${run.program.name} is done.`, run.next && t`Next: ${run.next.name}.`].filter(Boolean).join(" ");
 }
 
 function tell(name, words) {

@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { locale, t } from "../lib/language.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { logWords } from "./words.js";
 
@@ -9,9 +10,9 @@ const PAGE = 25;
 
 export function ordersGiven(link) {
   const words = refusalLine();
-  const rows = h("ol", { class: "given", tabIndex: 0, "aria-label": "Orders and stops" });
-  const older = h("button", { type: "button", onclick: () => words.run(() => add(next)) }, "Show older ones");
-  const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, "Orders")), rows, older, words.node);
+  const rows = h("ol", { class: "given", tabIndex: 0, "aria-label": t("Orders and stops") });
+  const older = h("button", { type: "button", onclick: () => words.run(() => add(next)) }, t("Show older ones"));
+  const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, t("Orders"))), rows, older, words.node);
   const node = h("section", { class: "card orders", "aria-labelledby": "given-title" }, fold);
   let next = null;
   let seen = ""; // of the log, when they were asked for last
@@ -29,7 +30,7 @@ export function ordersGiven(link) {
     const found = await api.get(`${link.path}/orders?limit=${PAGE}${before ? `&before=${before}` : ""}`);
     const made = found.orders.map(row);
     if (before) rows.append(...made);
-    else replace(rows, made.length ? made : h("li", { class: "dim" }, "Nobody has told this mill anything yet."));
+    else replace(rows, made.length ? made : h("li", { class: "dim" }, t("Nobody has told this mill anything yet.")));
     next = found.next;
     older.hidden = !next;
   }
@@ -45,8 +46,8 @@ export function ordersGiven(link) {
 
 function row(entry) {
   const when = new Date(entry.at_s * 1000);
-  const clock = `${when.toLocaleDateString([], { day: "numeric", month: "short" })} ${when.toLocaleTimeString([], { hour12: false })}`;
-  const who = [entry.by, entry.from && `from ${entry.from}`].filter(Boolean).join(" ");
+  const clock = `${when.toLocaleDateString(locale, { day: "numeric", month: "short" })} ${when.toLocaleTimeString(locale, { hour12: false })}`;
+  const who = [entry.by, entry.from && t`from ${entry.from}`].filter(Boolean).join(" ");
   const bad = entry.kind === "fault" || entry.code === "order_refused";
   return h("li", { class: bad ? "refused" : "" }, h("time", { dateTime: when.toISOString() }, clock), " ", h("span", { class: "dim" }, who), h("span", {}, logWords(entry)));
 }

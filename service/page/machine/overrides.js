@@ -1,21 +1,22 @@
 /** Faster or slower than the program says, while it runs. */
 
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
 
 const STATES = ["idle", "run", "holding", "held", "jog", "door", "check", "alarm", "tool"];
 const ROWS = [
-  ["feed", "Feed", 0, { step: 10, low: 10, high: 200 }],
-  ["spindle", "Spindle", 2, { step: 10, low: 10, high: 200 }],
-  ["rapid", "Rapids", 1, { choices: [25, 50, 100] }],
+  ["feed", t("Feed"), 0, { step: 10, low: 10, high: 200 }],
+  ["spindle", t("Spindle"), 2, { step: 10, low: 10, high: 200 }],
+  ["rapid", t("Rapids"), 1, { choices: [25, 50, 100] }],
 ];
 
 export function overrides(link) {
   const words = refusalLine();
   const set = (what, percent) => words.run(() => link.order("override", { what, percent }));
   const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
-  const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, "Overrides, %"), rows.map((one) => one.node), words.node);
+  const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, t("Overrides, %")), rows.map((one) => one.node), words.node);
   return {
     node,
     update() {
@@ -28,10 +29,10 @@ export function overrides(link) {
 function row(what, label, range, set, now) {
   const value = h("output", {});
   const buttons = range.choices
-    ? range.choices.map((percent) => h("button", { type: "button", "aria-label": `${label} ${percent} percent`, onclick: () => set(what, percent) }, `${percent}`))
+    ? range.choices.map((percent) => h("button", { type: "button", "aria-label": t`${label} ${percent} percent`, onclick: () => set(what, percent) }, `${percent}`))
     : [-1, 0, 1].map((sign) => {
         const to = () => (sign ? Math.min(range.high, Math.max(range.low, now() + sign * range.step)) : 100);
-        const name = sign ? `${label} ${sign < 0 ? "slower" : "faster"}` : `${label} 100 percent`;
+        const name = { [-1]: t`${label} slower`, 0: t`${label} 100 percent`, 1: t`${label} faster` }[sign];
         return h("button", { type: "button", "aria-label": name, onclick: () => set(what, to()) }, sign ? `${sign < 0 ? "−" : "+"}${range.step}` : "100");
       });
   const node = h("div", { class: "override" }, h("span", {}, label), value, h("div", { class: "row" }, buttons));

@@ -5,6 +5,7 @@
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { surfaceOf } from "../job/drawing_file.js";
 import { passesOf } from "../job/figures.js";
 import { heightPicture } from "../job/height_map.js";
@@ -18,9 +19,9 @@ const [LEAST_PX, MOST_PX] = [320, 420]; // high
 const AROUND_PX = 570; // of the page's height: bars, head and words of the card, so that all of the part is in sight
 
 export function part(link) {
-  const canvas = h("canvas", { role: "img", "aria-label": "The part from above" });
+  const canvas = h("canvas", { role: "img", "aria-label": t("The part from above") });
   const where = h("p", { class: "dim" });
-  const node = h("section", { class: "card part", "aria-labelledby": "part-title" }, h("h2", { id: "part-title" }, "On the part"), canvas, where);
+  const node = h("section", { class: "card part", "aria-labelledby": "part-title" }, h("h2", { id: "part-title" }, t("On the part")), canvas, where);
   const sketch = new PathSketch();
   let scene = null;
   let shown = "";
@@ -61,7 +62,7 @@ export function part(link) {
       if (node.hidden) return;
       if (run.id !== shown) prepare(run);
       const [x, y, z] = machine?.mill?.work_mm ?? [];
-      write(where, Number.isFinite(x) ? `Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : "Where the tool is, is not known.");
+      write(where, Number.isFinite(x) ? t`Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : t("Where the tool is, is not known."));
       draw();
     },
     close() {

@@ -1,6 +1,7 @@
 /** Where the tool is, in numbers one reads from two metres away; while a program runs, how feed and buffer went. */
 
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { sparkline } from "./sparkline.js";
 import { coordinate, hasLiveRun } from "./words.js";
 
@@ -11,15 +12,15 @@ export function readout(link) {
   const own = AXES.map(() => h("td", { class: "own" }));
   const head = (words) => h("th", { scope: "row" }, words);
   const trust = h("p", { class: "trust" });
-  const pace = { feed: item("Feed", 0), buffer: item("Buffer", 1), spindle: item("Spindle") };
+  const pace = { feed: item(t("Feed"), 0), buffer: item(t("Buffer"), 1), spindle: item(t("Spindle")) };
   const node = h(
     "section",
-    { class: "card readout", "aria-label": "Position" },
+    { class: "card readout", "aria-label": t("Position") },
     h(
       "table",
       {},
       h("thead", {}, h("tr", {}, h("td", {}, "mm"), AXES.map((axis) => h("th", { scope: "col" }, axis)))),
-      h("tbody", {}, h("tr", {}, head("Work"), work), h("tr", {}, head("Machine"), own)),
+      h("tbody", {}, h("tr", {}, head(t("Work")), work), h("tr", {}, head(t("Machine")), own)),
     ),
     h("div", { class: "beside-place" }, h("dl", { class: "pace" }, Object.values(pace).map((one) => one.node)), trust),
   );
@@ -42,7 +43,7 @@ export function readout(link) {
       pace.buffer.node.hidden = !live || !Number.isFinite(buffer);
       if (link.machine !== seen) for (const [one, value] of [[pace.feed, feed], [pace.buffer, buffer]]) one.plot(live && known ? value : null);
       seen = link.machine;
-      write(trust, !mill ? "" : !known ? "Last known. Look at the mill." : mill.position_trusted ? "" : "Where the mill stands is not sure.");
+      write(trust, !mill ? "" : !known ? t("Last known. Look at the mill.") : mill.position_trusted ? "" : t("Where the mill stands is not sure."));
     },
   };
 }
@@ -60,7 +61,7 @@ function item(name, most) {
 
 function spindleWords(mill) {
   if (!mill || mill.spindle_on === null || mill.spindle_on === undefined) {
-    return mill?.spindle_rpm ? `${Math.round(mill.spindle_rpm)} rpm` : "–";
+    return mill?.spindle_rpm ? t`${Math.round(mill.spindle_rpm)} rpm` : "–";
   }
-  return mill.spindle_on ? `on, ${Math.round(mill.spindle_rpm ?? 0)} rpm` : "off";
+  return mill.spindle_on ? t`on, ${Math.round(mill.spindle_rpm ?? 0)} rpm` : t("off");
 }

@@ -5,8 +5,9 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
-import { count, sentence, thousands } from "../lib/words.js";
+import { sentence, thousands } from "../lib/words.js";
 import { guardedButton } from "./ask.js";
 import { checklist } from "./checklist.js";
 import { enable, refusalLine } from "./refusal_line.js";
@@ -18,7 +19,7 @@ const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 export function recover(link) {
   const words = refusalLine();
   const steps = h("ol", { class: "wizard" });
-  const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, "Go on with this program"), steps, words.node);
+  const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, t("Go on with this program")), steps, words.node);
   let seen = "";
   let shown = "";
   let list = null;
@@ -55,13 +56,13 @@ export function recover(link) {
     if (now === shown) return; // the same plan leaves the ticks as they are
     shown = now;
     plan = found;
-    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.run(() => goOn(given)) }) : null;
+    list = plan.ready ? checklist(run, { label: t`Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.run(() => goOn(given)) }) : null;
     replace(
       steps,
-      step("What happened", true, h("p", {}, tell(run).whole || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
+      step(t("What happened"), true, h("p", {}, tell(run).whole || t("The program was stopped.")), h("p", {}, t`Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
       (first = h("li", {})),
-      step("What will happen", false, whatHappens(plan)),
-      step("Your word", false, list?.node ?? [h("p", { class: "dim" }, "When everything above is done."), words.node]),
+      step(t("What will happen"), false, whatHappens(plan)),
+      step(t("Your word"), false, list?.node ?? [h("p", { class: "dim" }, t("When everything above is done.")), words.node]),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
     showFirst();
@@ -69,8 +70,8 @@ export function recover(link) {
 
   /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
   function showFirst() {
-    const again = h("button", { type: "button", onclick: ask }, "Look again");
-    const now = step("First", plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
+    const again = h("button", { type: "button", onclick: ask }, t("Look again"));
+    const now = step(t("First"), plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
     first.replaceWith(now);
     first = now;
   }
@@ -111,7 +112,7 @@ export function recover(link) {
 }
 
 function step(title, done, ...content) {
-  return h("li", { class: done ? "done" : "" }, h("h3", {}, title, " ", done && mark("good", "done")), content);
+  return h("li", { class: done ? "done" : "" }, h("h3", {}, title, " ", done && mark("good", t("done"))), content);
 }
 
 /** What must be done before it can go on, each with the button that does it, where there is one. */
@@ -119,19 +120,19 @@ function needs(link, plan, { raise, words }) {
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words)]);
   const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
   const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Boolean(other) - Boolean(one));
-  if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is sure, its work zero is the same.");
+  if (!rows.length) return h("p", {}, t("Nothing: the mill stands, its position is sure, its work zero is the same."));
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }
 
 function remedy(link, code, words) {
   const order = (what, body) => words.run(() => link.order(what, body));
-  const home = () => link.machine.profile?.homing !== false && h("button", { type: "button", onclick: () => order("home") }, "Home");
-  if (code === "unlock") return h("div", { class: "row" }, home(), guardedButton("Unlock", { words: "Is the tool free?", yes: "Unlock it", act: () => order("unlock") }).node);
-  if (code === "stand still") return h("div", { class: "row" }, guardedButton("Reset", { words: "The controller forgets what it still holds. From standstill it keeps its position.", yes: "Reset it", act: () => order("reset") }).node);
+  const home = () => link.machine.profile?.homing !== false && h("button", { type: "button", onclick: () => order("home") }, t("Home"));
+  if (code === "unlock") return h("div", { class: "row" }, home(), guardedButton(t("Unlock"), { words: t("Is the tool free?"), yes: t("Unlock it"), act: () => order("unlock") }).node);
+  if (code === "stand still") return h("div", { class: "row" }, guardedButton(t("Reset"), { words: t("The controller forgets what it still holds. From standstill it keeps its position."), yes: t("Reset it"), act: () => order("reset") }).node);
   if (code !== "position") return null;
-  const trust = guardedButton("The position is right", {
-    words: () => `The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} mm in work coordinates. Have you measured that it is so?`,
-    yes: "Yes, I have measured it",
+  const trust = guardedButton(t("The position is right"), {
+    words: () => t`The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} mm in work coordinates. Have you measured that it is so?`,
+    yes: t("Yes, I have measured it"),
     act: () => order("trust-position"),
   });
   return h("div", { class: "row" }, home(), trust.node);
@@ -141,24 +142,29 @@ function remedy(link, code, words) {
 function zeroRow(link, plan, words) {
   const needed = plan.needs.find((need) => need.code === "zero");
   const back = () => words.run(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
-  if (plan.zero_back) return [["The work zero is not where the program was cut.", h("button", { type: "button", onclick: back }, "Put the zero back")]];
+  if (plan.zero_back) return [[t("The work zero is not where the program was cut."), h("button", { type: "button", onclick: back }, t("Put the zero back"))]];
   return needed ? [[tell(needed).whole, null]] : [];
 }
 
 function whatHappens(plan) {
   const place = plan.position_mm && plan.position_mm.map((value, k) => `${"XYZ"[k]} ${coordinate(value)}`).join(", ");
-  const way = place ? `The tool rises, travels above the stock, the spindle starts, and the tool goes down slowly at ${place} mm.` : "The program starts from its top.";
-  const again = plan.recut_lines ? `${count(plan.recut_lines, "line")} before the break ${plan.recut_lines === 1 ? "is" : "are"} cut again, so that no mark is left.` : "";
+  const way = place ? t`The tool rises, travels above the stock, the spindle starts, and the tool goes down slowly at ${place} mm.` : t("The program starts from its top.");
+  const again = plan.recut_lines ? againWords(plan.recut_lines) : "";
   return [
     h("p", {}, `${way} ${again}`),
-    plan.differences.length > 0 && h("p", {}, "What the controller holds is not what it was then:"),
+    plan.differences.length > 0 && h("p", {}, t("What the controller holds is not what it was then:")),
     plan.differences.length > 0 && h("ul", {}, plan.differences.map((text) => h("li", {}, text.replaceAll(/-(?=\d)/g, "−")))),
-    h("details", {}, h("summary", {}, "Everything the plan says"), h("ul", {}, plan.words.map((text) => h("li", {}, text))), h("pre", { tabIndex: 0 }, plan.blocks.join("\n"))),
+    h("details", {}, h("summary", {}, t("Everything the plan says")), h("ul", {}, plan.words.map((text) => h("li", {}, text))), h("pre", { tabIndex: 0 }, plan.blocks.join("\n"))),
   ];
 }
 
+function againWords(lines) {
+  if (lines === 1) return t`${lines} line before the break is cut again, so that no mark is left.`;
+  return t`${lines} lines before the break are cut again, so that no mark is left.`;
+}
+
 function giveUp(link, run, words) {
-  if (!run.open) return h("p", { class: "dim" }, "Or load another program: this one can still be gone on with later, as long as the block stays clamped.");
+  if (!run.open) return h("p", { class: "dim" }, t("Or load another program: this one can still be gone on with later, as long as the block stays clamped."));
   const act = () => words.run(() => link.abandonRun());
-  return guardedButton("Give it up", { words: "The mill is free for another program. What was cut stays known.", yes: "Give it up", act }).node;
+  return guardedButton(t("Give it up"), { words: t("The mill is free for another program. What was cut stays known."), yes: t("Give it up"), act }).node;
 }

@@ -1,6 +1,7 @@
 /** A line under a group of controls that says what the last order was refused for. */
 
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { refusalOf } from "./words.js";
 
 export function refusalLine() {
@@ -16,7 +17,7 @@ export function refusalLine() {
         return true;
       } catch (error) {
         const { brief, whole, parts = [] } = refusalOf(error);
-        if (parts.length) replace(node, brief, h("details", {}, h("summary", {}, "Where"), h("ul", {}, parts.map((part) => h("li", {}, part)))));
+        if (parts.length) replace(node, brief, h("details", {}, h("summary", {}, t("Where")), h("ul", {}, parts.map((part) => h("li", {}, part)))));
         else write(node, whole);
         node.classList.add("bad");
         node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding

@@ -1,8 +1,9 @@
 /** The program that is on the mill: waiting for its start, under way, or over. */
 
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
-import { ball, count, hours, percent, sentence, thousands } from "../lib/words.js";
+import { ball, hours, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
@@ -33,8 +34,8 @@ export function runCard(link) {
 
   const fill = (run) => {
     const parked = run.state === "parked";
-    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
-    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
+    list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
+    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
   };
   return {
     node,
@@ -48,14 +49,14 @@ export function runCard(link) {
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words}`;
       if (now !== shown) fill(run);
       shown = now;
-      const [kind, word] = link.away ? ["off", `last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
+      const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
-      write(title, `${run.program.name}${run.setup?.tool ? `, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
+      write(title, `${run.program.name}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
       const rests = link.machine?.mill?.setup;
-      if (idle && !stands) list?.clear("The mill has moved since: look again.");
-      else if (rests !== setup) list?.clear("Zero or position have changed since: look again.");
+      if (idle && !stands) list?.clear(t("The mill has moved since: look again."));
+      else if (rests !== setup) list?.clear(t("Zero or position have changed since: look again."));
       [idle, setup] = [stands, rests];
       list?.update(whyNot(link) || nextStep.bars, ["tick", "start"].includes(nextStep.step));
     },
@@ -64,7 +65,7 @@ export function runCard(link) {
 
 function meter() {
   const share = h("strong", {});
-  const bar = h("progress", { max: 1, "aria-label": "Cut so far" });
+  const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const line = h("span", {});
   const left = h("span", {});
   const node = h("div", { class: "meter" }, h("div", { class: "row spread" }, share, left), bar, h("div", { class: "row spread" }, line, notifySwitch()));
@@ -74,9 +75,9 @@ function meter() {
       node.hidden = run.state === "preparing" || run.state === "refused";
       write(share, percent(run.share));
       bar.value = run.share;
-      write(line, run.lines ? `line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
+      write(line, run.lines ? t`line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
       const over = !Number.isFinite(run.time_left_s) || run.state === "finished" || run.state === "aborted";
-      write(left, over ? "" : `${hours(run.time_left_s)} left${simulated ? ", simulated" : ""}`);
+      write(left, over ? "" : t`${hours(run.time_left_s)} left${simulated ? t(", simulated") : ""}`);
     },
   };
 }
@@ -90,8 +91,8 @@ function notes(run) {
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
 function warningsNode({ warnings = [], travel_in_doubt: travel }) {
-  if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), "No warnings");
-  const words = travel ? "It may not fit the travel" : count(warnings.length, "warning");
+  if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
+  const words = travel ? t("It may not fit the travel") : warnings.length === 1 ? t`${warnings.length} warning` : t`${warnings.length} warnings`;
   return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
 }
 
@@ -99,13 +100,13 @@ function warningsNode({ warnings = [], travel_in_doubt: travel }) {
 function aboutSpindle(run, profile) {
   const words = profile?.spindle?.words ?? [];
   if (!run.open || !words.length) return null;
-  return h("details", { class: "warned" }, h("summary", {}, "The spindle in a hold, and without the computer"), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
+  return h("details", { class: "warned" }, h("summary", {}, t("The spindle in a hold, and without the computer")), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
 }
 
 function startControls(link, list, words) {
-  const back = guardedButton("Take it off the mill", {
-    words: "The program leaves the mill; nothing has been cut by it.",
-    yes: "Take it off",
+  const back = guardedButton(t("Take it off the mill"), {
+    words: t("The program leaves the mill; nothing has been cut by it."),
+    yes: t("Take it off"),
     act: () => words.run(() => link.abandonRun()),
   });
   return [list.node, back.node];

@@ -1,6 +1,7 @@
 /** Before a program: home, the work zero by hand or by probe, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { guardedButton } from "./ask.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
@@ -10,27 +11,27 @@ const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 export function setup(link) {
   const words = refusalLine();
   const order = (what, body) => words.run(() => link.order(what, body));
-  const home = h("button", { type: "button", onclick: () => order("home") }, "Home");
-  const unlock = guardedButton("Unlock", {
-    words: "Unlocking does not tell the mill where it is. Is the tool free, and is the position shown right? If not, home the mill instead.",
-    yes: "Unlock it",
+  const home = h("button", { type: "button", onclick: () => order("home") }, t("Home"));
+  const unlock = guardedButton(t("Unlock"), {
+    words: t("Unlocking does not tell the mill where it is. Is the tool free, and is the position shown right? If not, home the mill instead."),
+    yes: t("Unlock it"),
     act: () => order("unlock"),
   });
-  const reset = guardedButton("Reset", {
-    words: "A reset ends whatever the mill still holds. From standstill it keeps its position.",
-    yes: "Reset it",
+  const reset = guardedButton(t("Reset"), {
+    words: t("A reset ends whatever the mill still holds. From standstill it keeps its position."),
+    yes: t("Reset it"),
     act: () => order("reset"),
   });
-  const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, `${[...axes].join(" and ")} = 0 here`));
+  const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, axes === "XY" ? t("X and Y = 0 here") : t`${axes} = 0 here`));
   const probe = probePart(order);
   const hint = h("p", { class: "dim" });
   const node = h(
     "section",
     { class: "card setup", "aria-labelledby": "setup-title" },
-    h("h2", { id: "setup-title" }, "Zero and home"),
+    h("h2", { id: "setup-title" }, t("Zero and home")),
     h("div", { class: "row" }, home, unlock.node, reset.node),
     hint,
-    h("h3", {}, "Work zero"),
+    h("h3", {}, t("Work zero")),
     h("div", { class: "row zeros" }, zeros),
     probe.node,
     words.node,
@@ -41,7 +42,7 @@ export function setup(link) {
       const idle = whyNot(link);
       const locked = whyNot(link, ["idle", "alarm"]);
       const homing = link.machine?.profile?.homing;
-      write(hint, homing === false ? "This mill has no homing switches: jog to the corner of the block and set the zero there." : "");
+      write(hint, homing === false ? t("This mill has no homing switches: jog to the corner of the block and set the zero there.") : "");
       enable([home], locked === "" && homing !== false && !link.busy);
       enable([unlock.button], locked === "" && !link.busy);
       enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);
@@ -58,16 +59,16 @@ function probePart(order) {
   const depth = number(10, { min: 0.1, max: 200, step: "any" });
   const feed = number(50, { min: 1, max: 1000, step: 1 });
   const start = () => order("probe", { plate_mm: plate.valueAsNumber, depth_mm: depth.valueAsNumber, feed_mm_per_min: feed.valueAsNumber, retract_mm: 2 });
-  const ask = guardedButton("Probe Z", {
-    words: () => `The tool goes down by up to ${depth.value} mm until it touches. Is the plate under it, and the clip on the tool?`,
-    yes: "Probe",
+  const ask = guardedButton(t("Probe Z"), {
+    words: () => t`The tool goes down by up to ${depth.value} mm until it touches. Is the plate under it, and the clip on the tool?`,
+    yes: t("Probe"),
     act: start,
   });
   const node = h(
     "details",
     { class: "probe" },
-    h("summary", {}, "Probe Z with a plate"),
-    h("div", { class: "probe-form" }, field("Plate thickness", plate, "mm"), field("Down at most", depth, "mm"), field("Feed", feed, "mm/min"), ask.node),
+    h("summary", {}, t("Probe Z with a plate")),
+    h("div", { class: "probe-form" }, field(t("Plate thickness"), plate, "mm"), field(t("Down at most"), depth, "mm"), field(t("Feed"), feed, "mm/min"), ask.node),
   );
   return { node, button: ask.button, close: ask.close };
 }

@@ -1,6 +1,7 @@
 /** A small plot of how a figure went in the last minute. */
 
 import { h, svg } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 
 const SPAN_MS = 60_000;
 const [WIDE, HIGH] = [120, 28];
@@ -8,7 +9,7 @@ const [WIDE, HIGH] = [120, 28];
 /** {node, add(value)}; most: the top of the plot, 0: the most that was seen. null ends it: it is not shown then. */
 export function sparkline(name, most) {
   const line = svg("polyline", { points: "" });
-  const drawn = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", role: "img", "aria-label": `${name} in the last minute` }, line);
+  const drawn = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", role: "img", "aria-label": t`${name} in the last minute` }, line);
   const node = h("dd", { class: "spark", hidden: true }, drawn);
   let points = []; // {at, value}
   return {

@@ -1,12 +1,13 @@
 /** Stops of one mill: sent both ways there are, and what is said where one did not arrive. */
 
 import { api } from "../lib/api.js";
+import { t } from "../lib/language.js";
 import { refusal, stands } from "./words.js";
 
 const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
 const STOP_ANSWER_MS = 6000;
 const BEHIND_MS = 1000;
-const BUTTON = "Use the stop button on the mill itself.";
+const BUTTON = t("Use the stop button on the mill itself.");
 
 export class Stopper {
   /** socket: a StopSocket, which may be that of other mills, too. */
@@ -27,7 +28,7 @@ export class Stopper {
       this.words = "";
       return true;
     } catch ({ errors }) {
-      this.words = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
+      this.words = t`${what === "hold" ? t("HOLD") : t("STOP")} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
       this.run = machine?.run?.id ?? "";
       this.lost = away; // one of which nothing is heard says so once
       return false;

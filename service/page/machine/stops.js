@@ -8,6 +8,7 @@
  */
 
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { refusalLine } from "./refusal_line.js";
 import { hasLiveRun, isConnected, mayMove, whyNot } from "./words.js";
 
@@ -16,12 +17,12 @@ const WRITING = "input:not([type=checkbox], [type=radio], [type=button]), textar
 
 export function stops(link) {
   const words = refusalLine();
-  const hold = bigButton("hold", "HOLD", "Space", () => link.sendUrgent("hold"));
-  const stop = bigButton("stop", "STOP", "Escape", () => link.sendUrgent("abort"));
+  const hold = bigButton("hold", t("HOLD"), ["Space", t("Space")], () => link.sendUrgent("hold"));
+  const stop = bigButton("stop", t("STOP"), ["Escape", t("Escape")], () => link.sendUrgent("abort"));
   const goOn = () => words.run(() => resumeMill(link));
-  const resume = bigButton("primary", "Resume", "Shift+R", goOn);
+  const resume = bigButton("primary", t("Resume"), ["Shift+R", t("Shift+R")], goOn);
   const alarm = h("p", { class: "arrived", role: "alert" });
-  const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
+  const node = h("div", { class: "stops", role: "group", "aria-label": t("Stop the mill") }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
   const keys = (event) => onKey(event, link, { resume, goOn });
   addEventListener("keydown", keys, { capture: true });
   return {
@@ -39,12 +40,12 @@ export function stops(link) {
 
 /** Why HOLD and STOP may not reach the mill; "" where they do. */
 function outageWords({ away, machine }) {
-  if (away) return "The server does not answer. To stop, use the button on the mill itself.";
-  return machine && !isConnected(machine) ? "The mill does not hear this page. To stop, use the button on the mill itself." : "";
+  if (away) return t("The server does not answer. To stop, use the button on the mill itself.");
+  return machine && !isConnected(machine) ? t("The mill does not hear this page. To stop, use the button on the mill itself.") : "";
 }
 
-function bigButton(kind, label, key, act) {
-  return h("button", { type: "button", class: `big ${kind}`, "aria-keyshortcuts": key, onclick: act }, h("span", {}, label), h("kbd", {}, key));
+function bigButton(kind, label, [key, keyWords], act) {
+  return h("button", { type: "button", class: `big ${kind}`, "aria-keyshortcuts": key, onclick: act }, h("span", {}, label), h("kbd", {}, keyWords));
 }
 
 function resumeMill(link) {

@@ -1,6 +1,7 @@
 /** One machine: where it is, what it does, and everything one tells it. */
 
 import { h, replace, sheet, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { terminal } from "./console.js";
 import { controlBar } from "./control_bar.js";
@@ -113,14 +114,14 @@ function turning(screen) {
 function head(link) {
   const state = h("p", { class: "machine-state", role: "status" });
   const about = h("p", { class: "dim" });
-  const simulated = h("p", { class: "simulated", hidden: true }, mark("warn", "Simulated: no real mill moves"));
+  const simulated = h("p", { class: "simulated", hidden: true }, mark("warn", t("Simulated: no real mill moves")));
   let shown = "";
   return {
     node: h("div", {}, h("div", { class: "machine-title" }, h("h1", {}, link.name), state), h("div", { class: "machine-about" }, simulated, about)),
     update() {
       const { machine, away } = link;
-      const now = machine ? standing(machine) : { kind: "wait", word: "asking the server", words: "" };
-      const word = away ? { kind: "off", word: `last seen ${now.word}`, words: "" } : now;
+      const now = machine ? standing(machine) : { kind: "wait", word: t("asking the server"), words: "" };
+      const word = away ? { kind: "off", word: t`last seen ${now.word}`, words: "" } : now;
       if (`${word.kind} ${word.word}` !== shown) replace(state, mark(word.kind, word.word));
       shown = `${word.kind} ${word.word}`;
       simulated.hidden = !machine?.simulated;

@@ -1,5 +1,6 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
+import { t } from "../lib/language.js";
 import { ball, sentence } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 import { RUN_STATES, STATES, tell } from "./sentences.js";
@@ -19,7 +20,7 @@ export function logWords({ kind, words, code, values }) {
 export function outOfReach({ agent, remote }) {
   const why = tell(agent).whole;
   if (!UNANSWERED.has(agent.code)) return why;
-  return `${why} ${remote ? "Switch it on, or start causticmill mill on it." : "To connect it again, start the server again."}`;
+  return `${why} ${remote ? t("Switch it on, or start causticmill mill on it.") : t("To connect it again, start the server again.")}`;
 }
 
 /** {brief, whole}: what an order was refused for. */
@@ -39,10 +40,10 @@ export function millWords({ connected, code, alarm, detail, problem }) {
 
 /** How a machine stands: {kind, word, words}; words say more where there is more to say. */
 export function standing(machine) {
-  if (machine.problem) return { kind: "bad", word: "cannot be used", words: sentence(machine.problem) };
-  if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: outOfReach(machine) };
+  if (machine.problem) return { kind: "bad", word: t("cannot be used"), words: sentence(machine.problem) };
+  if (!machine.agent.reachable) return { kind: "bad", word: t("out of reach"), words: outOfReach(machine) };
   const { mill } = machine;
-  const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", "idle, tool in the block"] : doing(mill, machine.run);
+  const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", t("idle, tool in the block")] : doing(mill, machine.run);
   return { kind, word, words: millWords(mill).whole };
 }
 
@@ -58,7 +59,7 @@ export function addressOf(name) {
 export function standingInShop(machine) {
   const own = standing(machine);
   const { mill, run } = machine;
-  if (mill?.state === "alarm" && !mill.alarm && !run && !machine.problem) return { ...own, kind: "wait", word: "not homed yet" };
+  if (mill?.state === "alarm" && !mill.alarm && !run && !machine.problem) return { ...own, kind: "wait", word: t("not homed yet") };
   if (own.kind !== "good" || !machine.run || hasLiveRun(machine)) return own;
   const [kind, word] = RUN_STATES[machine.run.state] ?? ["off", machine.run.state];
   return { ...own, kind, word };
@@ -81,8 +82,8 @@ export function needsHand(machine) {
  */
 function doing(mill, run) {
   const own = STATES[mill.state] ?? ["off", mill.state];
-  if (!LIVE.has(run?.state)) return mill.state === "run" ? ["busy", "moving"] : own;
-  if (mill.state === "idle" && run.state === "running" && !run.executed_line) return ["busy", "starting"];
+  if (!LIVE.has(run?.state)) return mill.state === "run" ? ["busy", t("moving")] : own;
+  if (mill.state === "idle" && run.state === "running" && !run.executed_line) return ["busy", t("starting")];
   if (mill.state === "idle") return RUN_STATES[run.state];
   return mill.state === "run" && PASSING.has(run.state) ? RUN_STATES[run.state] : own;
 }
@@ -119,15 +120,15 @@ export function hasLiveRun(machine) {
  * states: in which the mill takes it; besideRun: it takes it while a program is on it, too.
  */
 export function whyNot({ machine, away, mine }, states = ["idle"], { besideRun = false } = {}) {
-  if (away) return "The server does not answer.";
-  if (!machine) return "Nothing is known of this mill yet.";
-  if (machine.problem || !machine.agent.reachable) return "The mill is out of reach.";
-  if (!machine.mill.connected) return "The mill is not connected.";
-  if (!mine) return machine.control ? `${machine.control.operator} has control.` : "Take control first.";
-  if (hasLiveRun(machine) && !besideRun) return "A program is on the mill.";
+  if (away) return t("The server does not answer.");
+  if (!machine) return t("Nothing is known of this mill yet.");
+  if (machine.problem || !machine.agent.reachable) return t("The mill is out of reach.");
+  if (!machine.mill.connected) return t("The mill is not connected.");
+  if (!mine) return machine.control ? t`${machine.control.operator} has control.` : t("Take control first.");
+  if (hasLiveRun(machine) && !besideRun) return t("A program is on the mill.");
   if (states.includes(machine.mill.state)) return "";
-  if (machine.mill.state === "alarm") return "The mill is locked: home it, or unlock it.";
-  return `The mill is ${STATES[machine.mill.state]?.[1] ?? machine.mill.state}.`;
+  if (machine.mill.state === "alarm") return t("The mill is locked: home it, or unlock it.");
+  return t`The mill is ${STATES[machine.mill.state]?.[1] ?? machine.mill.state}.`;
 }
 
 /** A position as on the readout of a control: fixed places, a true minus sign. */
@@ -142,17 +143,17 @@ export function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {
     case "tool":
-      return ["The tool is in and tight", [tool && `${tool.shape}, ${ball(tool.radius_mm)}`, change?.words].filter(Boolean).join("; ")];
+      return [t("The tool is in and tight"), [tool && `${t(tool.shape)}, ${ball(tool.radius_mm)}`, change?.words].filter(Boolean).join("; ")];
     case "zero":
-      return ["The work zero is set for this tool", zero ?? ""];
+      return [t("The work zero is set for this tool"), zero ?? ""];
     case "stock":
-      return ["The block is clamped", stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
+      return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
     case "clear":
-      return ["Nothing is in the way of the tool", "hands, clamps, wrenches, the probe's cable; goggles on"];
+      return [t("Nothing is in the way of the tool"), t("hands, clamps, wrenches, the probe's cable; goggles on")];
     case "position":
-      return ["The position shown is where the tool really is", "compare the readout with the block"];
+      return [t("The position shown is where the tool really is"), t("compare the readout with the block")];
     case "order":
-      return ["Passes may be left out", `not finished on this mill: ${run.left_out.map((one) => one.name).join(", ")}`];
+      return [t("Passes may be left out"), t`not finished on this mill: ${run.left_out.map((one) => one.name).join(", ")}`];
     default:
       return [check, ""];
   }

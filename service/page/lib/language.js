@@ -1,0 +1,37 @@
+/**
+ * The page's words in the language of who reads it. English stands in the sources, and is the key of the tables in
+ * languages/; a table is loaded before anything else, and only where it is needed. tests/page/test_languages.py holds them
+ * complete.
+ */
+
+/** What each language calls itself. */
+export const LANGUAGES = { en: "English", de: "Deutsch", ja: "日本語" };
+const KEPT = "causticmill-language";
+const LOAD_MS = 5000; // then in English: HOLD and STOP do not wait for words
+
+/** What a person has chosen here, or else the first language of the browser that the page knows. */
+export const language = [localStorage.getItem(KEPT), ...navigator.languages.map((one) => one.split("-")[0]), "en"].find((one) =>
+  Object.hasOwn(LANGUAGES, one ?? ""),
+);
+/** The same with the person's country, for dates and times. */
+export const locale = navigator.languages.find((one) => one.split("-")[0] === language) ?? language;
+const table = language === "en" ? {} : await load();
+document.documentElement.lang = table ? language : "en";
+
+async function load() {
+  const answer = await fetch(`/page/languages/${language}.json`, { signal: AbortSignal.timeout(LOAD_MS) }).catch(() => null);
+  return answer?.ok ? answer.json().catch(() => null) : null;
+}
+
+/** t("Save"), or t`${done} of ${total} lines`, whose key is "{0} of {1} lines"; what no table has stays as it is. */
+export function t(words, ...values) {
+  const key = typeof words === "string" ? words : words.reduce((before, part, k) => `${before}{${k - 1}}${part}`);
+  const found = table?.[key] ?? key;
+  return values.length ? found.replace(/\{(\d)\}/g, (_, k) => values[k]) : found;
+}
+
+/** From now on, in this browser. */
+export function choose(chosen) {
+  localStorage.setItem(KEPT, chosen);
+  location.reload();
+}

@@ -1,0 +1,210 @@
+"""The page in other languages: no sentence is missing, none is left over, and none is written past the tables."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.page.files import FOLDER
+from tests.levels import mostly_thorough
+from tests.page import canned_job, machine_states
+from tests.page.browser import open_blank
+from tests.page.conftest import Opened
+from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, Screen
+
+TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
+DONE = ("main.js", "lib", "machine")  # modules whose words are looked up
+STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
+PLACEHOLDER = re.compile(r"\{\d\}")
+QUICK = ("machines", "machine-idle", "machine-parked", "machine-interrupted", "watched-unplugged")
+
+
+def of_a_machine_watched(state: str) -> Screen:
+    def screen(opened: Opened) -> Page:
+        page = open_blank(opened, "machine")
+        machine_states.told(page, state)
+        page.evaluate(f"location.hash = '#/machines/{machine_states.NAME}'")
+        expect(page.locator(".trouble, .step").filter(has_text=".").first).to_be_visible()
+        return page
+
+    return screen
+
+
+SHOWN = {name: screen for name, screen in SCREENS.items() if name.startswith("machine")} | {
+    f"watched-{state}": of_a_machine_watched(state) for state in machine_states.STATES
+}
+
+# In place of the German table: its entries in English, each between two letters that nobody sees and that playwright
+# leaves out of what it compares; what stands in for a placeholder is outside of them.
+MARKED = """
+Object.defineProperty(navigator, "languages", { get: () => ["de-AT"] });
+const load = window.fetch;
+window.fetch = async (path, ...how) => {
+    const answer = await load(path, ...how);
+    if (!String(path).endsWith("languages/de.json")) return answer;
+    const mark = (key) => `\\u200b${key.replaceAll(/\\{\\d\\}/g, "\\u00ad$&\\u200b")}\\u00ad`;
+    return Response.json(Object.fromEntries(Object.keys(await answer.json()).map((key) => [key, mark(key)])));
+};
+"""
+UNMARKED = """() => {
+    const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    const found = [];
+    while (walk.nextNode()) {
+        const inside = walk.currentNode.parentElement.closest("code, pre, kbd, noscript, footer option");
+        if (!inside) found.push(walk.currentNode.data);
+    }
+    for (const name of ["title", "aria-label", "placeholder", "alt", "aria-valuetext"])
+        for (const one of document.querySelectorAll(`body [${name}]`)) found.push(one.getAttribute(name));
+    found.push(document.title);
+    const unmarked = found.map((text) => text.replaceAll(/\\u200b[^\\u00ad\\u200b]*\\u00ad/g, " "));
+    return unmarked.filter((text) => /[a-z]/i.test(text));
+}"""
+# What is the same in every language.
+SAME = re.compile(
+    r"causticmill|grbl|CSV|G-code|XXXX-XXXX-XXXX|G0 X0 Y0|\b[XYZR]\d*\b|\b[XY]0\b|[←→] [XY]|[↑↓] [XYZ]"
+    r"|\b(?:mm|µm|min|rpm|kB|MB|nm|s)\b"  # units
+    r"|[\w.-]*\.(?:nc|png|toml|zip|html|obj|stl|step)\b|\bpass-\d\b"  # files
+    r"|\b(?:Ada|Grace|anonymous|shop|simulated|portrait|logo|PMMA|connected)\b"  # names
+    r"|\b\d{1,2}\. \w{3}\w*|\b\w{3}\w*\.? \d{4}\b"  # dates, which the browser says in its own words
+)
+
+
+def keys_in(source: str) -> Iterator[str]:
+    """Every text that is looked up: of t("...") and, its values numbered, of t`...`."""
+    for start in STARTS.finditer(source):
+        yield json.loads(start[1]) if start[1] else _template(source, start.end())[0]
+
+
+def _template(source: str, at: int) -> tuple[str, int]:
+    """A template from behind its first backtick: its text, and where it ends."""
+    text, number = "", 0
+    while source[at] != "`":
+        if source.startswith("${", at):
+            at = _value_end(source, at + 2)
+            text, number = f"{text}{{{number}}}", number + 1
+        else:
+            at += source[at] == "\\"
+            text, at = text + source[at], at + 1
+    return text, at + 1
+
+
+def _value_end(source: str, at: int) -> int:
+    depth = 1
+    while depth:
+        if source[at] == "`":
+            at = _template(source, at + 1)[1]
+        elif quoted := re.compile(r""""(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*'""").match(source, at):
+            at = quoted.end()
+        else:
+            depth += {"{": 1, "}": -1}.get(source[at], 0)
+            at += 1
+    return at
+
+
+def keys_of_the_page() -> set[str]:
+    modules = [
+        path for path in FOLDER.rglob("*.js") if path.relative_to(FOLDER).parts[0] in DONE and path.stem != "language"
+    ]
+    frame = (FOLDER / "index.html").read_text("utf-8").partition("<noscript>")[0]
+    own = {text or label for text, label in re.findall(r'data-t>([^<]+)|aria-label="([^"]+)', frame)}
+    return own | {key for path in modules for key in keys_in(path.read_text("utf-8"))}
+
+
+def strings_in(told: Any) -> Iterator[str]:
+    """What a server says freely; its codes are told in words of the page."""
+    if isinstance(told, str) and not re.fullmatch(r"[a-z_-]*|.{1,3}", told):
+        yield told
+    elif isinstance(told, dict):
+        for value in told.values():
+            yield from strings_in(value)
+    elif isinstance(told, list | tuple):
+        for value in told:
+            yield from strings_in(value)
+
+
+SAID = sorted(
+    strings_in(
+        [
+            *(machine_states.MACHINE, machine_states.RUN, machine_states.PLAN, list(machine_states.STATES.values())),
+            *(canned_job.job(), FAULT, LONG_NAME, f"{LONG_NAME}: line 3: no value"),
+            [f"{state}-{LONG_NAME}" for state in machine_states.STATES],
+        ]
+    ),
+    key=len,
+    reverse=True,
+)
+
+
+def without_what_is_said(text: str) -> str:
+    """What is left of a text that no table has."""
+    for said in SAID:
+        text = re.sub(re.escape(said).replace(r"\-", "[-−]"), " ", text, flags=re.IGNORECASE)
+    return " ".join(SAME.sub(" ", text).split())
+
+
+def test_keys_are_read_out_of_sources() -> None:
+    source = 't("Save") at("no") t`${left} of ${a ? t("all") : `${b}}`} lines` x.t("no") t("a \\"b\\"")'
+    assert list(keys_in(source)) == ["Save", "{0} of {1} lines", "all", 'a "b"']
+
+
+@pytest.mark.parametrize("language", TABLES)
+def test_no_sentence_is_missing_and_none_left_over(language: str) -> None:
+    keys, table = keys_of_the_page(), TABLES[language]
+    assert len(keys) > 400
+    assert sorted(keys - set(table)) == []
+    assert sorted(set(table) - keys) == []
+
+
+@pytest.mark.parametrize("language", TABLES)
+def test_every_value_has_its_place_in_every_language(language: str) -> None:
+    wrong = [key for key, words in TABLES[language].items() if _places(words) != _places(key) or not words.strip()]
+    assert wrong == []
+
+
+def _places(text: str) -> list[str]:
+    return sorted(PLACEHOLDER.findall(text))
+
+
+@pytest.mark.parametrize("name", mostly_thorough(SHOWN, quick=QUICK))
+def test_nothing_is_written_past_the_tables(opened: Opened, name: str) -> None:
+    page = SHOWN[name](partial(opened, script=MARKED))
+    texts = page.evaluate(UNMARKED)
+    left = {rest for text in texts if re.search("[A-Za-z]", rest := without_what_is_said(text))}
+    assert left == set()
+
+
+def of_languages(*names: str) -> str:
+    """A browser that asks for these."""
+    return f"Object.defineProperty(navigator, 'languages', {{ get: () => {list(names)} }});"
+
+
+@pytest.mark.parametrize(("language", "jobs", "stop"), [("de", "Aufträge", "STOPP"), ("ja", "ジョブ", "停止")])
+def test_a_language_is_the_browsers_or_the_one_chosen(opened: Opened, language: str, jobs: str, stop: str) -> None:
+    page = opened(script=of_languages("fr", f"{language}-XX", "en"))
+    expect(page.get_by_role("link", name=jobs, exact=True)).to_be_visible()
+    assert page.evaluate("document.documentElement.lang") == language
+    page.evaluate("location.hash = '#/machines/shop'")
+    expect(page.locator(".stops .stop span")).to_have_text(stop)
+    page.evaluate("location.hash = '#/'")
+    page.locator("footer select").select_option("en")
+    expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
+    assert page.evaluate("document.documentElement.lang") == "en"
+    page.evaluate("localStorage.clear()")
+
+
+def test_english_loads_no_table(page: Page) -> None:
+    expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
+    assert "/languages/" not in page.evaluate("performance.getEntriesByType('resource').map((one) => one.name).join()")
+
+
+def test_without_its_table_the_page_is_english(opened: Opened) -> None:
+    nowhere = "const load = fetch; window.fetch = (path, ...how) => load(/languages/.test(path) ? '/-' : path, ...how);"
+    page = opened(script=of_languages("de") + nowhere, errors=("status of 404",))
+    expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
+    assert page.evaluate("document.documentElement.lang") == "en"
