@@ -2,6 +2,7 @@
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { open } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { ago, jobName } from "../lib/words.js";
 
 /** Resolves with the id of the job that was taken, or null. */
@@ -15,6 +16,6 @@ export async function openJobs(job) {
   const body = (close) =>
     others.length
       ? h("ul", { class: "choose-jobs" }, others.map((other) => choice(other, close)))
-      : h("p", {}, "There is no other finished job yet.");
-  return open({ title: `Compare ${jobName(job)} with`, body, actions: [{ words: "Cancel", value: null }] });
+      : h("p", {}, t("There is no other finished job yet."));
+  return open({ title: t`Compare ${jobName(job)} with`, body, actions: [{ words: t("Cancel"), value: null }] });
 }

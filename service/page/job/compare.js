@@ -2,6 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
@@ -13,14 +14,14 @@ export default async function view(root, params, app) {
   const ids = [params.id, params.id2];
   const [sides] = await Promise.all([Promise.all(ids.map(load)), sheet("/page/job/job.css")]);
   const shelf = pictureShelf(), names = tellApart(sides.map(({ job }) => jobName(job)));
-  app.title(`${names[0]} and ${names[1]}`);
+  app.title(t`${names[0]} and ${names[1]}`);
   const links = ids.map((id, k) => h("a", { class: "button", href: `#/jobs/${id}` }, names[k]));
-  const turn = h("a", { class: "button quiet", href: `#/compare/${ids[1]}/${ids[0]}` }, "Change sides");
+  const turn = h("a", { class: "button quiet", href: `#/compare/${ids[1]}/${ids[0]}` }, t("Change sides"));
   replace(
     root,
     h(
       "div", { class: "job-view" },
-      h("header", { class: "job-head" }, h("h1", {}, "Compare"), h("p", { class: "row" }, links, turn)),
+      h("header", { class: "job-head" }, h("h1", {}, t("Compare")), h("p", { class: "row" }, links, turn)),
       h("div", { class: "job-columns" }, pictures(sides, names, shelf), figures(sides, names)),
       settings(sides, names),
     ),
@@ -35,25 +36,25 @@ async function load(id) {
 }
 
 function tellApart([a, b]) {
-  return a === b ? [`${a} (first)`, `${b} (second)`] : [a, b];
+  return a === b ? [t`${a} (first)`, t`${b} (second)`] : [a, b];
 }
 
 function pictures(sides, names, shelf) {
   const both = wipe();
   const kinds = ON_THE_WALL.filter(({ name }) => sides.every(({ artifacts }) => artifacts.has(name))).reverse();
-  const title = h("h2", { id: "compare-pictures" }, "Pictures");
+  const title = h("h2", { id: "compare-pictures" }, t("Pictures"));
   const part = (...inner) => h("section", { class: "card stack", "aria-labelledby": "compare-pictures" }, title, inner);
-  if (!kinds.length) return part(h("p", {}, "One of these jobs has no pictures yet."));
+  if (!kinds.length) return part(h("p", {}, t("One of these jobs has no pictures yet.")));
   const show = async (kind) => {
     try {
       const urls = await Promise.all(sides.map(({ artifacts }) => shelf.get(artifacts.get(kind.name))));
       both.show(...urls.map((url, k) => ({ words: names[k], url, alt: `${names[k]}, ${kind.title}: ${kind.note}` })));
     } catch (error) {
-      toast(`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
+      toast(t`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
     }
   };
   const choice = h(
-    "div", { class: "choice", role: "radiogroup", "aria-label": "Which picture" },
+    "div", { class: "choice", role: "radiogroup", "aria-label": t("Which picture") },
     kinds.map((kind, k) => {
       const input = h("input", { type: "radio", name: "kind", checked: k === 0, onchange: () => show(kind) });
       return h("label", {}, input, h("span", {}, kind.title));
@@ -65,14 +66,14 @@ function pictures(sides, names, shelf) {
 
 /** [what, how it is said, which is better: 1 more, -1 less, 0 neither, the value of a job] */
 const FIGURES = [
-  ["Time on the mill", hours, -1, ({ job }) => millSeconds(job.report)],
-  ["Smallest detail", mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
-  ["On the wall, as milled", eyeAndDb, 1, ({ job }) => job.report?.as_milled?.psnr_db],
-  ["Likeness of structure (SSIM)", (value) => `${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
-  ["On the wall, if polished", eyeAndDb, 1, ({ job }) => job.report?.optics?.psnr_db],
-  ["Depth of the lens", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
-  ["Steepest slope", (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
-  ["Lines of all programs", thousands, 0, ({ job }) => linesOf(job.report)],
+  [t("Time on the mill"), hours, -1, ({ job }) => millSeconds(job.report)],
+  [t("Smallest detail"), mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
+  [t("On the wall, as milled"), eyeAndDb, 1, ({ job }) => job.report?.as_milled?.psnr_db],
+  [t("Likeness of structure (SSIM)"), (value) => t`${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
+  [t("On the wall, if polished"), eyeAndDb, 1, ({ job }) => job.report?.optics?.psnr_db],
+  [t("Depth of the lens"), mm, 0, ({ job }) => job.report?.optics?.relief_mm],
+  [t("Steepest slope"), (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
+  [t("Lines of all programs"), thousands, 0, ({ job }) => linesOf(job.report)],
 ];
 
 function linesOf(report) {
@@ -84,7 +85,7 @@ function eyeAndDb(value) {
 }
 
 function figures(sides, names) {
-  const title = h("h2", { id: "compare-figures" }, "Figures"), rows = FIGURES.map((figure) => figureRow(figure, sides));
+  const title = h("h2", { id: "compare-figures" }, t("Figures")), rows = FIGURES.map((figure) => figureRow(figure, sides));
   return h("section", { class: "card", "aria-labelledby": "compare-figures" }, title, table(names, rows, { numbers: true }));
 }
 
@@ -101,7 +102,7 @@ function figureRow([what, say, better, value], sides) {
 }
 
 function winner(text) {
-  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, "better: "), ` ${text}`);
+  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, t("better: ")), ` ${text}`);
 }
 
 function settings(sides, names) {
@@ -111,8 +112,8 @@ function settings(sides, names) {
   const rows = differences(...sides.map(({ job }) => specOf(job))).map(([key, ...values]) =>
     h("tr", {}, h("th", { scope: "row" }, capital(settingWords(key, spec))), values.map(cell(key))),
   );
-  const title = h("h2", { id: "compare-settings" }, "Settings that differ");
-  const content = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");
+  const title = h("h2", { id: "compare-settings" }, t("Settings that differ"));
+  const content = rows.length ? table(names, rows) : h("p", {}, t("None: both were made with the same settings."));
   return h("section", { class: "card", "aria-labelledby": "compare-settings" }, title, content);
 }
 

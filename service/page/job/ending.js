@@ -1,8 +1,9 @@
 /** A lens that is made: its picture on the wall, big, and what to do next; what is done is ticked. */
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
-import { count, hours } from "../lib/words.js";
+import { hours, within } from "../lib/words.js";
 import { eyeWords, isHard, likenessOf, millSeconds } from "./figures.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink } from "./save.js";
@@ -23,7 +24,7 @@ export function endingPart() {
     const key = artifacts.get(seen?.name)?.sha256 ?? "";
     if (node.hidden || key === shown) return;
     shown = key;
-    picture.alt = `On the wall, ${seen.title.toLowerCase()}`;
+    picture.alt = t`On the wall, ${within(seen.title)}`;
     replace(next, words(job, artifacts, 0));
     const milled = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => finishedOf(job, runs), () => 0);
     picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
@@ -43,19 +44,24 @@ function words(job, artifacts, milled) {
   const finish = report?.finishing?.steps.length > 0 && report.finishing;
   const seen = likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled) ?? likenessOf(report?.optics);
   const sheet = artifacts.get(SHEET);
-  const share = milled > 0 ? `${milled} of ${count(programs.length, "program")} milled` : `${count(programs.length, "program")}, ${hours(millSeconds(report) ?? NaN)}`;
+  const share = shareWords(milled, programs.length, hours(millSeconds(report) ?? NaN));
   const steps = [
-    [isMilled, "Mill it", share, [!isMilled && jump("#programs-title", "Programs"), sheet && !isMilled && sheetLink(sheet, "Setup sheet")]],
-    finish && [false, "Finish it by hand", hours(60 * finish.minutes), [jump("#finishing-title", "How")]],
-    artifacts.has("heightfield.npz") && [false, "Shine light through it", "a photograph says what is off", [jump("#photo-title", "Photograph")]],
+    [isMilled, t("Mill it"), share, [!isMilled && jump("#programs-title", t("Programs")), sheet && !isMilled && sheetLink(sheet, t("Setup sheet"))]],
+    finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump("#finishing-title", t("How"))]],
+    artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump("#photo-title", t("Photograph"))]],
   ];
-  const better = h("a", { href: `#/new?from=${job.id}` }, "What shows more?");
-  const title = isMilled ? "Your lens is milled" : "Your lens is ready to mill";
-  return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", {}, `On the wall: ${eyeWords(seen)}. `, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
+  const better = h("a", { href: `#/new?from=${job.id}` }, t("What shows more?"));
+  const title = isMilled ? t("Your lens is milled") : t("Your lens is ready to mill");
+  return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", {}, t`On the wall: ${eyeWords(seen)}. `, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
+}
+
+function shareWords(milled, all, time) {
+  if (milled > 0) return all === 1 ? t`${milled} of ${all} program milled` : t`${milled} of ${all} programs milled`;
+  return all === 1 ? t`${all} program, ${time}` : t`${all} programs, ${time}`;
 }
 
 function step([done, what, more, links]) {
-  return h("li", {}, h("strong", {}, what), " ", done ? mark("good", "done") : h("span", { class: "dim" }, more), h("div", { class: "row" }, links));
+  return h("li", {}, h("strong", {}, what), " ", done ? mark("good", t("done")) : h("span", { class: "dim" }, more), h("div", { class: "row" }, links));
 }
 
 /** A button to a part farther down. */

@@ -1,5 +1,6 @@
 /** The figures of a job in words, and what to look out for. */
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { expertFigures, expertSides, headlines, mainCause } from "./figures.js";
@@ -8,9 +9,9 @@ import { foretoldOf } from "./foretold.js";
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
-  const wait = h("p", { class: "dim soon" }, "Figures come as the steps are done.");
-  const title = h("h2", { id: "facts-title" }, "What to expect"), scores = h("div");
-  const experts = h("details", { hidden: true }, h("summary", {}, "Figures for experts"), scores, cause);
+  const wait = h("p", { class: "dim soon" }, t("Figures come as the steps are done."));
+  const title = h("h2", { id: "facts-title" }, t("What to expect")), scores = h("div");
+  const experts = h("details", { hidden: true }, h("summary", {}, t("Figures for experts")), scores, cause);
   const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, experts);
   let shown = "";
 
@@ -42,7 +43,7 @@ function row([what, figure, words]) {
 /** {node, update(job)}: the report's warnings; nothing where there are none. */
 export function warningsPart() {
   const list = h("div", { class: "stack" });
-  const title = h("h2", { id: "warnings-title" }, "Look out for");
+  const title = h("h2", { id: "warnings-title" }, t("Look out for"));
   const node = h("section", { class: "card warnings", "aria-labelledby": "warnings-title", hidden: true }, title, list);
   let shown = "";
 

@@ -1,21 +1,22 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
-import { ball, count, hours, mm } from "../lib/words.js";
+import { t } from "../lib/language.js";
+import { ball, hours, mm } from "../lib/words.js";
 
 const WORTH_DB = 0.3;
 const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
 const CAUSES = {
-  scallops: ["the grooves between rows", "a finer pitch or a bigger ball leaves less of them"],
-  steps: ["the machine's steps", "a machine with finer ones leaves less of them"],
-  noise: ["height errors of the machine", "a stiffer set-up leaves less of them"],
-  rounding: ["the decimals of the program", "a dialect with more of them leaves less"],
+  scallops: [t("the grooves between rows"), t("a finer pitch or a bigger ball leaves less of them")],
+  steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
+  noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
+  rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
 };
 const EYE = [
-  [60, "no eye can tell it from the target"],
-  [40, "very close to the target"],
-  [33, "small differences, seen only side by side"],
-  [27, "plainly the picture; fine detail or tones are off"],
-  [21, "recognisable, visibly soft or uneven"],
-  [-Infinity, "hard to recognise"],
+  [60, t("no eye can tell it from the target")],
+  [40, t("very close to the target")],
+  [33, t("small differences, seen only side by side")],
+  [27, t("plainly the picture; fine detail or tones are off")],
+  [21, t("recognisable, visibly soft or uneven")],
+  [-Infinity, t("hard to recognise")],
 ];
 
 /** Width and height of the picture on the wall in mm. */
@@ -48,7 +49,7 @@ export function eyeWords(psnrDb) {
 /** What it means from one level of dB to another: [[from, to, the first of its words]], worst first. */
 export function eyeBands(low, high) {
   const tops = [Infinity, ...EYE.map(([least]) => least)];
-  const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;]/)[0]]);
+  const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;、]/)[0]]);
   return bands.filter(([from, to]) => from < to).reverse();
 }
 
@@ -86,14 +87,14 @@ export function millSeconds(report) {
 export function headlines(spec, report, foretold) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);
-  const known = made < wanted ? `${made} of ${wanted} passes so far` : count(made, "pass", "passes");
-  if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
-  else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
-  if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
+  const known = made < wanted ? t`${made} of ${wanted} passes so far` : made === 1 ? t`${made} pass` : t`${made} passes`;
+  if (seconds !== null) found.push([t("On the mill"), hours(seconds), known]);
+  else if (report?.plan?.hours) found.push([t("On the mill"), hours(report.plan.hours * 3600), t("as planned")]);
+  if (detail !== null) found.push([t("Sharpness"), t`details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
   found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), foretold));
   if (report?.optics?.relief_mm !== undefined) {
-    const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
-    found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
+    const steep = t`steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
+    found.push([t("Depth of the lens"), mm(report.optics.relief_mm), steep]);
   }
   return found;
 }
@@ -102,30 +103,30 @@ export function headlines(spec, report, foretold) {
 function seenByHand(report) {
   const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
   if (seen === undefined) return null;
-  const before = milled === undefined ? [] : [["On the wall, straight from the mill", eyeWords(milled)]];
-  return [["On the wall, as finished", eyeWords(seen), "after the work by hand below"], ...before];
+  const before = milled === undefined ? [] : [[t("On the wall, straight from the mill"), eyeWords(milled)]];
+  return [[t("On the wall, as finished"), eyeWords(seen), t("after the work by hand below")], ...before];
 }
 
 /** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
 function onTheWall(milled, polished, foretold) {
-  const seen = milled ?? foretold ?? null, how = milled === undefined ? "as foretold, simulated in the last steps" : "";
-  const shown = polished === undefined ? [] : [["On the wall, if polished", eyeWords(polished)]];
-  if (seen === null) return shown.map((row) => [...row, "as milled it may be less, as the last steps tell"]);
-  if (polished < seen) return [["On the wall", eyeWords(seen), how || "Do not polish it: it is made for the tool's marks."]];
-  return [["On the wall, as milled", eyeWords(seen), how], ...shown];
+  const seen = milled ?? foretold ?? null, how = milled === undefined ? t("as foretold, simulated in the last steps") : "";
+  const shown = polished === undefined ? [] : [[t("On the wall, if polished"), eyeWords(polished)]];
+  if (seen === null) return shown.map((row) => [...row, t("as milled it may be less, as the last steps tell")]);
+  if (polished < seen) return [[t("On the wall"), eyeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
+  return [[t("On the wall, as milled"), eyeWords(seen), how], ...shown];
 }
 
 const SCORES = [
-  ["psnr_db", "Likeness (PSNR)", (value) => `${value.toFixed(1)} dB`],
-  ["ssim", "Likeness of structure (SSIM)", (value) => `${value.toFixed(3)} of 1`],
-  ["misplaced_light", "Light in wrong places", (value) => `${(100 * value).toFixed(1)} %`],
-  ["dark_leak", "Light where it should be dark", (value) => `${(100 * value).toFixed(2)} %`],
+  ["psnr_db", t("Likeness (PSNR)"), (value) => `${value.toFixed(1)} dB`],
+  ["ssim", t("Likeness of structure (SSIM)"), (value) => t`${value.toFixed(3)} of 1`],
+  ["misplaced_light", t("Light in wrong places"), (value) => `${(100 * value).toFixed(1)} %`],
+  ["dark_leak", t("Light where it should be dark"), (value) => `${(100 * value).toFixed(2)} %`],
 ];
 
 /** The surfaces that experts compare: [[what it is called, its part of the report]]. */
 export function expertSides(report) {
-  const finished = report?.as_finished ? [["as finished", report.as_finished]] : [];
-  return [...finished, ["as milled", report?.as_milled], ["the lens itself", report?.optics]];
+  const finished = report?.as_finished ? [[t("as finished"), report.as_finished]] : [];
+  return [...finished, [t("as milled"), report?.as_milled], [t("the lens itself"), report?.optics]];
 }
 
 /** What experts compare them by: [[what, of each surface]], "–" where one is not known. */
@@ -137,7 +138,7 @@ export function expertFigures(report) {
 
 function sharpnessWords(spec, detail) {
   const { width } = screenOf(spec);
-  return `of a picture ${mm(width)} wide: about ${Math.max(1, Math.round(width / detail))} details across`;
+  return t`of a picture ${mm(width)} wide: about ${Math.max(1, Math.round(width / detail))} details across`;
 }
 
 /**
@@ -150,13 +151,10 @@ export function mainCause(report) {
   const [cause, gain] = first ?? [];
   if (!(gain >= WORTH_DB) || !(cause in CAUSES)) return null;
   const [what, less] = CAUSES[cause], lost = optics?.psnr_db - milled.psnr_db;
-  const most = `Most of the loss comes from ${what}: ${less}.`;
+  const most = t`Most of the loss comes from ${what}: ${less}.`;
   if (!(lost > 0) || gain >= MOST_OF_IT * lost) return most;
-  const other = next && next[0] in CAUSES ? `, ${CAUSES[next[0]][0]} first,` : "";
-  return (
-    `Milling costs ${lost.toFixed(1)} dB. The largest part are ${what} (${less}), but without them alone only ` +
-    `${gain.toFixed(1)} dB come back: the other marks${other} then hide as much.`
-  );
+  const other = next && next[0] in CAUSES ? t`, ${CAUSES[next[0]][0]} first,` : "";
+  return t`Milling costs ${lost.toFixed(1)} dB. The largest part are ${what} (${less}), but without them alone only ${gain.toFixed(1)} dB come back: the other marks${other} then hide as much.`;
 }
 
 /** Whether the lens draws more than the picture, for the blur of its tool's marks. */
@@ -168,7 +166,7 @@ export function isSharpened({ spec, report }) {
 export function focusSentence(report) {
   const range = report?.optics?.tolerances?.focus_range_mm;
   if (!range) return null;
-  return `The picture stays sharp from ${mm(-range[0])} too near to ${mm(range[1])} too far.`;
+  return t`The picture stays sharp from ${mm(-range[0])} too near to ${mm(range[1])} too far.`;
 }
 
 /** The passes of a job; those that were planned are in its report. */
@@ -176,27 +174,34 @@ export function passesOf(job) {
   return job.spec.passes?.length ? job.spec.passes : (job.report?.plan?.passes ?? []);
 }
 
+const TOOLS = { flat: t("flat"), ball: t("ball") };
+
 /** One pass of a spec in words: "ball R 3 (Ø 6 mm), rows along X every 0.14 mm at 1500 mm/min". */
 export function passWords(row) {
-  if ("above_mm" in row) return `${row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
-  if ("tabs" in row) return `flat end mill ${ball(row.radius_mm)}, cuts the lens out, ${count(row.tabs, "tab", "tabs")}`;
-  const tool = `ball ${ball(row.radius_mm)}`;
-  const rows = `rows along ${String(row.direction ?? "x").toUpperCase()}`;
-  const ways = row.strategy === "contour" ? "one path along contour lines" : rows;
-  const only = row.where === "rest" ? ", only where stock is left" : "";
-  const leave = row.stock_to_leave_mm ? `, leaves ${mm(row.stock_to_leave_mm)}` : "";
-  return `${tool}, ${ways} every ${mm(row.pitch_mm)} at ${row.feed_mm_per_min} mm/min${only}${leave}`;
+  if ("above_mm" in row) return t`${TOOLS[row.tool] ?? row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
+  if ("tabs" in row) return cutOutWords(ball(row.radius_mm), row.tabs);
+  const tool = t`ball ${ball(row.radius_mm)}`;
+  const rows = t`rows along ${String(row.direction ?? "x").toUpperCase()}`;
+  const ways = row.strategy === "contour" ? t("one path along contour lines") : rows;
+  const only = row.where === "rest" ? t(", only where stock is left") : "";
+  const leave = row.stock_to_leave_mm ? t`, leaves ${mm(row.stock_to_leave_mm)}` : "";
+  return t`${tool}, ${ways} every ${mm(row.pitch_mm)} at ${row.feed_mm_per_min} mm/min${only}${leave}`;
+}
+
+function cutOutWords(size, tabs) {
+  if (tabs === 1) return t`flat end mill ${size}, cuts the lens out, ${tabs} tab`;
+  return t`flat end mill ${size}, cuts the lens out, ${tabs} tabs`;
 }
 
 /** The lens and its set-up in one line. */
 export function setUpWords(spec) {
   const { optics } = spec, screen = screenOf(spec);
-  const kind = optics.surface === "mirror" ? "mirror" : "lens";
-  const block = `${round(optics.width_mm)} × ${round(optics.height_mm)} mm ${kind}`;
-  const wall = `wall at ${mm(optics.throw_mm)}`;
-  const size = `, picture ${round(screen.width)} × ${round(screen.height)} mm`;
+  const kind = optics.surface === "mirror" ? t("mirror") : t("lens");
+  const block = t`${round(optics.width_mm)} × ${round(optics.height_mm)} mm ${kind}`;
+  const wall = t`wall at ${mm(optics.throw_mm)}`;
+  const size = t`, picture ${round(screen.width)} × ${round(screen.height)} mm`;
   const enlarged = Math.abs(screen.width - optics.width_mm) > 0.5 ? size : "";
-  const lights = { collimated: "parallel light", point: `lamp at ${mm(optics.light.distance_mm)}`, sun: "sunlight" };
+  const lights = { collimated: t("parallel light"), point: t`lamp at ${mm(optics.light.distance_mm)}`, sun: t("sunlight") };
   return `${block}, ${wall}${enlarged}, ${lights[optics.light.kind] ?? optics.light.kind}`;
 }
 
@@ -205,17 +210,17 @@ function round(length) {
 }
 
 const STAGES = {
-  image: "Read the picture",
-  irradiance: "Set the light it needs",
-  passes: "Plan the passes",
-  map: "Shape the lens",
-  heightfield: "Check its surface",
-  caustic: "Simulate its light",
-  "pass-face": "Make and check the facing of the block",
-  "pass-cut-out": "Make and check the cutting out",
-  check: "Check the programs as the mill reads them",
-  "as-milled": "Simulate the milled lens",
-  report: "Write the setup sheet",
+  image: t("Read the picture"),
+  irradiance: t("Set the light it needs"),
+  passes: t("Plan the passes"),
+  map: t("Shape the lens"),
+  heightfield: t("Check its surface"),
+  caustic: t("Simulate its light"),
+  "pass-face": t("Make and check the facing of the block"),
+  "pass-cut-out": t("Make and check the cutting out"),
+  check: t("Check the programs as the mill reads them"),
+  "as-milled": t("Simulate the milled lens"),
+  report: t("Write the setup sheet"),
 };
 
 /** What a stage does, for people. */
@@ -223,5 +228,5 @@ export function stageWords(name, spec) {
   const pass = /^pass-(\d+)$/.exec(name);
   if (!pass) return STAGES[name] ?? name;
   const row = spec.passes?.[pass[1] - 1];
-  return `Make and check pass ${pass[1]}${row ? ` (${row.name})` : ""}`;
+  return t`Make and check pass ${pass[1]}${row ? ` (${row.name})` : ""}`;
 }

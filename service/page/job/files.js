@@ -1,6 +1,7 @@
 /** Programs, with the way to the mill, and every other file of a job. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
@@ -9,22 +10,22 @@ import { saveLink, sheetLink } from "./save.js";
 
 const SHEET = "report.html";
 const OFFERED = [
-  [SHEET, "Setup sheet", "to print and take to the mill"],
-  ["lens.stl", "Solid of the lens (STL)", "to look at in other programs"],
-  ["report.json", "All figures (JSON)", ""],
-  ["spec.json", "Settings (JSON)", "the job again from a terminal"],
+  [SHEET, t("Setup sheet"), t("to print and take to the mill")],
+  ["lens.stl", t("Solid of the lens (STL)"), t("to look at in other programs")],
+  ["report.json", t("All figures (JSON)"), ""],
+  ["spec.json", t("Settings (JSON)"), t("the job again from a terminal")],
 ];
 
-const TITLES = new Map(PICTURES.map(({ name, title }) => [name, title]));
+const TITLES = new Map(PICTURES.map(({ name, title }) => [name, t(title)]));
 const GOING = ["queued", "running"];
 
 /** {node, update(job)}: each program with what it does, and the mills it may go to. */
 export function programsPart() {
   const list = h("ol", { class: "programs" });
   const wait = h("p", { class: "dim" });
-  const setUp = h("a", { href: "#/machines" }, "set one up");
-  const noMill = h("p", { hidden: true }, "No mill is known here yet: ", setUp, ", or save the programs.");
-  const title = h("h2", { id: "programs-title" }, "Programs");
+  const setUp = h("a", { href: "#/machines" }, t("set one up"));
+  const noMill = h("p", { hidden: true }, t("No mill is known here yet: "), setUp, t(", or save the programs."));
+  const title = h("h2", { id: "programs-title" }, t("Programs"));
   const node = h("section", { class: "card", "aria-labelledby": "programs-title" }, title, wait, list, noMill);
   let shown = "", mills = null;
 
@@ -45,10 +46,10 @@ export function programsPart() {
 /** Why nothing can be sent to a mill yet, or what is still to come. */
 function waitWords(job) {
   if (job.state === "succeeded") return "";
-  if (!job.programs.length) return "The programs appear here once all of them have been checked.";
+  if (!job.programs.length) return t("The programs appear here once all of them have been checked.");
   return mayBeMilled(job)
-    ? "All of them have been checked and can be milled. What the milled lens will show is still being worked out."
-    : "The job was not finished: try again, and they can be sent to a mill once they have been checked.";
+    ? t("All of them have been checked and can be milled. What the milled lens will show is still being worked out.")
+    : t("The job was not finished: try again, and they can be sent to a mill once they have been checked.");
 }
 
 async function machines() {
@@ -63,9 +64,9 @@ function row(job, program, mills) {
   const checked = programRows(job.report).find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
-  const facts = [seconds && hours(seconds), lines && `${thousands(lines)} lines`, bytes(program.bytes)];
+  const facts = [seconds && hours(seconds), lines && t`${thousands(lines)} lines`, bytes(program.bytes)];
   const sends = mayBeMilled(job) && mills.map((mill) => sendLink(job, program, mill, mills.length));
-  const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: "Save" });
+  const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save") });
   return h(
     "li", {},
     h(
@@ -84,7 +85,7 @@ function passOf(name, job) {
 
 function sendLink(job, program, mill, count) {
   const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
-  const words = count === 1 ? "Send to mill" : `Send to ${mill.name}`;
+  const words = count === 1 ? t("Send to mill") : t`Send to ${mill.name}`;
   const isFirst = program === job.programs[0]; // the mill's own screen offers those after it, each in its turn
   return h("a", { class: isFirst ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
 }
@@ -93,9 +94,9 @@ function sendLink(job, program, mill, count) {
 export function filesPart() {
   const list = h("ul", { class: "files" });
   const every = h("ul", { class: "files" });
-  const all = h("details", {}, h("summary", {}, "Every file"), every);
+  const all = h("details", {}, h("summary", {}, t("Every file")), every);
   const archive = h("p", {});
-  const title = h("h2", { id: "files-title" }, "Files");
+  const title = h("h2", { id: "files-title" }, t("Files"));
   const node = h("section", { class: "card", "aria-labelledby": "files-title", hidden: true }, title, list, archive, all);
   let shown = "";
 
@@ -110,8 +111,8 @@ export function filesPart() {
     replace(every, files.map((file) => fileRow(file, file.name, TITLES.get(file.name))));
     const total = files.reduce((sum, file) => sum + file.bytes, 0);
     const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${jobName(job)}.zip`, size: total };
-    const whole = saveLink({ ...zip, words: `All files (zip, ${bytes(total)})` });
-    replace(archive, going ? "All of them in one file: when the job is done." : whole);
+    const whole = saveLink({ ...zip, words: t`All files (zip, ${bytes(total)})` });
+    replace(archive, going ? t("All of them in one file: when the job is done.") : whole);
     archive.classList.toggle("dim", going);
   }
   return { node, update };

@@ -1,5 +1,6 @@
 /** What a person does to the lens after the mill: report `finishing` as a card, with what comes of it. */
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
 import { eyeWords, likenessOf } from "./figures.js";
@@ -17,7 +18,7 @@ export function finishingPart() {
     node.hidden = !finishing;
     if (!finishing || key === shown) return;
     shown = key;
-    title.textContent = `Finishing by hand: ${finishing.title}`;
+    title.textContent = t`Finishing by hand: ${t(finishing.title)}`;
     replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing));
   }
   return { node, update };
@@ -26,13 +27,13 @@ export function finishingPart() {
 /** [[what, figure]] of the work and of what the wall shows. */
 export function finishingRows({ finishing, as_milled: milled, as_finished: finished }) {
   const rows = [], depth = finishing.depth_um;
-  if (finishing.minutes != null) rows.push(["Time, the whole lens", hours(60 * finishing.minutes)]);
-  if (depth) rows.push([depth > 0 ? "Comes off" : "Is added", mm(Math.abs(depth) / 1000)]);
-  if (finishing.levelled_mm) rows.push(["Levels", `waves under ${mm(finishing.levelled_mm)}`]);
-  if (finishing.run_out_mm) rows.push(["Rims", `mask them, or finish ${mm(finishing.run_out_mm)} beyond the lens`]);
-  for (const [words, seen] of [["The wall as milled", milled], ["The wall as finished", finished]])
+  if (finishing.minutes != null) rows.push([t("Time, the whole lens"), hours(60 * finishing.minutes)]);
+  if (depth) rows.push([depth > 0 ? t("Comes off") : t("Is added"), mm(Math.abs(depth) / 1000)]);
+  if (finishing.levelled_mm) rows.push([t("Levels"), t`waves under ${mm(finishing.levelled_mm)}`]);
+  if (finishing.run_out_mm) rows.push([t("Rims"), t`mask them, or finish ${mm(finishing.run_out_mm)} beyond the lens`]);
+  for (const [words, seen] of [[t("The wall as milled"), milled], [t("The wall as finished"), finished]])
     if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
-  if (finished?.smallest_detail_mm !== undefined) rows.push(["Smallest detail, finished", mm(finished.smallest_detail_mm)]);
+  if (finished?.smallest_detail_mm !== undefined) rows.push([t("Smallest detail, finished"), mm(finished.smallest_detail_mm)]);
   return rows;
 }
 
@@ -40,10 +41,10 @@ export function finishingRows({ finishing, as_milled: milled, as_finished: finis
 export function warnings({ finishing, as_milled: milled, as_finished: finished }) {
   const found = [], { minutes, least_minutes: least, most_minutes: most } = finishing, inTime = (time) => hours(60 * time);
   if (finished?.psnr_db < milled?.psnr_db - WORTH_DB)
-    found.push("This finish makes the picture worse than the mill left it: leave it out, or finish for longer.");
+    found.push(t("This finish makes the picture worse than the mill left it: leave it out, or finish for longer."));
   if (minutes < least || minutes > most)
-    found.push(`${inTime(minutes)} lies outside what this process is known for, ${inTime(least)} to ${inTime(most)} on a lens of this size. A test piece tells.`);
-  if (!finishing.steps.length) found.push("This process is in no library: there are no instructions for it, its figures are your own.");
+    found.push(t`${inTime(minutes)} lies outside what this process is known for, ${inTime(least)} to ${inTime(most)} on a lens of this size. A test piece tells.`);
+  if (!finishing.steps.length) found.push(t("This process is in no library: there are no instructions for it, its figures are your own."));
   return found;
 }
 
@@ -59,12 +60,12 @@ function howTo(finishing) {
   const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
   return h(
-    "details", { open: true }, h("summary", {}, "How to do it"),
-    part("You need", finishing.needs.length > 0 && list("ul", finishing.needs)),
-    part("Steps", list("ol", finishing.steps)),
-    part("How much comes off", finishing.removal && h("p", {}, finishing.removal)),
-    part("When to stop", finishing.when_to_stop && h("p", {}, finishing.when_to_stop)),
-    part("What not to do", finishing.donts.length > 0 && list("ul", finishing.donts)),
-    finishing.law && h("p", { class: "dim" }, `Where the figures come from: ${finishing.law}`),
+    "details", { open: true }, h("summary", {}, t("How to do it")),
+    part(t("You need"), finishing.needs.length > 0 && list("ul", finishing.needs)),
+    part(t("Steps"), list("ol", finishing.steps)),
+    part(t("How much comes off"), finishing.removal && h("p", {}, finishing.removal)),
+    part(t("When to stop"), finishing.when_to_stop && h("p", {}, finishing.when_to_stop)),
+    part(t("What not to do"), finishing.donts.length > 0 && list("ul", finishing.donts)),
+    finishing.law && h("p", { class: "dim" }, t`Where the figures come from: ${finishing.law}`),
   );
 }

@@ -2,6 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { confirm, toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { shape, stateMark } from "../lib/state.js";
 import { ago, jobName, sentence } from "../lib/words.js";
 import { setUpWords, stageWords } from "./figures.js";
@@ -22,7 +23,7 @@ export function headPart(app, changed) {
     const key = JSON.stringify([job.state, job.cancel_requested, job.error, job.queue_position]);
     if (key === shown) return;
     shown = key;
-    replace(state, stateMark(job.state, job.cancel_requested && job.state === "running" ? "being cancelled" : undefined));
+    replace(state, stateMark(job.state, job.cancel_requested && job.state === "running" ? t("being cancelled") : undefined));
     replace(actions, buttons(job));
     replace(notice, noticeOf(job));
   }
@@ -30,11 +31,11 @@ export function headPart(app, changed) {
     const going = job.state === "running" || job.state === "queued";
     const again = job.state === "failed" || job.state === "cancelled";
     return [
-      going && h("button", { type: "button", disabled: job.cancel_requested, onclick: () => act(job, "cancel") }, "Cancel"),
-      again && h("button", { type: "button", class: "primary", onclick: () => act(job, "retry") }, "Try again"),
-      h("a", { class: "button", href: `#/new?from=${job.id}` }, "Duplicate with changes"),
-      job.state === "succeeded" && h("button", { type: "button", onclick: () => chooseOther(job, app) }, "Compare with…"),
-      job.state !== "running" && h("button", { type: "button", class: "quiet", onclick: () => remove(job) }, "Delete"),
+      going && h("button", { type: "button", disabled: job.cancel_requested, onclick: () => act(job, "cancel") }, t("Cancel")),
+      again && h("button", { type: "button", class: "primary", onclick: () => act(job, "retry") }, t("Try again")),
+      h("a", { class: "button", href: `#/new?from=${job.id}` }, t("Duplicate with changes")),
+      job.state === "succeeded" && h("button", { type: "button", onclick: () => chooseOther(job, app) }, t("Compare with…")),
+      job.state !== "running" && h("button", { type: "button", class: "quiet", onclick: () => remove(job) }, t("Delete")),
     ];
   }
   async function act(job, what) {
@@ -43,13 +44,13 @@ export function headPart(app, changed) {
   }
   async function remove(job) {
     const sure = await confirm({
-      title: "Delete this job?", words: `${jobName(job)}, its pictures and its programs will be gone. This cannot be undone.`,
-      yes: "Delete", no: "Keep", danger: true,
+      title: t("Delete this job?"), words: t`${jobName(job)}, its pictures and its programs will be gone. This cannot be undone.`,
+      yes: t("Delete"), no: t("Keep"), danger: true,
     });
     if (!sure || !(await api.need("jobs:write"))) return;
     await runAndReport(async () => {
       await api.delete(`/v1/jobs/${job.id}`);
-      toast(`${jobName(job)} was deleted.`);
+      toast(t`${jobName(job)} was deleted.`);
       app.go("#/");
     });
   }
@@ -65,33 +66,38 @@ async function runAndReport(work) {
 }
 
 function presetWords({ preset, passes }) {
-  if (preset === "recommended" && passes.length) return "passes as given";
-  return { recommended: "passes as recommended", draft: "draft", paper: "passes of the paper" }[preset] ?? "";
+  if (preset === "recommended" && passes.length) return t("passes as given");
+  return { recommended: t("passes as recommended"), draft: t("draft"), paper: t("passes of the paper") }[preset] ?? "";
 }
 
 /** Since when it is what it is. */
 function whenWords(job, now) {
-  if (job.ended_at) return `${{ succeeded: "done", failed: "failed" }[job.state] ?? "ended"} ${ago(job.ended_at, now)}`;
-  if (job.started_at) return `begun ${ago(job.started_at, now)}`;
-  return `sent ${ago(job.created_at, now)}`;
+  if (job.ended_at) return endWords(job.state, ago(job.ended_at, now));
+  if (job.started_at) return t`begun ${ago(job.started_at, now)}`;
+  return t`sent ${ago(job.created_at, now)}`;
+}
+
+function endWords(state, when) {
+  if (state === "succeeded") return t`done ${when}`;
+  return state === "failed" ? t`failed ${when}` : t`ended ${when}`;
 }
 
 /** What went wrong and the next step; nothing for a job that goes its way. */
 function noticeOf(job) {
   if (job.state === "cancelled") {
-    const words = "This job was cancelled. Try again goes on with the steps that were finished.";
+    const words = t("This job was cancelled. Try again goes on with the steps that were finished.");
     return h("p", { class: "notice" }, shape("off"), h("span", {}, words));
   }
   if (job.state !== "failed" || !job.error) return null;
-  const { stage, detail, field } = job.error, where = stage ? stageWords(stage, job.spec) : "the start";
-  const duplicate = h("a", { href: `#/new?from=${job.id}` }, "duplicate with changes");
+  const { stage, detail, field } = job.error, where = stage ? stageWords(stage, job.spec) : t("the start");
+  const duplicate = h("a", { href: `#/new?from=${job.id}` }, t("duplicate with changes"));
   const what = field && settingWords(field.replace(/^spec\./, ""), job.spec);
   const next = field
-    ? h("span", {}, "Change ", h("strong", {}, what), ": ", duplicate, ".")
-    : "Try again goes on with the steps that were finished. If it fails again, the server's log says more.";
+    ? h("span", {}, t("Change "), h("strong", {}, what), ": ", duplicate, ".")
+    : t("Try again goes on with the steps that were finished. If it fails again, the server's log says more.");
   return h(
     "div", { class: "notice bad" }, shape("bad"),
-    h("div", {}, h("p", {}, h("strong", {}, `Stopped at: ${where}.`)), h("p", {}, sentence(detail)), h("p", {}, next)),
+    h("div", {}, h("p", {}, h("strong", {}, t`Stopped at: ${where}.`)), h("p", {}, sentence(detail)), h("p", {}, next)),
   );
 }
 

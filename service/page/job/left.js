@@ -3,6 +3,8 @@
  * today is seen in the stages that are done, and in the one at work by its own share.
  */
 
+import { t } from "../lib/language.js";
+
 const TRUST_S = 3; // of measured work, from which on the measure counts more than the usual
 const TELLING = 0.05; // share of a stage from which on its own pace says something
 const EITHER_WAY = 2; // what a stage may take longer than foreseen
@@ -31,11 +33,15 @@ export function secondsLeft(job, live, now) {
 
 /** "about 3 min left", "3 to 5 min left", "less than a minute left"; "some minutes left at most" of a pace not known. */
 export function leftWords({ low, high, measured }) {
-  if (!measured && high < SOME_MINUTES_S) return "some minutes left at most";
+  if (!measured && high < SOME_MINUTES_S) return t("some minutes left at most");
   const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
-  if (high < 60) return "less than a minute left";
-  if (to >= 120) return `about ${Math.round(low / 3600)} to ${Math.ceil(high / 3600)} h left`.replace(/ (\d+) to \1 /, " $1 ");
-  return from === to ? `about ${to} min left` : `${from} to ${to} min left`;
+  if (high < 60) return t("less than a minute left");
+  if (to >= 120) return inHours(Math.round(low / 3600), Math.ceil(high / 3600));
+  return from === to ? t`about ${to} min left` : t`${from} to ${to} min left`;
+}
+
+function inHours(from, to) {
+  return from === to ? t`about ${from} h left` : t`about ${from} to ${to} h left`;
 }
 
 /** How much longer stages take here than usually; stages that were done before say nothing. */

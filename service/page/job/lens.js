@@ -1,6 +1,7 @@
 /** The lens as a surface: a body that turns, and a map of heights to read off. */
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { surfaceOf } from "./drawing_file.js";
 import { screenOf } from "./figures.js";
@@ -15,13 +16,13 @@ const WALLS = ["caustic-as-finished.png", "caustic-as-milled.png", "caustic.png"
 /** {node, update(artifacts, spec), free()} */
 export function lensPart() {
   const map = h("canvas", { class: "height-map", role: "img" });
-  const reading = h("p", { class: "height-reading" }, "Point at the map to read its height.");
+  const reading = h("p", { class: "height-reading" }, t("Point at the map to read its height."));
   const scale = h("div", { class: "height-scale" });
-  const caption = h("figcaption", {}, "Heights, as it lies on the mill");
+  const caption = h("figcaption", {}, t("Heights, as it lies on the mill"));
   const mapBox = h("figure", { class: "lens-half" }, caption, map, scale, reading);
   const bodyBox = h("figure", { class: "lens-half" });
   const box = h("div", { class: "lens-halves" }, bodyBox, mapBox);
-  const title = h("h2", { id: "lens-title" }, "Lens");
+  const title = h("h2", { id: "lens-title" }, t("Lens"));
   const node = h("section", { class: "card", "aria-labelledby": "lens-title", hidden: true }, title, box);
   let wanted = null, known = "", grid = null, stage = null, spec = null, picture = null, hung = "";
   const stop = whenSeen(node, load, (seen) => stage?.seen(seen));
@@ -50,7 +51,7 @@ export function lensPart() {
       grid = surfaceOf(await api.bytes(file.url));
     } catch (error) {
       known = "";
-      write(reading, error.detail ?? "The surface could not be read.");
+      write(reading, error.detail ?? t("The surface could not be read."));
       return;
     }
     drawMap();
@@ -58,7 +59,7 @@ export function lensPart() {
     stage = lensStage(grid, lensPicture);
     hung = "";
     bodyBox.hidden = !stage;
-    if (stage) bodyBox.replaceChildren(h("figcaption", {}, "The lens and its light: drag to turn it"), stage.node);
+    if (stage) bodyBox.replaceChildren(h("figcaption", {}, t("The lens and its light: drag to turn it")), stage.node);
     stage?.seen(stop.seen());
   }
   function drawMap() {
@@ -66,10 +67,10 @@ export function lensPart() {
     map.width = grid.nx;
     map.height = grid.ny;
     map.getContext("2d").putImageData(heightPicture(grid), 0, 0);
-    map.setAttribute("aria-label", `Map of heights, from ${mm(-high)} to ${mm(-low)} under the top of the block`);
+    map.setAttribute("aria-label", t`Map of heights, from ${mm(-high)} to ${mm(-low)} under the top of the block`);
     const stops = [0, 0.25, 0.5, 0.75, 1].map((share) => `rgb(${heightColour(share).join(" ")})`);
     const bar = h("span", { class: "height-bar", style: { "background-image": `linear-gradient(90deg, ${stops.join()})` } });
-    scale.replaceChildren(h("span", {}, `${mm(-low)} deep`), bar, h("span", {}, mm(-high)));
+    scale.replaceChildren(h("span", {}, t`${mm(-low)} deep`), bar, h("span", {}, mm(-high)));
   }
   map.addEventListener("pointermove", (event) => {
     if (!grid) return;

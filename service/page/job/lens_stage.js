@@ -1,5 +1,6 @@
 /** The lens on a turntable, alone or with the wall that it lights: turns by itself until somebody takes hold of it, or wishes for no motion at all. */
 import { h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { gestures } from "./gestures.js";
 
 const START = { yaw: -0.6, pitch: 0.62, distance: 2.15 };
@@ -13,7 +14,7 @@ const SLOW_FRAMES = 12; // in a row, after which a browser that has to draw by i
 
 /** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null where that gives nothing. */
 export function lensStage(grid, make) {
-  const label = "The lens in three dimensions. Arrow keys turn it, plus and minus zoom.";
+  const label = t("The lens in three dimensions. Arrow keys turn it, plus and minus zoom.");
   const canvas = h("canvas", { class: "lens-canvas", tabindex: 0, role: "img", "aria-label": label });
   let picture = make(canvas, grid);
   if (!picture) return null;
@@ -23,17 +24,17 @@ export function lensStage(grid, make) {
 
   const spin = h("button", { type: "button", onclick: () => setTurning(!turns) });
   const stretch = h(
-    "select", { "aria-label": "Height", onchange: () => ((look.stretch = Number(stretch.value)), ask()) },
-    STRETCHES.map((by) => h("option", { value: by }, by === 1 ? "true height" : `height × ${by}`)),
+    "select", { "aria-label": t("Height"), onchange: () => ((look.stretch = Number(stretch.value)), ask()) },
+    STRETCHES.map((by) => h("option", { value: by }, by === 1 ? t("true height") : t`height × ${by}`)),
   );
   const front = () => (Object.assign(look, startOf()), ask());
-  const wall = h("button", { type: "button", hidden: true, onclick: () => setWall(!look.wall) }, "With the wall");
-  const reset = h("button", { type: "button", onclick: front }, "Front");
+  const wall = h("button", { type: "button", hidden: true, onclick: () => setWall(!look.wall) }, t("With the wall"));
+  const reset = h("button", { type: "button", onclick: front }, t("Front"));
   const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, wall, spin, reset, stretch));
 
   function setTurning(on) {
     turns = on;
-    spin.textContent = on ? "Stop turning" : "Turn";
+    spin.textContent = on ? t("Stop turning") : t("Turn");
     ask();
   }
   /** Where one looks from at first: at a wall from the side that its picture is for. */

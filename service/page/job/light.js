@@ -1,6 +1,7 @@
 /** Light in the hand: the wall's picture, found anew while somebody moves wall, block and lamp. */
 import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mm } from "../lib/words.js";
 import { lightOf } from "./drawing_file.js";
 import { focusSentence, isSharpened } from "./figures.js";
@@ -10,11 +11,11 @@ import { whenSeen } from "./when_seen.js";
 
 const DESIGNED = "light.bin";
 const SURFACES = [
-  [DESIGNED, "As designed", "A perfect surface."],
-  ["light-as-milled.bin", "As milled", "With the tool's marks, the same everywhere; single grooves are not drawn."],
-  ["light-as-finished.bin", "As finished", "After the work by hand."],
+  [DESIGNED, t("As designed"), t("A perfect surface.")],
+  ["light-as-milled.bin", t("As milled"), t("With the tool's marks, the same everywhere; single grooves are not drawn.")],
+  ["light-as-finished.bin", t("As finished"), t("After the work by hand.")],
 ];
-const SHARPENED = "Drawn sharper than the picture, for the tool to blur: without the tool's marks it looks broken.";
+const SHARPENED = t("Drawn sharper than the picture, for the tool to blur: without the tool's marks it looks broken.");
 const PIXELS = [512, 1024];
 const MANY_BEAMS = 32; // from which their blur hides a coarser net
 const FIRST_CELLS = 2 ** 16, MOST_CELLS = 2 ** 25; // drawn in a frame
@@ -23,15 +24,15 @@ const RAD = Math.PI / 180;
 
 /** {node, update(artifacts, job), free()} */
 export function lightPart() {
-  const canvas = h("canvas", { class: "light-canvas", tabindex: 0, role: "img", "aria-label": "The picture on the wall. Up and down move the wall, left and right turn the block, Home sets all back." });
-  const still = h("p", { class: "dim", hidden: true }, "This browser has no WebGL2 for live light; the pictures above show the wall as it should stand.");
+  const canvas = h("canvas", { class: "light-canvas", tabindex: 0, role: "img", "aria-label": t("The picture on the wall. Up and down move the wall, left and right turn the block, Home sets all back.") });
+  const still = h("p", { class: "dim", hidden: true }, t("This browser has no WebGL2 for live light; the pictures above show the wall as it should stand."));
   const words = h("p", { class: "light-words", "aria-live": "polite" }), note = h("p", { class: "dim" });
-  const which = h("select", { "aria-label": "Surface", onchange: () => ((chosen = true), load()) });
-  const fine = h("select", { "aria-label": "Pixels of the picture", onchange: () => begin() }, PIXELS.map((count) => h("option", { value: count }, `${count} pixels`)));
+  const which = h("select", { "aria-label": t("Surface"), onchange: () => ((chosen = true), load()) });
+  const fine = h("select", { "aria-label": t("Pixels of the picture"), onchange: () => begin() }, PIXELS.map((count) => h("option", { value: count }, t`${count} pixels`)));
   const rows = h("div", { class: "light-rows" });
-  const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, "Set all back"));
+  const tools = h("div", { class: "row" }, which, fine, h("button", { type: "button", onclick: () => reset() }, t("Set all back")));
   const live = h("div", { class: "light-live" }, canvas, h("div", { class: "stack" }, tools, words, rows, note));
-  const node = h("section", { class: "card", "aria-labelledby": "light-title", hidden: true }, h("h2", { id: "light-title" }, "Light"), still, live);
+  const node = h("section", { class: "card", "aria-labelledby": "light-title", hidden: true }, h("h2", { id: "light-title" }, t("Light")), still, live);
   let files = new Map(), job = null, chosen = false, known = "", lens = null, picture = null, setting = null, sliders = [];
   let frame = 0, last = 0, cells = FIRST_CELLS, moved = false, pending = null, gone = false;
   const seen = whenSeen(node, load, () => ask());
@@ -46,7 +47,7 @@ export function lightPart() {
       lens = { ...found, thickness_mm: job.spec.stock.thickness_mm || found.thickness_mm };
     } catch (error) {
       known = "";
-      write(words, error.detail ?? "The light could not be read.");
+      write(words, error.detail ?? t("The light could not be read."));
       return;
     }
     write(note, noteWords());
@@ -77,12 +78,12 @@ export function lightPart() {
     const far = lens.throw_mm, lamp = setting.lamp;
     const size = lamp ? Math.max(20, 4 * setting.radius) : Math.max(2, (4 * setting.radius) / RAD);
     sliders = [
-      slider("Wall", 0.4 * far, 2 * far, far / 400, () => setting.throwMm, (value) => (setting.throwMm = value), mm),
-      slider("Block, turned sideways", -25, 25, 0.25, () => setting.turn[0] / RAD, (value) => (setting.turn[0] = value * RAD), degrees),
-      slider("Block, tipped", -25, 25, 0.25, () => setting.turn[1] / RAD, (value) => (setting.turn[1] = value * RAD), degrees),
-      slider(lamp ? "Lamp, aside" : "Sun, aside", -25, 25, 0.25, () => Math.atan(setting.slant[0]) / RAD, (value) => (setting.slant[0] = Math.tan(value * RAD)), degrees),
-      lamp && slider("Lamp, distance", 0.3 * setting.distanceMm, 3 * setting.distanceMm, setting.distanceMm / 200, () => setting.distanceMm, (value) => (setting.distanceMm = value), mm),
-      slider(lamp ? "Lamp, width" : "Sun, width", 0, size, size / 100, () => (2 * setting.radius) / (lamp ? 1 : RAD), (value) => (setting.radius = (value / 2) * (lamp ? 1 : RAD)), lamp ? mm : degrees),
+      slider(t("Wall"), 0.4 * far, 2 * far, far / 400, () => setting.throwMm, (value) => (setting.throwMm = value), mm),
+      slider(t("Block, turned sideways"), -25, 25, 0.25, () => setting.turn[0] / RAD, (value) => (setting.turn[0] = value * RAD), degrees),
+      slider(t("Block, tipped"), -25, 25, 0.25, () => setting.turn[1] / RAD, (value) => (setting.turn[1] = value * RAD), degrees),
+      slider(lamp ? t("Lamp, aside") : t("Sun, aside"), -25, 25, 0.25, () => Math.atan(setting.slant[0]) / RAD, (value) => (setting.slant[0] = Math.tan(value * RAD)), degrees),
+      lamp && slider(t("Lamp, distance"), 0.3 * setting.distanceMm, 3 * setting.distanceMm, setting.distanceMm / 200, () => setting.distanceMm, (value) => (setting.distanceMm = value), mm),
+      slider(lamp ? t("Lamp, width") : t("Sun, width"), 0, size, size / 100, () => (2 * setting.radius) / (lamp ? 1 : RAD), (value) => (setting.radius = (value / 2) * (lamp ? 1 : RAD)), lamp ? mm : degrees),
     ].filter(Boolean);
     replace(rows, sliders.map((each) => each.node));
   }
@@ -98,7 +99,7 @@ export function lightPart() {
   function change() {
     for (const each of sliders) each.show();
     const off = setting.throwMm - lens.throw_mm;
-    write(words, Math.abs(off) < 1e-3 * lens.throw_mm ? `Wall at ${mm(setting.throwMm)}, where it belongs` : `Wall at ${mm(setting.throwMm)}: ${mm(Math.abs(off))} too ${off < 0 ? "near" : "far"}`);
+    write(words, Math.abs(off) < 1e-3 * lens.throw_mm ? t`Wall at ${mm(setting.throwMm)}, where it belongs` : wallWords(mm(setting.throwMm), mm(Math.abs(off)), off < 0));
     moved = true;
     pending = null;
     ask();
@@ -162,6 +163,10 @@ export function lightPart() {
       picture?.free();
     },
   };
+}
+
+function wallWords(at, off, near) {
+  return near ? t`Wall at ${at}: ${off} too near` : t`Wall at ${at}: ${off} too far`;
 }
 
 function degrees(value) {

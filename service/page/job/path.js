@@ -1,40 +1,41 @@
 /** The tool path of each pass: drawn whole, looked at closely, and played through in time. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { bytes, hours, mm } from "../lib/words.js";
 import { openPath } from "./path_file.js";
 import { pathView } from "./path_view.js";
 import { whenSeen } from "./when_seen.js";
 
 const STEPS = 10_000;
-const LABEL = "Tool path from above. Arrow keys move it, plus and minus zoom, 0 shows all.";
+const LABEL = t("Tool path from above. Arrow keys move it, plus and minus zoom, 0 shows all.");
 const PLAY_S = 40; // for a whole pass
 
 /** {node, update(artifacts, spec), free()} */
 export function pathPart() {
-  const passes = h("div", { class: "choice", role: "radiogroup", "aria-label": "Pass" });
+  const passes = h("div", { class: "choice", role: "radiogroup", "aria-label": t("Pass") });
   const place = h("p", { class: "path-place mono" });
   const note = h("p", { class: "path-note dim" });
-  const range = h("input", { type: "range", min: 0, max: STEPS, value: STEPS, "aria-label": "Time in the pass" });
+  const range = h("input", { type: "range", min: 0, max: STEPS, value: STEPS, "aria-label": t("Time in the pass") });
   const clock = h("p", { class: "path-clock" });
-  const player = h("button", { type: "button", onclick: () => play(!playing) }, "Play");
+  const player = h("button", { type: "button", onclick: () => play(!playing) }, t("Play"));
   const rapids = h("input", { type: "checkbox", checked: true, onchange: () => view?.rapids(rapids.checked) });
   const tools = h(
     "div", { class: "path-tools" },
-    h("button", { type: "button", class: "square", "aria-label": "Zoom in", onclick: () => view?.zoom(1.6) }, "+"),
-    h("button", { type: "button", class: "square", "aria-label": "Zoom out", onclick: () => view?.zoom(1 / 1.6) }, "−"),
-    h("button", { type: "button", onclick: () => view?.fit() }, "Whole lens"),
+    h("button", { type: "button", class: "square", "aria-label": t("Zoom in"), onclick: () => view?.zoom(1.6) }, "+"),
+    h("button", { type: "button", class: "square", "aria-label": t("Zoom out"), onclick: () => view?.zoom(1 / 1.6) }, "−"),
+    h("button", { type: "button", onclick: () => view?.fit() }, t("Whole lens")),
   );
   const frame = h("div", { class: "path-place-of-frame" });
   const key = (kind, words) => h("li", {}, h("span", { class: `path-key ${kind}` }), words);
-  const kinds = [key("done", "cut"), key("coming", "still to come"), key("rapid", "in the air")];
+  const kinds = [key("done", t("cut")), key("coming", t("still to come")), key("rapid", t("in the air"))];
   const body = h(
     "div", { class: "path-body" }, frame, tools,
     h("div", { class: "path-time" }, player, h("div", { class: "path-slider" }, range, clock)),
-    h("div", { class: "row spread" }, place, h("label", { class: "tick" }, rapids, "Show moves in the air")),
+    h("div", { class: "row spread" }, place, h("label", { class: "tick" }, rapids, t("Show moves in the air"))),
     h("ul", { class: "path-legend" }, kinds), note,
   );
-  const title = h("h2", { id: "path-title" }, "Tool path");
+  const title = h("h2", { id: "path-title" }, t("Tool path"));
   const node = h("section", { class: "card", "aria-labelledby": "path-title", hidden: true }, title, passes, body);
   let view = null, file = null, chosen = "", offered = "", outline = [], playing = 0, freed = false;
   const files = new Map();
@@ -46,14 +47,14 @@ export function pathPart() {
     if (!files.has(chosen)) chosen = [...files.keys()].at(-1);
     const wanted = files.get(chosen);
     if (file?.sha256 === wanted.sha256) return;
-    write(note, `Loading ${bytes(wanted.bytes)}: first the outline, then what is looked at.`);
+    write(note, t`Loading ${bytes(wanted.bytes)}: first the outline, then what is looked at.`);
     try {
       const part = (from, to, signal) => api.bytes(wanted.url, { from, to: Math.min(to, wanted.bytes), signal });
       const opened = await openPath(part);
       if (freed || files.get(chosen) !== wanted) return;
       file = Object.assign(opened, { sha256: wanted.sha256 });
     } catch (error) {
-      write(note, `The path could not be read. ${error.detail ?? error.message}`);
+      write(note, t`The path could not be read. ${error.detail ?? error.message}`);
       return;
     }
     view ??= pathView({ label: LABEL, outline, onDrawn });
@@ -65,23 +66,23 @@ export function pathPart() {
   function onDrawn({ number, sharp }) {
     const { levels } = file.head, whole = number === levels.length - 1;
     frame.dataset.level = number;
-    if (whole || sharp) write(note, whole ? "Every move is drawn." : "Drawn as finely as this screen can show it.");
-    else write(note, `Moves within ${mm(levels[number].tolerance_mm)} of each other are drawn as one. Zoom in to see each.`);
+    if (whole || sharp) write(note, whole ? t("Every move is drawn.") : t("Drawn as finely as this screen can show it."));
+    else write(note, t`Moves within ${mm(levels[number].tolerance_mm)} of each other are drawn as one. Zoom in to see each.`);
   }
   function at() {
     if (!file) return;
     const end = file.head.time_s, share = Number(range.value) / STEPS, time = share * end;
     const tool = view.time(share >= 1 ? Infinity : time);
-    const text = share >= 1 ? `whole pass, ${hours(end)}` : `${hours(time)} of ${hours(end)}`;
+    const text = share >= 1 ? t`whole pass, ${hours(end)}` : t`${hours(time)} of ${hours(end)}`;
     write(clock, text);
     range.setAttribute("aria-valuetext", text);
     const where = tool && `X ${tool.x.toFixed(2)}  Y ${tool.y.toFixed(2)}  Z ${tool.z.toFixed(3)}`;
-    write(place, tool ? `${where}  line ${tool.line} of ${file.lines}` : "");
+    write(place, tool ? t`${where}  line ${tool.line} of ${file.lines}` : "");
   }
   function play(on) {
     cancelAnimationFrame(playing);
     playing = 0;
-    player.textContent = on ? "Pause" : "Play";
+    player.textContent = on ? t("Pause") : t("Play");
     if (!on || !file) return;
     if (Number(range.value) >= STEPS) range.value = 0;
     let last = performance.now(), done = Number(range.value);
@@ -115,7 +116,7 @@ export function pathPart() {
       load();
     };
     const input = h("input", { type: "radio", name: "pass", value: name, checked: name === chosen, onchange: take });
-    return h("label", {}, input, h("span", {}, `Pass ${number}${row ? `: ${row.name}` : ""}`));
+    return h("label", {}, input, h("span", {}, t`Pass ${number}${row ? `: ${row.name}` : ""}`));
   }
   return {
     node, update,

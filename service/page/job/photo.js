@@ -1,9 +1,10 @@
 /** A photograph of the wall, looked at by the server: what is off, and what to do. Nothing is kept of it. */
 import { h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";
 import { jobName, sentence } from "../lib/words.js";
 
-const INTRO = "Photograph the lens's light in a dark room, all of it and some dark wall around, not too bright; this says what is off.";
+const INTRO = t("Photograph the lens's light in a dark room, all of it and some dark wall around, not too bright; this says what is off.");
 const NEEDS = ["heightfield.npz", "map.npz"]; // there once the lens is made
 
 /** {node, update(job, artifacts)} */
@@ -12,11 +13,11 @@ export function photoPart() {
   const photo = photograph({
     address: () => `/v1/jobs/${encodeURIComponent(job.id)}/photos`,
     lines: (answer) => answer.findings.map((one) => sentence(one.text)),
-    alt: () => `The photograph, set straight, beside what was foretold of ${jobName(job)}, and their difference`,
+    alt: () => t`The photograph, set straight, beside what was foretold of ${jobName(job)}, and their difference`,
   });
   const node = h(
     "section", { class: "card job-photo", "aria-labelledby": "photo-title", hidden: true },
-    h("h2", { id: "photo-title" }, "Photograph of the wall"),
+    h("h2", { id: "photo-title" }, t("Photograph of the wall")),
     h("p", { class: "dim" }, INTRO), h("div", { class: "row" }, photo.button), photo.node,
   );
   return {

@@ -5,11 +5,14 @@
 import { api } from "../lib/api.js";
 import { freshId, h, replace } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { PICTURES } from "./report_pictures.js";
 import { wipe } from "./wipe.js";
 
-export const ON_THE_WALL = PICTURES.filter(({ shown }) => shown === "wall");
-const BY_THEMSELVES = PICTURES.filter(({ shown }) => shown === "page");
+const shownAs = (where) =>
+  PICTURES.filter(({ shown }) => shown === where).map((one) => ({ ...one, title: t(one.title), note: one.note && t(one.note) }));
+export const ON_THE_WALL = shownAs("wall");
+const BY_THEMSELVES = shownAs("page");
 
 /** Pictures of artifacts as object URLs, each fetched once: {get(artifact) -> url, free()}. */
 export function pictureShelf() {
@@ -30,10 +33,10 @@ export function pictureShelf() {
 export function picturesPart() {
   const shelf = pictureShelf(), both = wipe();
   const row = h("div", { class: "pictures-row" }), others = h("div", { class: "pictures-given" });
-  const left = chooser("Left", () => draw()), right = chooser("Right", () => draw());
+  const left = chooser(t("Left"), () => draw()), right = chooser(t("Right"), () => draw());
   const compared = h("div", {}, both.node, h("div", { class: "wipe-choice" }, left.node, right.node));
-  const wait = h("p", { class: "dim soon" }, "The pictures appear here as they are made.");
-  const title = h("h2", { id: "pictures-title" }, "Pictures");
+  const wait = h("p", { class: "dim soon" }, t("The pictures appear here as they are made."));
+  const title = h("h2", { id: "pictures-title" }, t("Pictures"));
   const node = h("section", { class: "card", "aria-labelledby": "pictures-title" }, title, wait, compared, row, others);
   let there = [], key = "";
 
@@ -50,7 +53,7 @@ export function picturesPart() {
       replace(others, (await loaded(further)).map(captioned));
     } catch (error) {
       key = "";
-      toast(`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
+      toast(t`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
       return;
     }
     replace(row, there.map(figure));

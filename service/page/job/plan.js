@@ -1,5 +1,6 @@
 /** The trade of hours against sharpness: every plan worth having as a point that one takes. */
 import { h, replace, svg } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, sentence } from "../lib/words.js";
 import { detailOfPlan, eyeBands, eyeWords, passWords } from "./figures.js";
@@ -13,10 +14,10 @@ const MARKS_H = [1 / 60, 2 / 60, 5 / 60, 10 / 60, 0.25, 0.5, 1, 2, 3, 5, 8, 12, 
 /** {node, update(job)} */
 export function planPart() {
   const chart = h("div", { class: "plan-chart" }), chosen = h("div", { class: "plan-chosen", "aria-live": "polite" });
-  const why = h("details", {}, h("summary", {}, "Why this plan was made"), h("div", { class: "plan-why" }));
-  const words = "Each point is a way to mill this lens: more hours, sharper picture. Take one to see what it means.";
+  const why = h("details", {}, h("summary", {}, t("Why this plan was made")), h("div", { class: "plan-why" }));
+  const words = t("Each point is a way to mill this lens: more hours, sharper picture. Take one to see what it means.");
   const intro = h("p", { class: "dim" }, words);
-  const title = h("h2", { id: "plan-title" }, "Hours against sharpness");
+  const title = h("h2", { id: "plan-title" }, t("Hours against sharpness"));
   const body = h("div", { class: "plan-body" }, chart, chosen);
   const node = h("section", { class: "card", "aria-labelledby": "plan-title", hidden: true }, title, intro, body, why);
   let shown = "", taken = 0, job = null, plan = null, rows = [];
@@ -29,7 +30,7 @@ export function planPart() {
     const key = JSON.stringify(plan);
     if (node.hidden || key === shown) return;
     shown = key;
-    const left = (plan.left_out ?? []).map((each) => `Left out: ${each.tool}, ${each.why}.`);
+    const left = (plan.left_out ?? []).map((each) => t`Left out: ${each.tool}, ${each.why}.`);
     replace(why.lastChild, [...(plan.why ?? []), ...left].map((text) => h("p", {}, text)));
     take(plan.chosen);
   }
@@ -53,8 +54,8 @@ export function planPart() {
 function steps(count, taken, take) {
   return h(
     "div", { class: "plan-steps" },
-    h("button", { type: "button", disabled: taken === 0, onclick: () => take(taken - 1) }, "Quicker"),
-    h("button", { type: "button", disabled: taken === count - 1, onclick: () => take(taken + 1) }, "Sharper"),
+    h("button", { type: "button", disabled: taken === 0, onclick: () => take(taken - 1) }, t("Quicker")),
+    h("button", { type: "button", disabled: taken === count - 1, onclick: () => take(taken + 1) }, t("Sharper")),
   );
 }
 
@@ -91,7 +92,7 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
   return svg(
     "svg", {
       viewBox: `0 0 ${width} ${HEIGHT}`, height: HEIGHT, class: "plan-svg", role: "radiogroup",
-      "aria-label": "Plans, quickest first", onclick: nearest,
+      "aria-label": t("Plans, quickest first"), onclick: nearest,
     },
     at.levels.filter((_, k) => k % every === 0).map((level) => [
       svg("path", { class: "plan-grid", d: `M${EDGE.left} ${at.y(level).toFixed(1)}H${width - EDGE.right}` }),
@@ -101,8 +102,8 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
       svg("path", { class: "plan-grid", d: `M${x.toFixed(1)} ${EDGE.top}V${floor}` }),
       svg("text", { class: "plan-mark", x, y: floor + 18, "text-anchor": "middle" }, hours(each * 3600)),
     ]),
-    svg("text", { class: "plan-axis", x: (EDGE.left + width) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "time on the mill"),
-    svg("text", { class: "plan-axis", x: 0, y: 14 }, "likeness of the milled picture"),
+    svg("text", { class: "plan-axis", x: (EDGE.left + width) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, t("time on the mill")),
+    svg("text", { class: "plan-axis", x: 0, y: 14 }, t("likeness of the milled picture")),
     eyeBands(at.least, at.most).map((band) => bandWords(band, at, width)),
     svg("path", { class: "plan-line", d: line }),
     rows.map((row, k) => point(row, k, at, { taken, made, take, spec, last: rows.length - 1 })),
@@ -129,7 +130,7 @@ function spaced(marks, least) {
 function point(row, k, at, { taken, made, take, spec, last }) {
   const keys = { ArrowRight: k + 1, ArrowUp: k + 1, ArrowLeft: k - 1, ArrowDown: k - 1, Home: 0, End: last };
   const x = at.x(row.hours), y = at.y(row.psnr_db), own = k === taken;
-  const blur = `details under ${mm(detailOfPlan(spec, row))} will blur`, ours = k === made ? ", this job's plan" : "";
+  const blur = t`details under ${mm(detailOfPlan(spec, row))} will blur`, ours = k === made ? t(", this job's plan") : "";
   const words = `${hours(row.hours * 3600)}, ${blur}, ${eyeWords(row.psnr_db)}, ${row.psnr_db.toFixed(1)} dB${ours}`;
   return svg(
     "g", {
@@ -152,13 +153,13 @@ function point(row, k, at, { taken, made, take, spec, last }) {
 function inWords(job, row, k, made) {
   const passes = row.spec.passes ?? [], own = k === made;
   return [
-    h("h3", {}, `${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
-    h("p", {}, `On the wall: ${eyeWords(row.psnr_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
+    h("h3", {}, t`${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
+    h("p", {}, t`On the wall: ${eyeWords(row.psnr_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
     row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own
-      ? h("p", { class: "dim" }, "This is the plan of this job. It was foretold before the programs were written; what they will do stands under “What to expect”.")
-      : h("a", { class: "button primary", href: `#/new?from=${job.id}&plan=${k}` }, "Make this job"),
+      ? h("p", { class: "dim" }, t("This is the plan of this job. It was foretold before the programs were written; what they will do stands under “What to expect”."))
+      : h("a", { class: "button primary", href: `#/new?from=${job.id}&plan=${k}` }, t("Make this job")),
   ];
 }
 

@@ -1,28 +1,29 @@
 /** How far a job is, stage by stage. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { capital, hours, percent, percentUnderWay } from "../lib/words.js";
 import { stageWords } from "./figures.js";
 import { leftWords, secondsLeft } from "./left.js";
 
 const LOOKS = {
-  waiting: ["wait", "waiting"],
-  running: ["busy", "working"],
-  committed: ["good", "done"],
-  reused: ["good", "done before"],
-  interrupted: ["warn", "begins again"],
-  failed: ["bad", "failed"],
-  cancelled: ["off", "cancelled"],
+  waiting: ["wait", t("waiting")],
+  running: ["busy", t("working")],
+  committed: ["good", t("done")],
+  reused: ["good", t("done before")],
+  interrupted: ["warn", t("begins again")],
+  failed: ["bad", t("failed")],
+  cancelled: ["off", t("cancelled")],
 };
 
 /** {node, update(job, live)}; live: {stage, share, progress} of the last event, or null. */
 export function progressPart() {
-  const bar = h("progress", { max: 1, "aria-label": "Progress of the job" });
+  const bar = h("progress", { max: 1, "aria-label": t("Progress of the job") });
   const words = h("span", { class: "progress-words" });
   const list = h("ol", { class: "stages" });
   const details = h("details", {}, h("summary", {}, words), list);
-  const node = h("section", { class: "card job-progress", "aria-label": "Progress" }, bar, details);
+  const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details);
   let shown = null, before = null;
 
   function update(job, live, link) {
@@ -54,18 +55,22 @@ function row(stage, job) {
   );
 }
 
+function waitWords(before) {
+  return before === 1 ? t`Waits: ${before} job before this one.` : t`Waits: ${before} jobs before this one.`;
+}
+
 function sentence(job, share, live, link) {
   if (job.state === "queued") {
     const place = job.queue_position;
-    return place > 1 ? `Waits: ${place - 1} ${place === 2 ? "job" : "jobs"} before this one.` : "Waits: it is the next one.";
+    return place > 1 ? waitWords(place - 1) : t("Waits: it is the next one.");
   }
   if (job.state === "running") {
-    const stage = live?.stage ?? job.stage, tail = link === "away" ? " Not live at the moment: trying again." : "";
+    const stage = live?.stage ?? job.stage, tail = link === "away" ? t(" Not live at the moment: trying again.") : "";
     const left = job.cancel_requested ? "" : ` ${capital(leftWords(secondsLeft(job, live, api.now())))}.`;
-    const doing = job.cancel_requested ? "Being cancelled" : stage ? stageWords(stage, job.spec) : "Begins";
+    const doing = job.cancel_requested ? t("Being cancelled") : stage ? stageWords(stage, job.spec) : t("Begins");
     return `${percentUnderWay(share)}: ${doing}.${left}${tail}`;
   }
   const took = job.started_at && job.ended_at ? hours((new Date(job.ended_at) - new Date(job.started_at)) / 1000) : "";
-  if (job.state === "succeeded") return took ? `Made in ${took}.` : "Made.";
-  return `Stopped at ${percent(share)}${took ? ` after ${took}` : ""}.`;
+  if (job.state === "succeeded") return took ? t`Made in ${took}.` : t("Made.");
+  return t`Stopped at ${percent(share)}${took ? t` after ${took}` : ""}.`;
 }

@@ -6,6 +6,7 @@
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 import { bytes, percent } from "../lib/words.js";
 
 /** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told. */
@@ -29,7 +30,7 @@ export function sheetLink(file, words) {
     event.preventDefault();
     wholeSheet(file.url).then(
       (text) => saveBlob(new Blob([text], { type: "text/html" }), file.name),
-      (error) => toast(`${file.name} was not saved. ${error.detail ?? error.message}`, { kind: "bad" }),
+      (error) => toast(t`${file.name} was not saved. ${error.detail ?? error.message}`, { kind: "bad" }),
     );
   });
   return link;
@@ -65,7 +66,7 @@ async function fetchAndSave({ url, name, size, link }) {
     if (target) await counted.pipeTo(target);
     else await saveBlob(await new Response(counted).blob(), name);
   } catch (error) {
-    if (error.name !== "AbortError") toast(`${name} was not saved. ${error.detail ?? error.message}`, { kind: "bad" });
+    if (error.name !== "AbortError") toast(t`${name} was not saved. ${error.detail ?? error.message}`, { kind: "bad" });
   } finally {
     link.textContent = usual;
   }

@@ -1,12 +1,15 @@
 /** Settings of a job in the words that their fields have in the form of a new one. */
+import { t } from "../lib/language.js";
+import { within } from "../lib/words.js";
 import { PASS, SPEC } from "../new/fields.js";
 
 /** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
 export function settingWords(key, spec) {
-  const { pass, own } = splitKey(key), row = rowOf(key), label = row ? row.label.toLowerCase() : own;
+  const { pass, own } = splitKey(key), row = rowOf(key), label = row ? within(row.label) : own;
   if (pass === null) return label;
   const name = spec.passes?.[pass]?.name;
-  return `${label ? `${label} of ` : ""}pass ${pass + 1}${name ? ` (${name})` : ""}`;
+  const called = name ? ` (${name})` : "";
+  return label ? t`${label} of pass ${pass + 1}${called}` : t`pass ${pass + 1}${called}`;
 }
 
 /** Its value with its unit, or the words of its choice; what counts where there is none. */

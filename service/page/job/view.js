@@ -6,6 +6,7 @@
  */
 import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { follow } from "../lib/sse.js";
 import { endingPart } from "./ending.js";
 import { factsPart, warningsPart } from "./facts.js";
@@ -143,5 +144,5 @@ function isGoing(job) {
 
 function showGone(root, parts) {
   for (const part of Object.values(parts)) part.free?.();
-  replace(root, h("h1", {}, "This job is gone"), h("p", {}, "Somebody has deleted it."), h("p", {}, h("a", { class: "button", href: "#/" }, "All jobs")));
+  replace(root, h("h1", {}, t("This job is gone")), h("p", {}, t("Somebody has deleted it.")), h("p", {}, h("a", { class: "button", href: "#/" }, t("All jobs"))));
 }

@@ -1,5 +1,6 @@
 /** Two pictures of one size over each other, the right one laid open from a line that mouse, finger or keys move. */
 import { h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 
 const COARSE_PIXELS = 256;
 
@@ -10,13 +11,13 @@ export function wipe() {
   const names = [h("span", { class: "wipe-name" }), h("span", { class: "wipe-name wipe-name-right" })];
   const bar = h("div", { class: "wipe-bar", "aria-hidden": "true" });
   const frame = h("div", { class: "wipe-frame" }, under, over, bar, names);
-  const range = h("input", { type: "range", min: 0, max: 100, step: 0.5, value: 50, class: "wipe-range", "aria-label": "Wipe" });
+  const range = h("input", { type: "range", min: 0, max: 100, step: 0.5, value: 50, class: "wipe-range", "aria-label": t("Wipe") });
   const node = h("div", { class: "wipe" }, frame, range);
 
   function set(percent) {
     range.value = percent;
     frame.style.setProperty("--at", `${range.value}%`);
-    range.setAttribute("aria-valuetext", `${names[0].textContent} on the left ${Math.round(range.value)} percent`);
+    range.setAttribute("aria-valuetext", t`${names[0].textContent} on the left ${Math.round(range.value)} percent`);
   }
   function follow(event) {
     const box = frame.getBoundingClientRect();
@@ -45,7 +46,7 @@ export function wipe() {
         picture.alt = side.alt ?? side.words;
         name.textContent = side.words;
       });
-      range.setAttribute("aria-label", `Wipe between ${left.words} and ${right.words}`);
+      range.setAttribute("aria-label", t`Wipe between ${left.words} and ${right.words}`);
       set(range.value);
     },
   };

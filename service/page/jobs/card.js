@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { stateMark } from "../lib/state.js";
 import { ago, jobName, percentUnderWay } from "../lib/words.js";
 
@@ -10,7 +11,7 @@ export function jobCard(first) {
   const image = h("img", { class: "thumb", alt: "", width: 96, height: 96 });
   const name = h("span", { class: "name" });
   const state = h("span", { class: "state" });
-  const bar = h("progress", { max: 1, "aria-label": "Done" });
+  const bar = h("progress", { max: 1, "aria-label": t("Done") });
   const note = h("span", { class: "note dim" });
   const link = h(
     "a",
@@ -18,7 +19,7 @@ export function jobCard(first) {
     h("span", { class: "frame" }, image),
     h("span", { class: "facts" }, name, state, bar, note),
   );
-  const pick = h("input", { type: "checkbox", "aria-label": `Select ${jobName(first)}` });
+  const pick = h("input", { type: "checkbox", "aria-label": t`Select ${jobName(first)}` });
   const element = h("li", {}, link, h("label", { class: "pick" }, pick));
   let shown = "";
 
@@ -40,10 +41,10 @@ export function jobCard(first) {
 }
 
 function stateWords(job) {
-  if (job.cancel_requested && job.state === "running") return "being cancelled";
-  if (job.state === "running") return `working, ${percentUnderWay(job.progress)}`;
+  if (job.cancel_requested && job.state === "running") return t("being cancelled");
+  if (job.state === "running") return t`working, ${percentUnderWay(job.progress)}`;
   if (job.state === "queued" && job.queue_position)
-    return `waiting, ${job.queue_position === 1 ? "next" : `${job.queue_position - 1} before it`}`;
+    return job.queue_position === 1 ? t("waiting, next") : t`waiting, ${job.queue_position - 1} before it`;
   return undefined;
 }
 

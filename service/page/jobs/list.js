@@ -3,26 +3,27 @@
 import { api } from "../lib/api.js";
 import { confirm } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
-import { count, jobName, sentence } from "../lib/words.js";
+import { t } from "../lib/language.js";
+import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/picked.js";
 import { jobCard } from "./card.js";
 import { thumbnails } from "./thumbnails.js";
 
 const FILTERS = [
-  ["all", "All", [], ""],
-  ["active", "Working", ["queued", "running"], "No job is being worked on."],
-  ["done", "Done", ["succeeded"], "No job is done yet."],
-  ["failed", "Failed", ["failed", "cancelled"], "No job failed or was cancelled."],
+  ["all", t("All"), [], ""],
+  ["active", t("Working"), ["queued", "running"], t("No job is being worked on.")],
+  ["done", t("Done"), ["succeeded"], t("No job is done yet.")],
+  ["failed", t("Failed"), ["failed", "cancelled"], t("No job failed or was cancelled.")],
 ];
 const NEWEST = (a, b) => (a.created_at < b.created_at ? 1 : -1);
 const WORKS = (a, b) => (b.state === "running") - (a.state === "running");
 const SORTS = {
-  "": ["Newest first", (a, b) => WORKS(a, b) || NEWEST(a, b)],
-  old: ["Oldest first", (a, b) => NEWEST(b, a)],
-  name: ["By name", (a, b) => jobName(a).localeCompare(jobName(b), [], { numeric: true, sensitivity: "base" })],
+  "": [t("Newest first"), (a, b) => WORKS(a, b) || NEWEST(a, b)],
+  old: [t("Oldest first"), (a, b) => NEWEST(b, a)],
+  name: [t("By name"), (a, b) => jobName(a).localeCompare(jobName(b), [], { numeric: true, sensitivity: "base" })],
 };
-const WHAT = ": you get the programs that mill a clear block, and light through that block paints the picture on a wall.";
+const WHAT = t(": you get the programs that mill a clear block, and light through that block paints the picture on a wall.");
 const BUSY_MS = 1500;
 const CALM_MS = 6000;
 const PAGE = 48;
@@ -30,7 +31,7 @@ const WHOLE_PAGE = 200; // where all are wanted
 const MOST = 2000;
 
 export default async function view(root, params, app) {
-  app.title("Jobs");
+  app.title(t("Jobs"));
   const [, , states, none] = FILTERS.find(([key]) => key === params.show) ?? FILTERS[0];
   const asked = { show: params.show ?? "all", q: params.q ?? "", sort: params.sort in SORTS ? params.sort : "" };
   const list = jobList(states, none, asked);
@@ -38,19 +39,19 @@ export default async function view(root, params, app) {
     keep(file);
     app.go("#/new");
   };
-  const begin = h("section", { "aria-label": "New job" });
+  const begin = h("section", { "aria-label": t("New job") });
   const tools = toolbar(asked, list);
   const status = h("p", { class: "hidden-words", role: "status" });
-  replace(root, h("h1", {}, "Jobs"), begin, tools.node, list.element, list.empty, list.more, status);
+  replace(root, h("h1", {}, t("Jobs")), begin, tools.node, list.element, list.empty, list.more, status);
 
   let compact = null;
   list.onChange = ({ known, shown, active }) => {
     const nothing = known === 0 && states.length === 0;
     tools.update(nothing);
-    write(status, shown === 0 ? "No jobs" : `${count(shown, "job")} shown, ${active} not finished`);
+    write(status, shown === 0 ? t("No jobs") : shown === 1 ? t`${shown} job shown, ${active} not finished` : t`${shown} jobs shown, ${active} not finished`);
     if (compact === !nothing) return;
     compact = !nothing;
-    const words = invitation(nothing ? WHAT : " for a new job");
+    const words = invitation(nothing ? WHAT : t(" for a new job"));
     replace(begin, dropPlace({ words, onFile: take, compact }));
   };
   await list.start();
@@ -65,15 +66,15 @@ function addressOf(asked) {
 /** Which jobs, searched and sorted how; and the choice of many, to delete them. What is asked stays in the address. */
 function toolbar(asked, list) {
   const links = FILTERS.map(([key, words]) => h("a", { class: "button", "aria-current": key === asked.show ? "true" : null }, words));
-  const search = h("input", { type: "search", value: asked.q, placeholder: "Search", "aria-label": "Search by name", oninput: () => change({ q: search.value.trim() }) });
+  const search = h("input", { type: "search", value: asked.q, placeholder: t("Search"), "aria-label": t("Search by name"), oninput: () => change({ q: search.value.trim() }) });
   const options = Object.entries(SORTS).map(([value, [words]]) => h("option", { value, selected: value === asked.sort }, words));
-  const sort = h("select", { "aria-label": "Order", onchange: () => change({ sort: sort.value }) }, options);
-  const pick = h("button", { type: "button", "aria-pressed": "false", onclick: () => setPicking(!list.picking) }, "Select");
-  const all = h("button", { type: "button", onclick: () => list.pickAll() }, "All shown");
+  const sort = h("select", { "aria-label": t("Order"), onchange: () => change({ sort: sort.value }) }, options);
+  const pick = h("button", { type: "button", "aria-pressed": "false", onclick: () => setPicking(!list.picking) }, t("Select"));
+  const all = h("button", { type: "button", onclick: () => list.pickAll() }, t("All shown"));
   const remove = h("button", { type: "button", class: "danger", onclick: () => deletePicked() });
   const said = h("p", { class: "fault", role: "status" });
   const many = h("div", { class: "row", hidden: true }, all, remove);
-  const filters = h("nav", { class: "filters row", "aria-label": "Which jobs", hidden: true }, links);
+  const filters = h("nav", { class: "filters row", "aria-label": t("Which jobs"), hidden: true }, links);
   const node = h("div", { class: "job-tools", hidden: true }, filters, h("div", { class: "row find" }, search, sort, pick), many, said);
 
   function change(more) {
@@ -92,7 +93,7 @@ function toolbar(asked, list) {
   }
   async function deletePicked() {
     const found = list.picked();
-    const sure = await confirm({ title: `Delete ${count(found.length, "job")}?`, words: "Their pictures and programs go, too.", yes: "Delete", danger: true });
+    const sure = await confirm({ title: found.length === 1 ? t`Delete ${found.length} job?` : t`Delete ${found.length} jobs?`, words: t("Their pictures and programs go, too."), yes: t("Delete"), danger: true });
     if (!sure || !(await api.need("jobs:write"))) return;
     write(said, (await list.delete(found)).join(" "));
     if (!said.textContent) setPicking(false);
@@ -104,7 +105,7 @@ function toolbar(asked, list) {
       node.hidden = filters.hidden = nothing;
       const { length } = list.picked();
       many.hidden = !list.picking;
-      write(remove, length ? `Delete ${length}` : "Delete");
+      write(remove, length ? t`Delete ${length}` : t("Delete"));
       remove.disabled = length === 0;
     },
   };
@@ -117,9 +118,9 @@ function jobList(states, none, asked) {
   const cards = new Map(); // id -> {card, job}
   const stop = new AbortController();
   const made = {
-    element: h("ul", { class: "jobs", "aria-label": "Jobs", onchange: () => tell() }),
+    element: h("ul", { class: "jobs", "aria-label": t("Jobs"), onchange: () => tell() }),
     empty: h("p", { class: "dim", hidden: true }),
-    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => older(PAGE).then(tell) }, "Show older jobs")),
+    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => older(PAGE).then(tell) }, t("Show older jobs"))),
     picking: false,
     onChange: () => {},
     start,
@@ -252,7 +253,7 @@ function jobList(states, none, asked) {
   function tell() {
     const shown = arrange();
     made.empty.hidden = shown > 0 || (states.length === 0 && !asked.q);
-    write(made.empty, asked.q ? "No job has this in its name." : none);
+    write(made.empty, asked.q ? t("No job has this in its name.") : none);
     made.more.hidden = !next;
     made.onChange({ known: cards.size, shown, active: active() });
   }

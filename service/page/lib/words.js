@@ -82,14 +82,14 @@ export function jobName({ name }) {
   return name.replace(/(?<=.)\.(png|jpe?g|webp|tiff?|bmp|gif)$/i, "");
 }
 
+/** A title within a sentence; German nouns keep their capital letter. */
+export function within(title) {
+  return language === "en" ? title.toLowerCase() : title;
+}
+
 /** With a capital letter. */
 export function capital(words) {
   return words.charAt(0).toUpperCase() + words.slice(1);
-}
-
-/** count(1, "job") = "1 job", count(3, "job") = "3 jobs". */
-export function count(number, word, several = `${word}s`) {
-  return `${number} ${number === 1 ? word : several}`;
 }
 
 /** A whole number with its thousands apart: 41210 is "41,210"; a German would take that comma for a point. */

@@ -2,24 +2,25 @@
 
 import { saveLink } from "../job/save.js";
 import { h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";
 import { sentence } from "../lib/words.js";
 
-const TITLE = "Measure your mill and your finish";
+const TITLE = t("Measure your mill and your finish");
 const INTRO =
-  "Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: how exact the mill is and what your finish takes off come out. The sheet in the archive says how.";
-const WAIT = "The archive takes about a quarter of a minute the first time.";
+  t("Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: how exact the mill is and what your finish takes off come out. The sheet in the archive says how.");
+const WAIT = t("The archive takes about a quarter of a minute the first time.");
 
 /** {element, show(profile)}: of the machine that the job is for. take({what, values}): a person wants the figures. */
 export function couponPart({ take }) {
   let profile = "";
   const address = () => `/v1/profiles/${encodeURIComponent(profile)}/coupon`;
-  const link = saveLink({ url: "", name: "", words: "Programs and sheet (zip)", fetched: true }); // it may be refused
+  const link = saveLink({ url: "", name: "", words: t("Programs and sheet (zip)"), fetched: true }); // it may be refused
   const photo = photograph({
-    words: "Photograph of its light",
+    words: t("Photograph of its light"),
     address: () => `${address()}/photos`,
     lines,
-    alt: () => "The photograph, set straight, and how much of each ripple is left",
+    alt: () => t("The photograph, set straight, and how much of each ripple is left"),
   });
 
   function show(chosen) {
@@ -31,12 +32,12 @@ export function couponPart({ take }) {
   }
   function lines({ finish, mill, notes, values }) {
     const instead = { "finish.minutes": undefined, "finish.depth_um": undefined }; // of a finish that was planned
-    const use = () => take({ what: "the figures of the test piece", values: { ...instead, ...values } });
+    const use = () => take({ what: t("the figures of the test piece"), values: { ...instead, ...values } });
     return [
-      `Of a wave of ${round(halfMm(finish))} mm, the finish leaves half (k0 ${round(finish.k0_rad_per_mm)} rad/mm, order ${round(finish.order)}).`,
-      `The mill's rows are off by ${round(1000 * mill.z_noise_mm)} µm.`,
+      t`Of a wave of ${round(halfMm(finish))} mm, the finish leaves half (k0 ${round(finish.k0_rad_per_mm)} rad/mm, order ${round(finish.order)}).`,
+      t`The mill's rows are off by ${round(1000 * mill.z_noise_mm)} µm.`,
       ...notes.map((note) => sentence(note.text)),
-      h("button", { type: "button", onclick: use }, "Use these figures for this job"),
+      h("button", { type: "button", onclick: use }, t("Use these figures for this job")),
     ];
   }
   const summary = h("summary", {}, TITLE);

@@ -2,6 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 
 const KINDS = "image/png,image/jpeg,image/webp,image/tiff,image/bmp,image/gif,.tif,.tiff";
 
@@ -11,7 +12,7 @@ export function dropPlace({ words, onFile, compact = false }) {
     const file = [...files].find(isPicture);
     if (file) onFile(file);
     else if (files.length)
-      toast("This is no picture. Take a PNG, JPEG, TIFF, WebP, BMP or GIF file.", { kind: "bad" });
+      toast(t("This is no picture. Take a PNG, JPEG, TIFF, WebP, BMP or GIF file."), { kind: "bad" });
   };
   const chosen = pick({ accept: KINDS }, take);
   const photographed = pick({ accept: "image/*", capture: "environment" }, take);
@@ -30,12 +31,12 @@ export function dropPlace({ words, onFile, compact = false }) {
       h(
         "button",
         { type: "button", class: compact ? "" : "primary big", onclick: () => chosen.click() },
-        "Choose a picture",
+        t("Choose a picture"),
       ),
       h(
         "button",
         { type: "button", class: compact ? "photo" : "photo big", hidden: !hasCamera(), onclick: photo },
-        "Take a photo",
+        t("Take a photo"),
       ),
     ),
     chosen,
@@ -47,7 +48,7 @@ export function dropPlace({ words, onFile, compact = false }) {
 
 /** What to do here: nothing can be dropped with a finger. */
 export function invitation(purpose = "") {
-  return `${isHandheld() ? "Choose or photograph a picture" : "Drop a picture here"}${purpose}`;
+  return (isHandheld() ? t("Choose or photograph a picture") : t("Drop a picture here")) + purpose;
 }
 
 /** Takes what is pasted, or dropped anywhere on the page, while the place is shown. */

@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { eyeWords } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
@@ -9,10 +10,10 @@ import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 const CALM_MS = 250;
 const EXACT_CALM_MS = 1500;
 const AGAIN_MS = 5000;
-const BUSY = "Working it out…";
-const COARSE = "A first look: exact figures follow.";
-const ONLY_COARSE = "A first look: the exact figures could not be worked out.";
-const FIRST = "The first one after an installation or an update takes up to a minute; all others are quick.";
+const BUSY = t("Working it out…");
+const COARSE = t("A first look: exact figures follow.");
+const ONLY_COARSE = t("A first look: the exact figures could not be worked out.");
+const FIRST = t("The first one after an installation or an update takes up to a minute; all others are quick.");
 const TRIES = 3;
 const SLOW_MS = 4000;
 // A newer question of one tab ends its older one, not that of another tab beside it.
@@ -99,14 +100,14 @@ export function estimateWords(estimate) {
     h(
       "dl",
       { class: "figures" },
-      figure("Machine time", hours(3600 * estimate.hours)),
-      figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall"),
-      figure("Depth of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
+      figure(t("Machine time"), hours(3600 * estimate.hours)),
+      figure(t("Smallest detail"), mm(estimate.smallest_detail_mm), t("on the wall")),
+      figure(t("Depth of the lens"), mm(estimate.relief_mm), t`steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&
       h(
         "ol",
-        { class: "pass-times", "aria-label": "Passes" },
+        { class: "pass-times", "aria-label": t("Passes") },
         estimate.passes.map((pass) =>
           h(
             "li",
@@ -127,7 +128,7 @@ function notice(kind, words) {
 /** For the bar at the foot: one line. */
 export function estimateLine(estimate) {
   const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
-  return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
+  return t`About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
 
 function figure(name, value, more) {
@@ -140,21 +141,21 @@ export function estimateCard() {
   const state = h("p", { class: "dim", role: "status" });
   const element = h(
     "section",
-    { class: "card estimate", "aria-label": "Estimate" },
-    h("h2", {}, "Estimate"),
+    { class: "card estimate", "aria-label": t("Estimate") },
+    h("h2", {}, t("Estimate")),
     state,
     body,
   );
   const words = {
-    none: "It appears as soon as there is a picture.",
+    none: t("It appears as soon as there is a picture."),
     busy: BUSY,
     known: "",
-    problems: "None, for what is said in red.",
+    problems: t("None, for what is said in red."),
   };
   function stateWords(result) {
     if (result.slow) return `${BUSY} ${FIRST}`;
     if (result.kind === "known" && !result.estimate.exact) return result.after ? ONLY_COARSE : COARSE;
-    return words[result.kind] ?? `No estimate now. ${result.words ?? ""}`;
+    return words[result.kind] ?? t`No estimate now. ${result.words ?? ""}`;
   }
   function show(result) {
     element.hidden = result.kind === "absent";

@@ -8,13 +8,14 @@
  * of `FieldLook` in that file.
  */
 
+import { t } from "../lib/language.js";
 import { SCHEMA } from "./spec_schema.js";
 import { valueAt } from "./spec.js";
 
 const KINDS = { boolean: "tick", integer: "whole", number: "number", string: "text" };
 const YES_NO = [
-  { const: true, title: "yes" },
-  { const: false, title: "no" },
+  { const: true, title: t("yes") },
+  { const: false, title: t("no") },
 ];
 
 /** All but those of the passes. */
@@ -42,9 +43,14 @@ export function usualOf(key) {
 function* rowsOf(table, { before = "", title } = {}) {
   for (const [name, told] of Object.entries(table.properties)) {
     const inner = target(told), key = before + name;
-    if (inner.properties && !isOptional(told)) yield* rowsOf(inner, { before: `${key}.`, title: title ?? told.title });
-    else if (kindOf(told, inner)) yield { ...rowOf(key, told, inner), table: title ?? "Job" };
+    if (inner.properties && !isOptional(told)) yield* rowsOf(inner, { before: `${key}.`, title: title ?? say(told.title) });
+    else if (kindOf(told, inner)) yield { ...rowOf(key, told, inner), table: title ?? t("Job") };
   }
+}
+
+/** A text of the schema, which may be none. */
+function say(words) {
+  return words && t(words);
 }
 
 /** What a reference stands for, and of "this or nothing" this. */
@@ -68,8 +74,8 @@ function choicesOf(told, inner) {
   const worded = told.form?.choices ?? told.oneOf ?? (inner.type === "boolean" && isOptional(told) ? YES_NO : []);
   const others = (inner.enum ?? []).filter((value) => !worded.some((one) => one.const === value));
   const rows = [...worded, ...others.map((value) => ({ const: value }))];
-  const choices = rows.map(({ const: value, title, description }) => [value, title ?? String(value), description]);
-  return rows.length && isOptional(told) ? [[null, told.form?.usual ?? "usual"], ...choices] : choices;
+  const choices = rows.map(({ const: value, title, description }) => [value, say(title ?? String(value)), say(description)]);
+  return rows.length && isOptional(told) ? [[null, say(told.form?.usual ?? "usual")], ...choices] : choices;
 }
 
 function rowOf(key, told, inner) {
@@ -77,15 +83,15 @@ function rowOf(key, told, inner) {
   const kind = kindOf(told, inner), standard = told.default ?? null;
   const names = Array.from({ length: inner.minItems ?? 0 }, (_, at) => String(at + 1));
   return {
-    names,
     ...look,
+    names: (look.names ?? names).map(say),
     key,
-    label: told.title,
+    label: say(told.title),
     kind,
-    hint: told.description,
+    hint: say(told.description),
     unit: told.unit ?? "",
     limits: limitsOf(inner, told.unit),
-    usual: standard ?? (["choice", "numbers"].includes(kind) ? null : (usual ?? "needed")),
+    usual: standard ?? (["choice", "numbers"].includes(kind) ? null : say(usual ?? "needed")),
     choices: choicesOf(told, inner),
     when: when && ((spec) => Object.entries(when).every(([other, values]) => [values].flat().includes(valueAt(spec, other) ?? usualOf(other)))),
   };
@@ -94,6 +100,6 @@ function rowOf(key, told, inner) {
 /** "more than 0, at most 2000 mm" */
 function limitsOf({ minimum, exclusiveMinimum, maximum }, unit = "") {
   if (maximum === undefined) return "";
-  const range = minimum === undefined ? `more than ${exclusiveMinimum}, at most ${maximum}` : `${minimum} to ${maximum}`;
+  const range = minimum === undefined ? t`more than ${exclusiveMinimum}, at most ${maximum}` : t`${minimum} to ${maximum}`;
   return `${range} ${unit}`.trim();
 }

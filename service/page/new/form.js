@@ -1,6 +1,7 @@
 /** The form of a new job: rows that make a spec, and a spec that fills the rows. */
 
 import { freshId, h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 import { EXPERT, LENS, LIGHT, MAIN, MILL, PICTURE } from "./fields.js";
 import { withProfiles } from "./machines.js";
@@ -102,10 +103,10 @@ export function specForm({ profiles, onChange, planned }) {
       made.map((one) => one.element),
     );
   const expert = [
-    h("h3", {}, "Passes"),
+    h("h3", {}, t("Passes")),
     milling.element,
     more.map(([title, made]) => [h("h3", {}, title), fields(made)]),
-    h("h3", {}, "Everything else"),
+    h("h3", {}, t("Everything else")),
     rest.element,
   ];
   reveal();
@@ -171,9 +172,9 @@ function otherValues(onChange) {
     element: h(
       "div",
       { class: "field" },
-      h("span", { id: label }, "Other values, as JSON"),
+      h("span", { id: label }, t("Other values, as JSON")),
       text,
-      h("small", { id: hint }, 'For keys without a field: {"optics": {"outline": [[0, 0], [50, 0], [25, 40]]}}'),
+      h("small", { id: hint }, t("For keys without a field: {\"optics\": {\"outline\": [[0, 0], [50, 0], [25, 40]]}}")),
       words,
     ),
     field: {},
@@ -187,9 +188,9 @@ function otherValues(onChange) {
       try {
         const value = JSON.parse(text.value);
         if (isTable(value)) return merged({}, value);
-        faults.push({ row: made, words: "This must be an object in braces: {...}" });
+        faults.push({ row: made, words: t("This must be an object in braces: {...}") });
       } catch (error) {
-        faults.push({ row: made, words: `This is not JSON: ${error.message}` });
+        faults.push({ row: made, words: t`This is not JSON: ${error.message}` });
       }
       return {};
     },

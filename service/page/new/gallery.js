@@ -3,8 +3,9 @@
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
+import { t } from "../lib/language.js";
 
-const PICTURES = [["portrait.jpg", "Portrait"], ["camera.jpg", "Camera"], ["logo.png", "Logo"], ["characters.png", "Letters"]];
+const PICTURES = [["portrait.jpg", t("Portrait")], ["camera.jpg", t("Camera")], ["logo.png", t("Logo")], ["characters.png", t("Letters")]];
 
 /** An element that calls onFile(File) with the picture that a person takes. */
 export function gallery(onFile) {
@@ -12,7 +13,7 @@ export function gallery(onFile) {
     const picture = h("img", { src: `/page/new/gallery/${name}`, alt: "", width: 88, height: 88 });
     return h("button", { type: "button", onclick: () => take(picture.src, name, onFile) }, picture, words);
   };
-  return h("div", { class: "gallery", role: "group", "aria-label": "Examples" }, h("p", {}, "Or try one of these"), PICTURES.map(one));
+  return h("div", { class: "gallery", role: "group", "aria-label": t("Examples") }, h("p", {}, t("Or try one of these")), PICTURES.map(one));
 }
 
 async function take(address, name, onFile) {

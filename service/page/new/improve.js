@@ -2,6 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { freshKey, hours, mm, sentence } from "../lib/words.js";
 import { eyeWords, isHard } from "../job/figures.js";
 import { put } from "./spec.js";
@@ -9,7 +10,7 @@ import { put } from "./spec.js";
 const WORTH_DB = 1;
 // Of their own: what is asked here does not end the question about the job itself.
 const HEADERS = { "Causticmill-Tab": freshKey() };
-const NONE = "No single change of what is set here shows plainly more.";
+const NONE = t("No single change of what is set here shows plainly more.");
 
 /** A spec with a change taken; passes that were given make way for recommended ones. */
 export function withChange(spec, values) {
@@ -27,9 +28,9 @@ export function withChange(spec, values) {
 export function improvements({ make, take, draw }) {
   const list = h("ul", { class: "changes" });
   const state = h("p", { class: "dim", role: "status" });
-  const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, "What shows more?");
-  const title = h("h2", {}, "What shows more");
-  const element = h("section", { class: "card improvements", "aria-label": "What shows more", hidden: true }, title, button, state, list);
+  const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What shows more?"));
+  const title = h("h2", {}, t("What shows more"));
+  const element = h("section", { class: "card improvements", "aria-label": t("What shows more"), hidden: true }, title, button, state, list);
   const now = { estimate: null, asking: new AbortController() };
 
   function show(estimate) {
@@ -63,7 +64,7 @@ export function improvements({ make, take, draw }) {
     fold(false);
     const found = [];
     for (const [number, change] of estimate.changes.entries()) {
-      state.textContent = `Working it out: ${number + 1} of ${estimate.changes.length}…`;
+      state.textContent = t`Working it out: ${number + 1} of ${estimate.changes.length}…`;
       const seen = await estimateChange(change, signal);
       if (signal.aborted) return;
       if (!seen || seen.refusals?.length || !(seen.psnr_db >= estimate.psnr_db + WORTH_DB)) continue;
@@ -90,7 +91,7 @@ export function improvements({ make, take, draw }) {
       h(
         "small",
         {},
-        `${eyeWords(seen.psnr_db)} (${seen.psnr_db.toFixed(0)} dB), details from ${mm(seen.smallest_detail_mm)}, ${hours(3600 * seen.hours)}`,
+        t`${eyeWords(seen.psnr_db)} (${seen.psnr_db.toFixed(0)} dB), details from ${mm(seen.smallest_detail_mm)}, ${hours(3600 * seen.hours)}`,
       ),
     );
 

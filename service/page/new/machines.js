@@ -1,7 +1,9 @@
 /** Which machine a job is for: the mills of this server first, by their own names. */
 
-const HERE = "Mills of this server";
-const OTHERS = "Other machines";
+import { t } from "../lib/language.js";
+
+const HERE = t("Mills of this server");
+const OTHERS = t("Other machines");
 
 /** The field of the machine with a choice for each profile: [name, words, description, group]. */
 export function withProfiles(field, profiles) {

@@ -1,6 +1,7 @@
 /** Passes set by hand: a card for each, in the order in which they are milled. */
 
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { PASS } from "./fields.js";
 import { row } from "./row.js";
 
@@ -13,7 +14,7 @@ export const FIRST = [
 export function passes({ onChange, known }) {
   let cards = [];
   const list = h("ol", { class: "passes" });
-  const add = h("button", { type: "button", onclick: () => change([...values(), another()], values().length) }, "Add a pass");
+  const add = h("button", { type: "button", onclick: () => change([...values(), another()], values().length) }, t("Add a pass"));
   const byHand = h("input", { type: "checkbox", onchange: () => change(byHand.checked ? known() : null) });
   const element = h(
     "div",
@@ -22,7 +23,7 @@ export function passes({ onChange, known }) {
       "label",
       { class: "tick" },
       byHand,
-      h("span", {}, "Set every pass by hand", h("small", {}, " (else they follow from how fine it shall be)")),
+      h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (else they follow from how fine it shall be)"))),
     ),
     list,
     add,
@@ -58,9 +59,9 @@ export function passes({ onChange, known }) {
     const remove = h(
       "button",
       { type: "button", class: "quiet", disabled: count === 1, onclick: () => without(at) },
-      "Remove",
+      t("Remove"),
     );
-    const title = h("h3", { tabIndex: -1 }, `Pass ${at + 1}`);
+    const title = h("h3", { tabIndex: -1 }, t`Pass ${at + 1}`);
     const fault = h("p", { class: "fault", role: "alert" });
     const fields = h("div", { class: "fields" }, rows.map((one) => one.element));
     const element = h(

@@ -1,6 +1,7 @@
 /** The side of the picture: where it is dropped, then what the wall will show of it, and what can be done to it. */
 
 import { h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { eyeWords } from "../job/figures.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
@@ -12,7 +13,7 @@ import { drawWall, wall } from "./wall.js";
 
 const SPREAD = Math.SQRT2; // the blur of an estimate is over both axes
 const SMALL = 160; // pixels of an outcome drawn small
-const HOW = "drag to choose the part, pinch or + and − to zoom";
+const HOW = t("drag to choose the part, pinch or + and − to zoom");
 
 /**
  * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate), small(spec, blurMm), blame(words), fault(),
@@ -24,7 +25,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   const seen = wall({ state: readDrawing, onEdit: edit });
   const tools = pictureTools({ state: readDrawing, onEdit: edit });
   const name = h("input", { type: "text", maxLength: 80, autocomplete: "off", oninput: onChange });
-  const title = h("label", { class: "field" }, h("span", {}, "Name of the job"), name);
+  const title = h("label", { class: "field" }, h("span", {}, t("Name of the job")), name);
   const all = h("div", { class: "stack tight", hidden: true }, tools.element, values, title);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });
@@ -81,14 +82,14 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     now.edits = { ...UNTOUCHED, ...edits };
     name.value = called ?? stem(picture.file.name);
     write(fault, "");
-    const words = `This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
+    const words = t`This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
     const figure = (canvas, caption, more) => h("figure", {}, canvas, h("figcaption", {}, h("strong", {}, caption), more));
     const shown = picture.shown
-      ? h("div", { class: "stage" }, figure(seen.picture, "Picture", h("small", {}, HOW)), figure(seen.wall, "On the wall", told))
+      ? h("div", { class: "stage" }, figure(seen.picture, t("Picture"), h("small", {}, HOW)), figure(seen.wall, t("On the wall"), told))
       : h("p", { class: "notice unseen" }, h("span", {}, words));
     all.hidden = false;
     tools.element.hidden = !picture.shown;
-    replace(place, shown, dropPlace({ words: "Another picture?", onFile: take, compact: true }));
+    replace(place, shown, dropPlace({ words: t("Another picture?"), onFile: take, compact: true }));
     draw();
   }
 
@@ -112,7 +113,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   }
 
   return {
-    element: h("section", { class: "picture-side", "aria-label": "Picture" }, fault, place),
+    element: h("section", { class: "picture-side", "aria-label": t("Picture") }, fault, place),
     tools: all,
     begin,
     has: () => now.picture !== null,

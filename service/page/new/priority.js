@@ -1,16 +1,17 @@
 /** Which jobs come first; not part of the spec. */
 
+import { t } from "../lib/language.js";
 import { row } from "./row.js";
 
 const FIELD = {
   key: "priority",
-  label: "Turn among waiting jobs",
+  label: t("Turn among waiting jobs"),
   kind: "choice",
   usual: "normal",
   choices: [
-    ["high", "before others"],
-    ["normal", "in order"],
-    ["low", "after others"],
+    ["high", t("before others")],
+    ["normal", t("in order")],
+    ["low", t("after others")],
   ],
 };
 

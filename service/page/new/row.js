@@ -1,6 +1,7 @@
 /** One row of the form: label, input, hint, and the fault beside it. */
 
 import { freshId, h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { numberOf } from "./spec.js";
 
 /**
@@ -35,7 +36,7 @@ export function row(field, { onChange, key = field.key }) {
   /** use: a value that would do, for one click. */
   function blame(words, use) {
     const take = () => (input.show(use), changed());
-    replace(fault, words, use != null && h("button", { type: "button", onclick: take }, `Use ${use} ${field.unit}`));
+    replace(fault, words, use != null && h("button", { type: "button", onclick: take }, t`Use ${use} ${field.unit}`));
     for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
   }
 
@@ -62,7 +63,7 @@ const INPUTS = {
 };
 
 function numberInput(field, { described, onChange }, more) {
-  const usual = field.usual ?? "the machine's";
+  const usual = field.usual ?? t("the machine's");
   return h("input", {
     type: "text",
     inputMode: "decimal",
@@ -84,8 +85,8 @@ function withUnit(input, unit) {
 function readNumber(input, { whole = false } = {}) {
   if (!input.value.trim()) return undefined;
   const value = numberOf(input.value);
-  if (!Number.isFinite(value)) throw new TypeError(`'${input.value.trim()}' is no number.`);
-  if (whole && !Number.isInteger(value)) throw new TypeError(`${value} is no whole number.`);
+  if (!Number.isFinite(value)) throw new TypeError(t`'${input.value.trim()}' is no number.`);
+  if (whole && !Number.isInteger(value)) throw new TypeError(t`${value} is no whole number.`);
   return value;
 }
 
@@ -114,7 +115,7 @@ function severalNumbers(field, parts) {
   const read = () => {
     const values = inputs.map((input) => readNumber(input));
     if (values.every((value) => value === undefined)) return undefined;
-    if (values.some((value) => value === undefined)) throw new TypeError("Fill in all of them, or none.");
+    if (values.some((value) => value === undefined)) throw new TypeError(t("Fill in all of them, or none."));
     return values;
   };
   const show = (values) => inputs.forEach((input, at) => (input.value = values?.[at] ?? ""));

@@ -1,6 +1,7 @@
 /** Another job as the beginning of a new one: its picture and what was asked for, perhaps with another of its plans. */
 
 import { api } from "../lib/api.js";
+import { t } from "../lib/language.js";
 import { jobName } from "../lib/words.js";
 import { merged } from "./spec.js";
 
@@ -16,10 +17,10 @@ export async function sourceOf(id, plan) {
       file,
       name,
       spec: asked.spec,
-      notice: `A copy of “${name}”. Change what you like; the other job stays as it is.`,
+      notice: t`A copy of “${name}”. Change what you like; the other job stays as it is.`,
     };
   const spec = { ...merged(asked.spec, row.spec), preset: "recommended" };
-  return { file, name, spec, notice: `A copy of “${name}” with another plan: ${row.words}.` };
+  return { file, name, spec, notice: t`A copy of “${name}” with another plan: ${row.words}.` };
 }
 
 async function planRow(id, number) {

@@ -1,6 +1,7 @@
 /** What can be done to the picture beside choosing its part: turn, mirror, tones. */
 
 import { freshId, h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { MOST_ZOOM, UNTOUCHED } from "./picture.js";
 
 /** {element, update()}. state() -> {edits, screen}; onEdit(edits). */
@@ -18,22 +19,22 @@ export function pictureTools({ state, onEdit }) {
       "aria-pressed": "false",
       onclick: () => change({ mirror: !state().edits.mirror, x: 1 - state().edits.x }),
     },
-    "Mirror",
+    t("Mirror"),
   );
-  const zoom = slider("Zoom", { min: 0, max: Math.log(MOST_ZOOM), step: 0.01 }, (value) =>
+  const zoom = slider(t("Zoom"), { min: 0, max: Math.log(MOST_ZOOM), step: 0.01 }, (value) =>
     change({ zoom: Math.exp(value) }),
   );
-  const brightness = slider("Brightness", { min: -1, max: 1, step: 0.02 }, (value) => change({ brightness: value }));
-  const contrast = slider("Contrast", { min: -1, max: 1, step: 0.02 }, (value) => change({ contrast: value }));
-  const reset = h("button", { type: "button", onclick: () => onEdit({ ...UNTOUCHED }) }, "As it was");
+  const brightness = slider(t("Brightness"), { min: -1, max: 1, step: 0.02 }, (value) => change({ brightness: value }));
+  const contrast = slider(t("Contrast"), { min: -1, max: 1, step: 0.02 }, (value) => change({ contrast: value }));
+  const reset = h("button", { type: "button", onclick: () => onEdit({ ...UNTOUCHED }) }, t("As it was"));
   const element = h(
     "div",
     { class: "stack tight" },
     h(
       "div",
       { class: "row tools" },
-      h("button", { type: "button", onclick: () => turn(3) }, "Turn left"),
-      h("button", { type: "button", onclick: () => turn(1) }, "Turn right"),
+      h("button", { type: "button", onclick: () => turn(3) }, t("Turn left")),
+      h("button", { type: "button", onclick: () => turn(1) }, t("Turn right")),
       mirror,
       reset,
     ),

@@ -3,6 +3,7 @@
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
 import { freshId, h, replace, sheet, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { capital, sentence } from "../lib/words.js";
 import { foretell } from "../job/foretold.js";
@@ -23,20 +24,20 @@ import { jobForm, sender } from "./submit.js";
 
 const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
-const MAKE = "Make the lens";
-const NO_PICTURE = "Choose a picture first.";
-const CANNOT = "such a lens cannot be made.";
-const WAITS = "The server does not answer. The job is sent as soon as it does; leave this page open.";
+const MAKE = t("Make the lens");
+const NO_PICTURE = t("Choose a picture first.");
+const CANNOT = t("such a lens cannot be made.");
+const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
 export default async function view(root, params, app) {
   const [profiles] = await Promise.all([knownProfiles(), sheet("/page/new/new.css")]);
   const start = await beginning(params);
-  app.title("New job");
+  app.title(t("New job"));
   let page = null;
   const put = (beginWith) => {
     page = newJob(profiles, app);
-    const title = h("h1", {}, "New job");
-    const again = h("button", { type: "button", class: "quiet", onclick: anew }, "Start over");
+    const title = h("h1", {}, t("New job"));
+    const again = h("button", { type: "button", class: "quiet", onclick: anew }, t("Start over"));
     const notice = beginWith.notice && h("p", { class: "notice" }, h("span", {}, beginWith.notice));
     replace(root, h("div", { class: "row spread title" }, title, again), notice, page.element);
     return page.begin(beginWith);
@@ -45,7 +46,7 @@ export default async function view(root, params, app) {
     const before = page.draft();
     page.stop();
     put({});
-    toast("Everything is as usual again.", { action: { words: "Undo", run: () => (page.stop(), put(before)) } });
+    toast(t("Everything is as usual again."), { action: { words: t("Undo"), run: () => (page.stop(), put(before)) } });
   }
   await put(start);
   return { leave: () => page.leave() };
@@ -72,7 +73,7 @@ async function knownProfiles() {
 function newJob(profiles, app) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(`Opening ${name}…`) });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
@@ -83,20 +84,20 @@ function newJob(profiles, app) {
   const sending = sender({ onWait: foot.wait });
 
   const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
-  const folds = { picture: fold("Picture", side.tools), lens: fold("Lens", form.lens), light: fold("Light", form.light), mill: fold("Milling", form.mill) };
+  const folds = { picture: fold(t("Picture"), side.tools), lens: fold(t("Lens"), form.lens), light: fold(t("Light"), form.light), mill: fold(t("Milling"), form.mill) };
   const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
   const settings = [
     Object.values(folds),
     cutters.element,
     coupon.element,
-    h("details", { class: "card" }, h("summary", {}, "Expert: passes, optics, stock, machine"), expert),
+    h("details", { class: "card" }, h("summary", {}, t("Expert: passes, optics, stock, machine")), expert),
   ];
   const element = h(
     "form",
     { class: "new-job", onsubmit: submit, noValidate: true },
     side.element,
-    h("section", { class: "card main-choices", "aria-label": "Mill, size, time" }, form.main),
-    h("section", { class: "settings stack tight", "aria-label": "All else" }, settings),
+    h("section", { class: "card main-choices", "aria-label": t("Mill, size, time") }, form.main),
+    h("section", { class: "settings stack tight", "aria-label": t("All else") }, settings),
     h("div", { class: "estimate-side" }, card.element, improve.element),
     foot.element,
   );
@@ -138,7 +139,7 @@ function newJob(profiles, app) {
     const before = form.read().spec;
     const become = (spec) => (showSpec(spec), changed());
     become(withChange(before, values));
-    toast(`Taken: ${what}.`, { action: { words: "Undo", run: () => become(before) } });
+    toast(t`Taken: ${what}.`, { action: { words: t("Undo"), run: () => become(before) } });
   }
 
   function showEstimate(asked) {
@@ -161,7 +162,7 @@ function newJob(profiles, app) {
     const { placed, unplaced, focus: goThere } = form.blame([...own, ...bothOf(now.told, now.refused)]);
     const ofPicture = unplaced.filter(({ field }) => field === "image");
     side.blame(ofPicture.map(({ detail }) => sentence(detail)).join(" "));
-    foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ field, detail }) => sentence(`${field && `${field}: `}${detail}`)));
+    foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ field, detail }) => sentence(field ? `${field}: ${detail}` : detail)));
     const names = placed.map(({ field }) => field.label).filter(Boolean);
     now.why = now.told.length ? capital([...names, CANNOT].join(": ")) : "";
     now.goThere = placed.length > 0 && goThere;
@@ -216,7 +217,7 @@ function bothOf(estimated, refused) {
 function submitBar() {
   const line = h("p", { class: "line" });
   const why = h("p", { class: "line why", id: freshId("why") });
-  const show = h("button", { type: "button", class: "quiet", onclick: () => now.goThere() }, "Show");
+  const show = h("button", { type: "button", class: "quiet", onclick: () => now.goThere() }, t("Show"));
   const button = h("button", { type: "submit", class: "primary big", "aria-describedby": why.id }, MAKE);
   const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
   const faults = h("div", { class: "stack tight", role: "alert" });
@@ -225,7 +226,7 @@ function submitBar() {
   function update() {
     button.setAttribute("aria-disabled", String(now.sending));
     button.disabled = now.why !== "" && !now.sending;
-    write(button, now.sending ? "Sending…" : MAKE);
+    write(button, now.sending ? t("Sending…") : MAKE);
     write(why, now.why);
     why.hidden = !now.why;
     line.hidden = Boolean(now.why);

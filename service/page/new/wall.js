@@ -4,6 +4,7 @@
  */
 
 import { h } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { MOST_ZOOM, paint, partOf, clampEdits, sizeOf } from "./picture.js";
 import { bend, blurred, curve, greyOf, lightOf } from "./tones.js";
 
@@ -21,11 +22,11 @@ export function wall({ state, onEdit }) {
     class: "wall",
     tabIndex: 0,
     role: "application",
-    "aria-label": "What the wall will show. Arrow keys choose the part of the picture, plus and minus zoom.",
+    "aria-label": t("What the wall will show. Arrow keys choose the part of the picture, plus and minus zoom."),
     onkeydown: onKey,
     onwheel: onWheel,
   });
-  const sharp = h("canvas", { class: "sharp", role: "img", "aria-label": "The part of the picture", onwheel: onWheel });
+  const sharp = h("canvas", { class: "sharp", role: "img", "aria-label": t("The part of the picture"), onwheel: onWheel });
   let asked = 0;
 
   function draw() {
