@@ -2,18 +2,20 @@
 
 import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 
-const TITLE = "Your ball cutters";
-const INTRO = "New jobs are planned with these alone. Sizes are diameters in mm, as on the box.";
-const FIELDS = [["diameter", "Diameter", ""], ["flute", "Cutting length", "usual"], ["shank", "Shank", "usual"], ["stick_out", "Sticks out", "usual"]];
+const TITLE = t("Your ball cutters");
+const INTRO = t("New jobs are planned with these alone. Sizes are diameters in mm, as on the box.");
+const USUAL = t("usual");
+const FIELDS = [["diameter", t("Diameter"), ""], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
 
 /** {element}. onChange(): there are others now. Asked for when it is unfolded. */
 export function cuttersPart({ onChange }) {
   const list = h("ul", { class: "row cutters" }), said = h("p", { class: "fault", role: "alert" });
   const inputs = Object.fromEntries(FIELDS.map(([key, label, placeholder]) => [key, numberInput(label, placeholder)]));
-  const add = h("button", { type: "button", disabled: true, onclick: () => send("put", [...tools, asTool()]) }, "Add");
-  const usual = h("button", { type: "button", class: "quiet", onclick: () => send("delete") }, "Back to the usual ones");
+  const add = h("button", { type: "button", disabled: true, onclick: () => send("put", [...tools, asTool()]) }, t("Add"));
+  const usual = h("button", { type: "button", class: "quiet", onclick: () => send("delete") }, t("Back to the usual ones"));
   const fields = h("div", { class: "row cutter-fields" }, Object.values(inputs).map(({ node }) => node), add);
   const element = h(
     "details", { class: "card", ontoggle: () => element.open && !tools && load() },
@@ -46,8 +48,8 @@ export function cuttersPart({ onChange }) {
   function shown(tool) {
     const size = `Ø ${round(2 * tool.radius_mm)}`;
     const drop = () => send("put", tools.filter((one) => one !== tool));
-    const button = h("button", { type: "button", "aria-label": `Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
-    return h("li", { title: `cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
+    const button = h("button", { type: "button", "aria-label": t`Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
+    return h("li", { title: t`cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
   }
   /** What is left out is usual for such a cutter. */
   function asTool() {
