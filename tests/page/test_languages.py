@@ -15,9 +15,9 @@ from service.page.files import FOLDER
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
 from tests.page import canned_job, machine_states
-from tests.page.browser import open_blank
+from tests.page.browser import layout_faults, open_blank
 from tests.page.conftest import Opened
-from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, Screen
+from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 
 TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
@@ -40,7 +40,7 @@ def of_a_machine_watched(state: str) -> Screen:
         page = open_blank(opened, "machine")
         machine_states.told(page, state)
         page.evaluate(f"location.hash = '#/machines/{machine_states.NAME}'")
-        expect(page.locator(".trouble, .step").filter(has_text=".").first).to_be_visible()
+        expect(page.locator(".step")).not_to_have_text("")
         return page
 
     return screen
@@ -216,6 +216,18 @@ def test_a_language_is_the_browsers_or_the_one_chosen(opened: Opened, language: 
     expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
     assert page.evaluate("document.documentElement.lang") == "en"
     page.evaluate("localStorage.clear()")
+
+
+LONG = ("jobs", "job", "job-planned", "machines", *(name for name in SHOWN if name.startswith("watched")))
+
+
+@pytest.mark.parametrize("name", mostly_thorough(LONG, quick=("machines", "watched-interrupted", "watched-held")))
+def test_nothing_is_cut_in_german_whose_words_are_the_longest(opened: Opened, name: str) -> None:
+    page = SHOWN[name](partial(opened, script=of_languages("de")))
+    for size in ("wide", "phone", "narrow"):
+        width, height, *_ = SIZES[size]
+        page.set_viewport_size({"width": width, "height": height})
+        assert layout_faults(page) == [], size
 
 
 def test_english_loads_no_table(page: Page) -> None:
