@@ -1,6 +1,6 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
 import { t } from "../lib/language.js";
-import { ball, hours, mm } from "../lib/words.js";
+import { ball, hours, mm, passName } from "../lib/words.js";
 
 const WORTH_DB = 0.3;
 const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
@@ -228,5 +228,5 @@ export function stageWords(name, spec) {
   const pass = /^pass-(\d+)$/.exec(name);
   if (!pass) return STAGES[name] ?? name;
   const row = spec.passes?.[pass[1] - 1];
-  return t`Make and check pass ${pass[1]}${row ? ` (${row.name})` : ""}`;
+  return t`Make and check pass ${pass[1]}${row ? ` (${passName(row.name)})` : ""}`;
 }

@@ -2,7 +2,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { bytes, hours, mm } from "../lib/words.js";
+import { bytes, hours, mm, passName } from "../lib/words.js";
 import { openPath } from "./path_file.js";
 import { pathView } from "./path_view.js";
 import { whenSeen } from "./when_seen.js";
@@ -116,7 +116,7 @@ export function pathPart() {
       load();
     };
     const input = h("input", { type: "radio", name: "pass", value: name, checked: name === chosen, onchange: take });
-    return h("label", {}, input, h("span", {}, t`Pass ${number}${row ? `: ${row.name}` : ""}`));
+    return h("label", {}, input, h("span", {}, t`Pass ${number}${row ? `: ${passName(row.name)}` : ""}`));
   }
   return {
     node, update,

@@ -2,7 +2,7 @@
 import { h, replace, svg } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { hours, mm, sentence } from "../lib/words.js";
+import { hours, mm, passName, sentence } from "../lib/words.js";
 import { detailOfPlan, eyeBands, eyeWords, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
@@ -164,5 +164,5 @@ function inWords(job, row, k, made) {
 }
 
 function passRow(pass, inHours) {
-  return h("li", {}, h("strong", {}, pass.name), ": ", passWords(pass), inHours ? `, ${hours(inHours * 3600)}` : "");
+  return h("li", {}, h("strong", {}, passName(pass.name)), ": ", passWords(pass), inHours ? `, ${hours(inHours * 3600)}` : "");
 }

@@ -1,6 +1,6 @@
 /** Settings of a job in the words that their fields have in the form of a new one. */
 import { t } from "../lib/language.js";
-import { within } from "../lib/words.js";
+import { passName, within } from "../lib/words.js";
 import { PASS, SPEC } from "../new/fields.js";
 
 /** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
@@ -8,7 +8,7 @@ export function settingWords(key, spec) {
   const { pass, own } = splitKey(key), row = rowOf(key), label = row ? within(row.label) : own;
   if (pass === null) return label;
   const name = spec.passes?.[pass]?.name;
-  const called = name ? ` (${name})` : "";
+  const called = name ? ` (${passName(name)})` : "";
   return label ? t`${label} of pass ${pass + 1}${called}` : t`pass ${pass + 1}${called}`;
 }
 

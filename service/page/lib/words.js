@@ -27,6 +27,13 @@ export function ball(radiusMm) {
   return `R ${figures(radiusMm, 3)} (Ø ${figures(2 * radiusMm, 3)} mm)`;
 }
 
+const PASSES = { rough: t("rough"), finish: t("finish") };
+
+/** What a pass is called: by its planner "rough" or "finish", numbered where there are several; else by a person. */
+export function passName(name) {
+  return name.replace(/^(rough|finish)(?=$|-\d+$)/, (known) => PASSES[known]);
+}
+
 /** At least so many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
 export function figures(value, count) {
   if (!Number.isFinite(value)) return t("unknown");

@@ -5,7 +5,7 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { eyeWords } from "../job/figures.js";
-import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
+import { figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
 
 const CALM_MS = 250;
 const EXACT_CALM_MS = 1500;
@@ -112,13 +112,20 @@ export function estimateWords(estimate) {
           h(
             "li",
             {},
-            h("span", {}, `${pass.name}, ${pass.tool}`),
+            h("span", {}, `${passName(pass.name)}, ${toolWords(pass.tool)}`),
             h("span", { class: "number" }, hours(3600 * pass.hours)),
           ),
         ),
       ),
     (estimate.warnings ?? []).map((words) => notice("warn", words)),
   );
+}
+
+/** "ball R 3 (Ø 6 mm)", as the server says it. */
+function toolWords(tool) {
+  const size = tool.slice(tool.indexOf(" ") + 1);
+  if (tool.startsWith("ball ")) return t`ball ${size}`;
+  return tool.startsWith("cutter ") ? t`cutter ${size}` : tool;
 }
 
 function notice(kind, words) {
