@@ -114,7 +114,7 @@ def test_the_first_guess_of_a_blur_is_near_the_servers(modules: Page, tmp_path: 
         )
         for more in ({}, change)
     )
-    script = "([known, spec]) => import('/page/new/coarse.js').then(({ coarseBlur }) => coarseBlur(known, spec))"
+    script = "([known, spec]) => import('/page/new/screen.js').then(({ coarseBlur }) => coarseBlur(known, spec))"
     told = modules.evaluate(script, [known, {"optics": change}])
     assert told == pytest.approx(wanted["blur_mm"], rel=0.1)
     assert told > 1.2 * known["blur_mm"]

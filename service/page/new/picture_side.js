@@ -5,9 +5,8 @@ import { t } from "../lib/language.js";
 import { eyeWords } from "../job/figures.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
-import { screenOf } from "./screen.js";
+import { coarseBlur, screenOf } from "./screen.js";
 import { pictureTools } from "./tools.js";
-import { coarseBlur } from "./coarse.js";
 import { gallery } from "./gallery.js";
 import { drawWall, wall } from "./wall.js";
 

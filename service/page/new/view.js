@@ -18,7 +18,6 @@ import { FIRST } from "./passes.js";
 import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
-import { sourceOf } from "./source.js";
 import { valueAt } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 
@@ -55,7 +54,7 @@ export default async function view(root, params, app) {
 /** What the job begins with: another job, the picture just dropped, or what was left here. */
 async function beginning(params) {
   const draft = takeDraft();
-  if (params.from) return sourceOf(params.from, params.plan);
+  if (params.from) return (await import("./source.js")).sourceOf(params.from, params.plan);
   const file = take();
   return file ? { spec: draft?.spec, file } : (draft ?? {});
 }
