@@ -98,7 +98,7 @@ function showFault(error, place, app) {
     h(
       "p",
       { class: "row" },
-      !none && h("button", { type: "button", class: "primary", onclick: () => show() }, t("Try again")),
+      !none && h("button", { type: "button", class: "primary", onclick: () => (expected ? show() : location.reload()) }, t("Try again")),
       error.status === 401 &&
         h("button", { type: "button", onclick: () => askForKey("jobs:read") }, t("Enter the code")),
       h("a", { class: none ? "button primary" : "button", href: "#/" }, t("All jobs")),

@@ -19,6 +19,7 @@ from optics.tubes.edges import polygon_coverage
 from service.job.page_data.header import header_line
 
 _CELLS = 512  # along the longer side
+_SHARP_CELLS = 1024  # in light without size, which blurs nothing
 _COARSER = 4  # cells are a multiple of it along both sides, so that a slow page can do with every fourth node
 _ROUNDING = 2e-3  # of a cell, that a step of the heights moves light on the wall by
 _MOST_LEVELS = 2**30
@@ -35,7 +36,8 @@ def light_bytes(
     slopes : (k, 2) by which the surface's slope is off in x and y, each at one k-th of it; None: nowhere
     """
     longer_mm = max(surface.width_mm, surface.height_mm)
-    nx, ny = (_nodes(side / longer_mm) for side in (surface.width_mm, surface.height_mm))
+    cells = _CELLS if bench.light.radius > 0 else min(_SHARP_CELLS, max(_CELLS, *surface.z_mm.shape))
+    nx, ny = (_nodes(cells * side / longer_mm) for side in (surface.width_mm, surface.height_mm))
     x_mm, y_mm = (np.linspace(axis[0], axis[-1], count) for axis, count in ((surface.x_mm, nx), (surface.y_mm, ny)))
     z_mm = surface.spline().heights_mm(x_mm[None, :], y_mm[:, None])
     dx_mm, dy_mm = surface.width_mm / (nx - 1), surface.height_mm / (ny - 1)
@@ -53,8 +55,8 @@ def light_bytes(
     return gzip.compress(data, 6, mtime=0)
 
 
-def _nodes(share: float) -> int:
-    return _COARSER * max(1, round(_CELLS / _COARSER * share)) + 1
+def _nodes(cells: float) -> int:
+    return _COARSER * max(1, round(cells / _COARSER)) + 1
 
 
 def _bench_facts(bench: Bench) -> dict[str, Any]:

@@ -38,11 +38,12 @@ export function millWords({ connected, code, alarm, detail, problem }) {
   return tell(connected ? { code, values: { alarm }, words: detail } : { words: problem });
 }
 
-/** How a machine stands: {kind, word, words}; words say more where there is more to say. */
+/** How a machine stands: {kind, word, words}; words say more where there is more to say. One only switched on needs nobody. */
 export function standing(machine) {
   if (machine.problem) return { kind: "bad", word: t("cannot be used"), words: sentence(machine.problem) };
   if (!machine.agent.reachable) return { kind: "bad", word: t("out of reach"), words: outOfReach(machine) };
   const { mill } = machine;
+  if (mill.state === "alarm" && !mill.alarm && !machine.run) return { kind: "wait", word: t("not homed yet"), words: millWords(mill).whole };
   const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", t("idle, tool in the block")] : doing(mill, machine.run);
   return { kind, word, words: millWords(mill).whole };
 }
@@ -52,14 +53,9 @@ export function addressOf(name) {
   return `#/machines/${encodeURIComponent(name)}`;
 }
 
-/**
- * How it stands for who does not look at its screen: a program that waits on a mill that is well, too; one that was only
- * switched on, and not homed yet, needs nobody.
- */
+/** How it stands for who does not look at its screen: a program that waits on a mill that is well, too. */
 export function standingInShop(machine) {
   const own = standing(machine);
-  const { mill, run } = machine;
-  if (mill?.state === "alarm" && !mill.alarm && !run && !machine.problem) return { ...own, kind: "wait", word: t("not homed yet") };
   if (own.kind !== "good" || !machine.run || hasLiveRun(machine)) return own;
   const [kind, word] = RUN_STATES[machine.run.state] ?? ["off", machine.run.state];
   return { ...own, kind, word };
