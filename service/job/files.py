@@ -27,7 +27,7 @@ from typing import Any, BinaryIO
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
 
-SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
+SPEC, REPORT, REPORT_PAGE, SETUP_PDF = "spec.json", "report.json", "report.html", "setup-sheet.pdf"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
 LENS_FILES = (HEIGHTFIELD, MAP, SOLID, *list_pictures("lens"))
@@ -46,7 +46,7 @@ COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.np
 COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
 COUPON_ARCHIVE = "coupon.zip"
 _KNOWN = {
-    *(SPEC, REPORT, REPORT_PAGE, HEIGHTFIELD, MAP, SOLID),
+    *(SPEC, REPORT, REPORT_PAGE, SETUP_PDF, HEIGHTFIELD, MAP, SOLID),
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))

@@ -43,7 +43,8 @@ SETTINGS = settings(
 PICTURES = (
     "target.png", "caustic.png", "through-focus.png", "toolpath.png", "caustic-as-milled.png", "as-milled.png",
 )  # fmt: skip
-FILES = {"spec.json", "heightfield.npz", "map.npz", "lens.stl", "report.json", "report.html", *PICTURES}
+SHEETS = {"report.html", "setup-sheet.pdf"}
+FILES = {"spec.json", "heightfield.npz", "map.npz", "lens.stl", "report.json", *SHEETS, *PICTURES}
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """The two line drawings of the setup sheet as inline SVG: the block from above, and the set-up from the side.
 
-Only numbers go into them, so they are safe to place in the page as they are.
+Only numbers go into them, so they are safe to place in the page as they are. `setup_pdf` draws the same elements.
 """
 
 from __future__ import annotations
@@ -108,7 +108,8 @@ def side_view(job: BlockSizes) -> Markup:
     curve = (
         f"L{inner} {zero} L{inner} {high + 8:.1f} "
         f"C{inner + 40} {high:.1f} {inner + 55} {low:.1f} {inner + 85} {low:.1f} "
-        f"S{inner + 130} {high:.1f} {left + width - 16} {high + 10:.1f} L{left + width - 16} {zero}"
+        f"C{inner + 115} {low:.1f} {inner + 130} {high:.1f} {left + width - 16} {high + 10:.1f} "
+        f"L{left + width - 16} {zero}"
     )
     parts = [
         f'<path d="M{left} {zero} {curve} L{left + width} {zero} L{left + width} {back} L{left} {back} Z" '

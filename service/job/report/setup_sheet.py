@@ -51,7 +51,29 @@ def render_report(
     files: Collection[str] = (),
     title: str | None = None,
 ) -> str:
-    """Return the page as HTML text.
+    """Return the page as HTML text."""
+    return render_page(describe_setup(report, spec=spec, files=files, title=title))
+
+
+def render_page(setup: Mapping[str, Any]) -> str:
+    """Return the same from what `describe_setup` returns."""
+    return _template().render(setup)
+
+
+def render_block(name: str, setup: Mapping[str, Any]) -> str:
+    """Return the HTML of one block of the page, from what `describe_setup` returns."""
+    template = _template()
+    return "".join(template.blocks[name](template.new_context(dict(setup))))
+
+
+def describe_setup(
+    report: Mapping[str, Any],
+    *,
+    spec: Mapping[str, Any] | None = None,
+    files: Collection[str] = (),
+    title: str | None = None,
+) -> dict[str, Any]:
+    """Return what the sheet says, by the names in its template.
 
     report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
     """
@@ -66,40 +88,40 @@ def render_report(
         if _z_bounds(row):
             row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
-    return _template().render(
-        title=title or _job_name(report) or "lens",
-        report=report,
-        optics=table(report.get("optics")),
-        spec={key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
-        job=job,
-        top_view=top_view(job) if job else None,
-        side_view=side_view(job) if job else None,
-        passes=programs,
-        unreached=_list_unreached(passes),
-        verdict=_verdict(programs),
-        total_s=sum(row["time_s"] for row in programs) if all(row.get("time_s") for row in programs) else None,
-        warnings=warnings,
-        notes=[note for note in _notes(programs) if note not in warnings],
-        around=around_sentences(spec, report),
-        material=_describe_block(table(spec.get("stock")).get("material")),
-        facing_zero=explain_zero_before_facing(spec),
-        coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
-        score_rows=score_rows(report),
-        milled=sentences_as_milled(table(report.get("as_milled"))),
-        prepared=sentences_of_preparation(report),
-        lens_rows=lens_rows(report, spec),
-        throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
-        check_rows=check_rows(programs),
-        finishing=make_finishing_card(report),
-        holding=holding,
-        rapid_z_mm=rapid_z_mm,
-        tool_changes=_tool_changes(programs),
-        lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
-        main_pictures=[one for one in PICTURES if one.name in files and one.shown == "wall"],
-        finish_pictures=[name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
-        pictures=[one for one in PICTURES if one.name in files and one.shown != "wall"],
-        files=frozenset(files),
-    )
+    return {
+        "title": title or _job_name(report) or "lens",
+        "report": report,
+        "optics": table(report.get("optics")),
+        "spec": {key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
+        "job": job,
+        "top_view": top_view(job) if job else None,
+        "side_view": side_view(job) if job else None,
+        "passes": programs,
+        "unreached": _list_unreached(passes),
+        "verdict": _verdict(programs),
+        "total_s": sum(row["time_s"] for row in programs) if all(row.get("time_s") for row in programs) else None,
+        "warnings": warnings,
+        "notes": [note for note in _notes(programs) if note not in warnings],
+        "around": around_sentences(spec, report),
+        "material": _describe_block(table(spec.get("stock")).get("material")),
+        "facing_zero": explain_zero_before_facing(spec),
+        "coarse": 0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
+        "score_rows": score_rows(report),
+        "milled": sentences_as_milled(table(report.get("as_milled"))),
+        "prepared": sentences_of_preparation(report),
+        "lens_rows": lens_rows(report, spec),
+        "throw": _throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
+        "check_rows": check_rows(programs),
+        "finishing": make_finishing_card(report),
+        "holding": holding,
+        "rapid_z_mm": rapid_z_mm,
+        "tool_changes": _tool_changes(programs),
+        "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
+        "main_pictures": [one for one in PICTURES if one.name in files and one.shown == "wall"],
+        "finish_pictures": [name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
+        "pictures": [one for one in PICTURES if one.name in files and one.shown != "wall"],
+        "files": frozenset(files),
+    }
 
 
 def _describe_block(material: Any) -> str:

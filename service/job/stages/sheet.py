@@ -1,11 +1,12 @@
-"""The last stage: spec.json, report.json, and the setup sheet report.html made from them."""
+"""The last stage: spec.json, report.json, and the setup sheet made from them, whole and as one page for the mill."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
 from service.job import files as job_files
-from service.job.report.setup_sheet import render_report
+from service.job.report.setup_pdf import SHOWN, render_setup_pdf
+from service.job.report.setup_sheet import describe_setup, render_page
 from service.job.spec.finish_library import instruct_finishing
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
@@ -37,6 +38,8 @@ def run_report(context: StageContext) -> None:
     job_files.write_json(context.folder / job_files.SPEC, spec)
     spec["machine"] = {**asdict(context.machine), **spec["machine"]}
     files = {path.name for path in context.folder.iterdir()} | context.files | {job_files.REPORT, job_files.REPORT_PAGE}
-    page = render_report(report, spec=spec, files=files)
-    context.save(job_files.REPORT_PAGE, page.encode())
+    setup = describe_setup(report, spec=spec, files=files)
+    context.save(job_files.REPORT_PAGE, render_page(setup).encode())
+    picture = next((path for name in SHOWN if (path := context.folder / name).is_file()), None)
+    context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture.read_bytes() if picture else None))
     job_files.write_json(context.folder / job_files.REPORT, report)

@@ -53,7 +53,8 @@ AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
 _LIBRARIES = (
-    "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "jinja2",
+    "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "fonttools",
+    "jinja2",
 )  # fmt: skip
 
 
@@ -184,7 +185,13 @@ _AFTER = (
         spec=_MILLED,
         parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
     ),
-    Stage(name="report", function="service.job.stages.sheet:run_report", spec=("",), sheet=True),
+    Stage(
+        name="report",
+        function="service.job.stages.sheet:run_report",
+        reads=("target.png", "caustic.png", "caustic-as-milled.png", "caustic-as-finished.png"),
+        spec=("",),
+        sheet=True,
+    ),
 )
 _ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _CUT_OUT, *_AFTER)}
 

@@ -11,6 +11,7 @@ import { saveLink, sheetLink } from "./save.js";
 const SHEET = "report.html";
 const OFFERED = [
   [SHEET, t("Setup sheet"), t("to print and take to the mill")],
+  ["setup-sheet.pdf", t("Setup sheet on one page (PDF)"), t("to hang beside the mill")],
   ["lens.stl", t("Solid of the lens (STL)"), t("to look at in other programs")],
   ["report.json", t("All figures (JSON)"), ""],
   ["spec.json", t("Settings (JSON)"), t("the job again from a terminal")],

@@ -18,6 +18,7 @@ _MEDIA_TYPES = {
     ".json": "application/json",
     ".html": "text/html; charset=utf-8",
     ".png": "image/png",
+    ".pdf": "application/pdf",
     ".stl": "model/stl",
     ".npz": "application/zip",
     ".log": "text/plain; charset=utf-8",
