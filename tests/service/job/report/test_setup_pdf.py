@@ -153,7 +153,7 @@ def test_a_page_comes_out_of_every_unfinished_job(report: dict[str, Any], spec: 
     assert "None" not in text
 
 
-@given(st.text(max_size=300), st.floats(5.0, 20.0))
+@given(st.lists(NAMES, min_size=20, max_size=40).map(" ".join), st.floats(5.0, 20.0))
 @settings(max_examples=50, deadline=None)
 def test_lines_are_no_wider_than_their_column_and_lose_nothing(text: str, size: float) -> None:
     plain = [(word, False) for word in text.split()]
