@@ -35,6 +35,7 @@ from machines.mill.run import Run
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
 from machines.profile import load_profile
+from machines.recovery.plan_model import Reentry
 from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.memory_port import MemoryPort
@@ -208,6 +209,7 @@ class World:
         self.gate.world = self
         mill = _OwnedMill(
             name=MACHINE,
+            reentry=Reentry(safe_z_mm=5.0),
             connect=lambda: GrblDriver(MemoryPort(self.sim, baud=None)),
             folder=self.folder / "mill",
             clock=self.now_s,
