@@ -13,14 +13,11 @@ from functools import lru_cache
 from math import ceil, sqrt
 
 import numpy as np
-from scipy.ndimage import grey_dilation, grey_opening
+from scipy.ndimage import grey_dilation
 
 from cam.duration import Kinematics
-from cam.materials import SLOT_FEED
 from cam.passes import Direction, PassSpec, Strategy
 from cam.rows.entries import RAMP_SLOPE
-from cam.rows.layers import plane_row_distance_mm
-from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.surface.cutter import concave_curvature
 from optics.heightfield import Array, Heightfield
@@ -28,10 +25,6 @@ from optics.heightfield import Array, Heightfield
 _SAMPLES = 160  # along a side of the lens
 _PLACES_A_RADIUS = 16  # of a ball, at most; what it bends between them is a two-thousandth of its radius
 _USED = 0.85  # of the length that the rule allows a chord
-CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
-_BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
-_ENTRIES = 4.0  # of a layer
-_FEED_STEPS = 0.95  # of the feed at load, which is rounded down to one of a few
 _LEAST_GAP = 0.25  # of 1 - kR: nearer to 0 the ball hardly fits, and its grooves are no longer those of rows
 LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
 
@@ -197,21 +190,6 @@ def _chords_mm(form: LensForm, direction: Direction, radius_mm: float, rule: Ver
     return np.clip(_USED * allowed, rule.min_mm, rule.max_mm)
 
 
-def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """Return the seconds of a pass's exact rows, or of its one connected path."""
-    around_mm = 2 * spec.radius_mm
-    sides = (form.width_mm + around_mm, form.height_mm + around_mm)
-    length_mm, across_mm = sides if spec.direction == "x" else sides[::-1]
-    inside = (form.width_mm if spec.direction == "x" else form.height_mm) / length_mm
-    rows = ceil(across_mm / spec.pitch_mm) + 1
-    feed = spec.feed_mm_per_min / 60
-    slowness = inside * slowness_s_per_mm(form, spec, mill) + _stretch(form) * (1 - inside) / feed
-    if spec.strategy == "contour":
-        stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
-        return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
-    return rows * (length_mm * slowness + turn_s(spec, mill))
-
-
 def slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """Time for a way on the exact surface, by its length in plan, at the places of the form."""
     return _slowness_s_per_mm(form, replace(spec, pitch_mm=spec.radius_mm), mill)  # the same for all pitches
@@ -236,28 +214,6 @@ def turn_s(spec: PassSpec, mill: Kinematics) -> float:
 def entry_s(spec: PassSpec) -> float:
     """Return the seconds down from safe height, along a ramp into the stock, and up again."""
     return 2.0 + spec.step_down_mm / RAMP_SLOPE / (spec.plunge_mm_per_min / 60)
-
-
-def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """Return the seconds of the first pass, which cuts planes one step-down apart out of the block, down to the lens.
-
-    Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
-    """
-    tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
-    sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
-    spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
-    distance_mm = spec.pitch_mm * max(1, int(plane_row_distance_mm(spec) / spec.pitch_mm))
-    feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
-    gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
-    beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
-    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
-    planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
-    rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / distance_mm
-    slots = SLOT_FEED * spec.feed_mm_per_min / 60
-    turns_s = rows_mm / min(sides) * (feed / min(mill.acceleration_mm_per_s2[:2]) + distance_mm / slots)
-    between_mm = sides[0] * sides[1] * (1 / spec.pitch_mm - 1 / distance_mm)
-    seconds = rows_mm / feed + turns_s + between_mm / (float(most_feed_mm_per_min(spec)) / 60)
-    return float(seconds + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
 
 
 def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:

@@ -14,11 +14,12 @@ from math import inf
 from typing import Protocol
 
 from cam.passes import Direction, PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
+from cam.planning.pass_time import LensForm, finish_layers_s
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
+from cam.planning.written_time import rows_s
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2
@@ -256,7 +257,7 @@ def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPas
     before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
-    own_s = rows_s(form, finish, shop.mill) + finish_layers_s(form, finish, before.depth_mm, shop.mill)
+    own_s = rows_s(form, finish, shop.mill, shop.digits) + finish_layers_s(form, finish, before.depth_mm, shop.mill)
     slopes = shop.slopes(form, finish)
     after = () if rest is None else (rest,)
     marks = Marks(spec=finish, slopes=slopes, rest=None if rest is None else Marks(spec=rest.spec, slopes=rest.slopes))

@@ -9,8 +9,9 @@ from math import atan, ceil, cos, floor, sqrt
 import numpy as np
 
 from cam.passes import PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.planning.pass_time import LensForm, finish_layers_s
 from cam.planning.shop import CLEAR_MM, Shop
+from cam.planning.written_time import first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
@@ -107,7 +108,7 @@ class Roughing:
             seconds = rows_s(self.form, spec, self.shop.mill)
             seconds += finish_layers_s(self.form, spec, depth_mm, self.shop.mill)
         else:
-            seconds = layers_s(self.form, spec, self.shop.mill)
+            seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),

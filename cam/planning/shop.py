@@ -10,6 +10,8 @@ from cam.materials import Material, limit_step_down_mm
 from cam.passes import PassSpec, Strategy
 from cam.planning.pass_time import LensForm
 from cam.planning.row_slopes import RowSlopes, row_slopes
+from cam.posts.digits import Digits
+from cam.program import SAFE_Z_MM
 from cam.tools import Speeds, Tool
 
 CLEAR_MM = 1.0
@@ -33,6 +35,8 @@ class Shop:
     strategies        : that finishing passes may take
     collet_mm         : the thickest shank that the spindle takes
     removal_mm3_per_min : the most that spindle and frame take off
+    digits            : that vertices of finishing passes are put on; None: on none coarser than those of the path
+    safe_z_mm         : from which tools come down
     """
 
     tools: tuple[Tool, ...]
@@ -46,6 +50,8 @@ class Shop:
     strategies: tuple[Strategy, ...] = ("raster",)
     collet_mm: float = inf
     removal_mm3_per_min: float = inf
+    digits: Digits | None = None
+    safe_z_mm: float = SAFE_Z_MM
 
     def speeds(self, tool: Tool) -> Speeds:
         return Speeds.of(

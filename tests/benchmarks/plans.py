@@ -18,7 +18,8 @@ from cam.as_milled.tracks import Tracks
 from cam.contour.path import contour_path
 from cam.moves import cut, rapid
 from cam.passes import PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.planning.pass_time import LensForm, finish_layers_s
+from cam.planning.written_time import first_pass_s, rows_s
 from cam.posts.dialects import POSTS
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule
@@ -115,7 +116,7 @@ def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> T
 def _paper_hours(paper: ResolvedJob, lens: Heightfield, planned: Planned) -> float:
     form, mill = LensForm.of(lens), kinematics_of(planned.machine)
     rough, semi, finish = cam_passes_of(paper.spec)
-    whole = layers_s(form, rough, mill)
+    whole = first_pass_s(form, rough, mill, safe_z_mm=paper.machine.safe_z_mm)
     for spec, before in ((semi, rough), (finish, semi)):
         left_mm = before.stock_to_leave_mm + before.pitch_mm**2 / (8 * before.radius_mm)
         whole += rows_s(form, spec, mill) + finish_layers_s(form, spec, left_mm / _STEEP, mill)

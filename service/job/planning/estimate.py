@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from cam.passes import PassSpec
-from cam.planning.pass_time import LensForm, layers_s, layers_where_s, rows_s
+from cam.planning.pass_time import LensForm, layers_where_s
 from cam.planning.planner import Marks
 from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
+from cam.planning.written_time import first_pass_s, rows_s
 from cam.posts.dialects import POSTS
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
@@ -44,7 +45,7 @@ from service.job.planning.lenses import compute_passes, design_for_finishes, sim
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import (
     branch_of,
     explain_blocked_light,
@@ -210,14 +211,13 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
     """Yield the hours of each pass, from the stock that the one before leaves."""
-    form, mill = quick.form, kinematics_of(quick.job.machine)
+    form, machine = quick.form, quick.job.machine
+    mill, digits = kinematics_of(machine), digits_of(machine)
     stock_mm: Array | None = None
     for spec in cam_passes_of(quick.spec):
         made_mm = _left_by(quick.lens, spec)
         if stock_mm is None:
-            seconds = layers_s(form, spec, mill)
-            if spec.finishes or spec.strategy == "contour" or form.deepest_mm <= spec.step_down_mm:
-                seconds += rows_s(form, spec, mill)
+            seconds = first_pass_s(form, spec, mill, digits, safe_z_mm=machine.safe_z_mm)
         else:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
@@ -237,10 +237,11 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
     """Return the seconds of a pass that others went before; depth_mm (ny, nx): what it takes off."""
-    form, mill = quick.form, kinematics_of(quick.job.machine)
+    form, machine = quick.form, quick.job.machine
+    mill = kinematics_of(machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
-    return rows_s(form, spec, mill) + layers_where_s(form, spec, depth_mm, mill)
+    return rows_s(form, spec, mill, digits_of(machine)) + layers_where_s(form, spec, depth_mm, mill)
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:

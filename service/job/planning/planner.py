@@ -25,7 +25,7 @@ from service.job.planning.finished_light import Design
 from service.job.planning.lenses import design_for_finishes, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.resolve import most_removal_mm3_per_min
 from service.job.spec.resolved import ResolvedJob
@@ -98,6 +98,8 @@ def shop_of(job: ResolvedJob) -> Shop:
         strategies=("raster", "contour"),
         collet_mm=inf if machine.collet_mm is None else machine.collet_mm,
         removal_mm3_per_min=most_removal_mm3_per_min(machine, MATERIALS[job.spec.stock.material]),
+        digits=digits_of(machine),
+        safe_z_mm=machine.safe_z_mm,
     )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from cam.duration import Kinematics
+from cam.posts.dialects import POSTS
+from cam.posts.digits import Digits
 from machines.profile import MachineProfile
 
 
@@ -14,3 +16,8 @@ def kinematics_of(machine: MachineProfile) -> Kinematics:
         planner_blocks=machine.planner_blocks + 1,  # slots: the one that is always free is not reported
         lines_per_s=machine.lines_per_s,
     )
+
+
+def digits_of(machine: MachineProfile) -> Digits:
+    """Return the raster of the mill's dialect, or whole steps where programs are to keep to them."""
+    return POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)

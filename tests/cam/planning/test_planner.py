@@ -16,11 +16,12 @@ from cam.as_milled.surface import MilledSurface
 from cam.duration import DurationModel, Kinematics
 from cam.materials import PMMA
 from cam.passes import PAPER_PASSES, PassSpec, Stock, ball_pass
-from cam.planning.pass_time import LensForm, layers_s, rows_s
+from cam.planning.pass_time import LensForm
 from cam.planning.planner import TOLERATED_DB, Goal, Marks, NoPlanError, Plan, choose, make_plan
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop
+from cam.planning.written_time import first_pass_s, rows_s
 from cam.program import pass_paths
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
@@ -185,7 +186,7 @@ def test_layers_take_about_as_long_as_their_program() -> None:
     """Within a quarter on a part this small, where entries count for most; a tenth at 100 mm."""
     spec = ball_pass("rough", radius_mm=3.0, pitch_mm=1.0, stock_to_leave_mm=0.2, step_down_mm=0.5)
     lens = bumps(0.6)
-    assert layers_s(LensForm.of(lens), spec, MILL) == pytest.approx(_measured_s(lens, spec, top_mm=0.0), rel=0.35)
+    assert first_pass_s(LensForm.of(lens), spec, MILL) == pytest.approx(_measured_s(lens, spec, top_mm=0.0), rel=0.35)
 
 
 def _measured_s(lens: Heightfield, spec: PassSpec, *, top_mm: float) -> float:

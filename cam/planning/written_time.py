@@ -1,0 +1,203 @@
+"""How long a pass will take, by moves as its program will have them: a first pass on a coarse lens, or a few exact
+rows.
+
+`cam.duration` times what `cam.rows` makes and `cam.rows.rounding` puts on the raster of control or mill. What layers
+take is in entries, walls and turns as much as in rows; what exact rows take on a slow link is in vertices, of which the
+raster leaves out up to half: a formula for either is off by a third.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil, inf, pi
+
+import numpy as np
+from scipy.ndimage import grey_opening
+
+from cam.duration import DurationModel, Kinematics
+from cam.materials import SLOT_FEED
+from cam.moves import Path, cut, rapid
+from cam.passes import PassSpec, Stock
+from cam.planning.pass_time import LensForm, entry_s
+from cam.posts.digits import Digits
+from cam.program import SAFE_Z_MM, pass_paths
+from cam.rows.layers import plane_row_distance_mm
+from cam.rows.loads import feed_at_load, most_feed_mm_per_min
+from cam.rows.raster import on_ticks
+from cam.rows.rounding import Rounding, on_raster
+from cam.rows.turned import turn_lens
+from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule, march_row, most_vertices, rough_rule
+from cam.surface.stock_grid import StockGrid
+from cam.surface.tool_surface import ToolSurface
+from optics.heightfield import Array, Heightfield
+
+_ROWS = 16  # of a pass that are made; half as many are off by up to 4 %
+_PLACES_A_RADIUS = 8  # vertices of the coarse lens: half as many are off by 3 %
+_TURN_PARTS = 4
+_MOST_SAMPLES = 1_000_000  # of layers that are made: a third of a second
+_BLOCK_CELL_MM = 1.0  # of a flat block; any will do
+_DECIMALS = 5  # as written: points nearer to one another are one
+CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
+_BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
+_ENTRIES = 4.0  # of a layer
+_FEED_STEPS = 0.95  # of the feed at load, which is rounded down to one of a few
+
+
+class _Moves:
+    """Straight moves as `cam.duration` takes them, a line each, without pauses."""
+
+    def __init__(self, paths: Iterable[Path], start_mm: Array) -> None:
+        kept = list(paths)
+        points = np.round(np.vstack([start_mm, *(path.points_mm for path in kept)]), _DECIMALS)
+        feeds = np.repeat([path.feed_mm_per_min or inf for path in kept], [len(path.points_mm) for path in kept])
+        goes = (np.diff(points, axis=0) != 0).any(axis=1)  # others are not written
+        self.points_mm = points[np.concatenate([[True], goes])]
+        self.feed_mm_per_min = feeds[goes]
+        self.is_rapid = np.isinf(self.feed_mm_per_min)
+        self.line = np.arange(1, goes.sum() + 1)
+        self.pause_s = np.full(self.line.size, -1.0)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+
+def _seconds_of(paths: Iterable[Path], start_mm: Array, mill: Kinematics) -> float:
+    model = DurationModel(mill)
+    model.add(_Moves(paths, start_mm))
+    return model.seconds
+
+
+def first_pass_s(
+    form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None, *, safe_z_mm: float = SAFE_Z_MM
+) -> float:
+    """Return the seconds of the first pass, which cuts planes one step-down apart out of the block, down to the lens,
+    and the exact rows, if any.
+    """
+    spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
+    if spec.finishes or spec.strategy == "contour":
+        return _planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
+    samples = form.width_mm * form.height_mm * _PLACES_A_RADIUS / spec.radius_mm / plane_row_distance_mm(spec)
+    if samples * form.deepest_mm / spec.step_down_mm > _MOST_SAMPLES:
+        return _planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
+    lens = _coarsen(form.lens, spec.radius_mm / _PLACES_A_RADIUS)
+    block = Stock(
+        width_mm=lens.width_mm,
+        height_mm=lens.height_mm,
+        thickness_mm=form.deepest_mm + spec.radius_mm + spec.step_down_mm,
+        margin_mm=2 * spec.radius_mm + _BLOCK_CELL_MM,
+    )
+    top = StockGrid.block(block, _BLOCK_CELL_MM)
+    paths = pass_paths(lens, spec, block, stock_top=top, safe_z_mm=safe_z_mm)
+    return _seconds_of(paths, np.array([0.0, 0.0, safe_z_mm]), mill)
+
+
+def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
+    """Return the lens by vertices about so far apart, or as far as they are."""
+    across, up = (
+        ceil(side_mm / max(spacing_mm, own_mm) - 1e-6)
+        for side_mm, own_mm in ((lens.width_mm, lens.dx_mm), (lens.height_mm, lens.dy_mm))
+    )
+    x = np.linspace(0.0, lens.width_mm, across + 1)
+    y = np.linspace(0.0, lens.height_mm, up + 1)
+    z = lens.spline().jets(*np.meshgrid(lens.x_mm[0] + x, lens.y_mm[0] + y))[0]
+    coarse = Heightfield.on_aperture(np.minimum(z, 0.0), width_mm=lens.width_mm, height_mm=lens.height_mm)
+    return replace(coarse, rim_mm=lens.rim_mm)
+
+
+def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None) -> float:
+    """Return the seconds of a pass's exact rows, or of its one connected path.
+
+    digits : on which the vertices of a finishing pass are put; None: where they are
+    """
+    rounding = None if digits is None or not spec.finishes else Rounding(digits=digits, pitch_mm=spec.pitch_mm)
+    if spec.strategy == "contour":
+        slowness = _sampled_s_per_mm(form, replace(spec, strategy="raster"), mill, rounding)
+        stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
+        return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
+    length_mm, across_mm = _spans_mm(form, spec)
+    rows_mm = length_mm * (ceil(across_mm / spec.pitch_mm) + 1)
+    first_s = (1 / SLOT_FEED - 1) * length_mm / (spec.feed_mm_per_min / 60)  # more, with stock on both sides
+    return rows_mm * _sampled_s_per_mm(form, spec, mill, rounding) + first_s + entry_s(spec)
+
+
+def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
+    """Return how far tips go along the rows, and across."""
+    sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
+    return sides if spec.direction == "x" else sides[::-1]
+
+
+@lru_cache(maxsize=64)
+def _sampled_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics, rounding: Rounding | None) -> float:
+    """Return the time of rows by their length in plan, their turns included."""
+    rows = _sampled_rows(form, replace(spec, pitch_mm=spec.radius_mm))  # the same for all pitches
+    paths: Iterable[Path] = _join(rows, spec)
+    if rounding is not None and rounding.matters:
+        paths = on_raster(paths, rounding)
+    start, *cuts = paths
+    return _seconds_of(cuts, start.points_mm[-1], mill) / (len(rows) * _spans_mm(form, spec)[0])
+
+
+def _join(rows: tuple[Array, ...], spec: PassSpec) -> Iterator[Path]:
+    """Yield rows (n, 3) in X a pitch apart, there and back, with level turns between them: how high a row lies takes no
+    time.
+    """
+    bulge_mm, feed = spec.pitch_mm / 2, spec.feed_mm_per_min
+    left, right = rows[0][0, 0] + bulge_mm, rows[0][-1, 0] - bulge_mm
+    angles = pi * np.arange(1, _TURN_PARTS) / _TURN_PARTS
+    end = np.zeros(3)
+    for number, row in enumerate(rows):
+        x = np.concatenate([[left], row[(row[:, 0] > left) & (row[:, 0] < right), 0], [right]])
+        line = np.column_stack([x, np.full(x.size, number * spec.pitch_mm), np.interp(x, row[:, 0], row[:, 2])])
+        if number % 2:
+            line = line[::-1]
+        line[:, 2] += end[2] - line[0, 2]
+        if number:
+            out = bulge_mm if number % 2 else -bulge_mm
+            turn_y = end[1] + bulge_mm * (1 - np.cos(angles))
+            turn = np.column_stack([end[0] + out * np.sin(angles), turn_y, np.full(angles.size, end[2])])
+            yield cut(on_ticks(turn), SLOT_FEED * feed)  # into stock that no row has touched
+        else:
+            yield rapid(line[0])
+        yield cut(line if number else line[1:], feed)
+        end = line[-1]
+
+
+@lru_cache(maxsize=32)
+def _sampled_rows(form: LensForm, spec: PassSpec) -> tuple[Array, ...]:
+    """Return vertices (n, 3) of rows evenly spread over lens and run-out."""
+    lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
+    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    probe = min(lens.dx_mm, spec.radius_mm / 2)
+    rule = rough_rule(spec.stock_to_leave_mm, probe)
+    if spec.finishes:
+        rule = finish_rule(SLOPE_ERROR_RAD, probe, aperture_x_mm=(0.0, lens.width_mm))
+    length_mm, across_mm = _spans_mm(form, spec)
+    out = np.empty((most_vertices(length_mm, rule), 3))
+    rows = []
+    for y in on_ticks((np.arange(_ROWS) + 0.5) / _ROWS * across_mm - spec.radius_mm):
+        filled = march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)
+        rows.append(out[:filled].copy())
+    return tuple(rows)
+
+
+def _planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Return about the seconds of planes, by the area of each.
+
+    Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
+    """
+    tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
+    sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
+    distance_mm = spec.pitch_mm * max(1, int(plane_row_distance_mm(spec) / spec.pitch_mm))
+    feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
+    gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
+    beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
+    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
+    planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
+    rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / distance_mm
+    slots = SLOT_FEED * spec.feed_mm_per_min / 60
+    turns_s = rows_mm / min(sides) * (feed / min(mill.acceleration_mm_per_s2[:2]) + distance_mm / slots)
+    between_mm = sides[0] * sides[1] * (1 / spec.pitch_mm - 1 / distance_mm)
+    seconds = rows_mm / feed + turns_s + between_mm / (float(most_feed_mm_per_min(spec)) / 60)
+    return float(seconds + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
