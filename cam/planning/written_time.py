@@ -25,7 +25,7 @@ from cam.posts.digits import Digits
 from cam.program import SAFE_Z_MM, pass_paths
 from cam.rows.layers import plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
-from cam.rows.raster import on_ticks
+from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.turned import turn_lens
 from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule, march_row, most_vertices, rough_rule
@@ -33,10 +33,9 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
-_ROWS = 16  # of a pass that are made; half as many are off by up to 4 %
-_PLACES_A_RADIUS = 8  # vertices of the coarse lens: half as many are off by 3 %
-_TURN_PARTS = 4
-_MOST_SAMPLES = 1_000_000  # of layers that are made: a third of a second
+_ROWS = 24  # of a pass that are made; a third of them are off by up to 4 %
+_LEAST_PLACES = 6  # vertices of the coarse lens in a radius
+_MOST_SAMPLES = 1_000_000  # of layers that are made: a second
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
 _DECIMALS = 5  # as written: points nearer to one another are one
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
@@ -78,10 +77,10 @@ def first_pass_s(
     spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     if spec.finishes or spec.strategy == "contour":
         return _planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
-    samples = form.width_mm * form.height_mm * _PLACES_A_RADIUS / spec.radius_mm / plane_row_distance_mm(spec)
-    if samples * form.deepest_mm / spec.step_down_mm > _MOST_SAMPLES:
+    rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(spec) * form.deepest_mm / spec.step_down_mm
+    if rows_mm / _MOST_SAMPLES > spec.radius_mm / _LEAST_PLACES:
         return _planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
-    lens = _coarsen(form.lens, spec.radius_mm / _PLACES_A_RADIUS)
+    lens = _coarsen(form.lens, rows_mm / _MOST_SAMPLES)
     block = Stock(
         width_mm=lens.width_mm,
         height_mm=lens.height_mm,
@@ -94,11 +93,10 @@ def first_pass_s(
 
 
 def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
-    """Return the lens by vertices about so far apart, or as far as they are."""
-    across, up = (
-        ceil(side_mm / max(spacing_mm, own_mm) - 1e-6)
-        for side_mm, own_mm in ((lens.width_mm, lens.dx_mm), (lens.height_mm, lens.dy_mm))
-    )
+    """Return the lens by vertices about so far apart at least; turns of layers have as many points as it asks for."""
+    if spacing_mm <= min(lens.dx_mm, lens.dy_mm):
+        return lens
+    across, up = (ceil(side_mm / spacing_mm) for side_mm in (lens.width_mm, lens.height_mm))
     x = np.linspace(0.0, lens.width_mm, across + 1)
     y = np.linspace(0.0, lens.height_mm, up + 1)
     z = lens.spline().jets(*np.meshgrid(lens.x_mm[0] + x, lens.y_mm[0] + y))[0]
@@ -119,7 +117,7 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | No
     length_mm, across_mm = _spans_mm(form, spec)
     rows_mm = length_mm * (ceil(across_mm / spec.pitch_mm) + 1)
     first_s = (1 / SLOT_FEED - 1) * length_mm / (spec.feed_mm_per_min / 60)  # more, with stock on both sides
-    return rows_mm * _sampled_s_per_mm(form, spec, mill, rounding) + first_s + entry_s(spec)
+    return rows_mm * _sampled_s_per_mm(form, spec, mill, rounding) + first_s
 
 
 def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
@@ -145,7 +143,8 @@ def _join(rows: tuple[Array, ...], spec: PassSpec) -> Iterator[Path]:
     """
     bulge_mm, feed = spec.pitch_mm / 2, spec.feed_mm_per_min
     left, right = rows[0][0, 0] + bulge_mm, rows[0][-1, 0] - bulge_mm
-    angles = pi * np.arange(1, _TURN_PARTS) / _TURN_PARTS
+    parts = turn_parts(bulge_mm)
+    angles = pi * np.arange(1, parts) / parts
     end = np.zeros(3)
     for number, row in enumerate(rows):
         x = np.concatenate([[left], row[(row[:, 0] > left) & (row[:, 0] < right), 0], [right]])

@@ -77,13 +77,19 @@ def on_ticks(values: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
+def turn_parts(bulge):  # type: ignore[no-untyped-def]
+    """Return of how many chords a turn is that goes out so far [mm]."""
+    return 4 if bulge < 0.05 else 8
+
+
+@njit(cache=True, nogil=True)
 def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore[no-untyped-def]
     """Write the first `rows` rows of y and the turn after each into out; a row after them in y is only turned to.
 
     A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
     """
     count = int(np.int64(0))  # a plain 0 is a type of its own: march_row would be compiled twice
-    parts = 4 if bulge < 0.05 else 8
+    parts = turn_parts(bulge)
     for j in range(rows):
         start, end = (left, right) if forward else (right, left)
         count = march_row(b, rule, y[j], start, end, out, count)
