@@ -234,6 +234,7 @@ def layer_paths(
     top_mm = float(stock.height_mm.max())
     before: Run | None = None
     place = np.empty(3)
+    turns: list[Array] = []
     linked = spec.link == "u-turn"
     runs = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
     for done, run in enumerate(runs, start=1):
@@ -247,9 +248,8 @@ def layer_paths(
         if not run.upward:
             points, feeds = points[::-1], feeds[::-1]
         if run.joined and before is not None:
-            yield cut(
-                _link(field, surface, layer, before, run, sag), _choose_link_feed(now, tips, before, run, pad, spec)
-            )
+            turns.append(_link(field, surface, layer, before, run, sag))
+            yield cut(turns[-1], _choose_link_feed(now, tips, before, run, pad, spec))
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
@@ -262,7 +262,7 @@ def layer_paths(
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
     if total:
-        yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
+        yield from _end_walls(field, surface, stock, layer, above, turns, spec, safe_z_mm=safe_z_mm)
 
 
 def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
@@ -324,12 +324,13 @@ def _end_walls(
     stock: StockTouch,
     layer: Layer,
     above: Layer | None,
+    turns: list[Array],
     spec: PassSpec,
     *,
     safe_z_mm: float,
 ) -> Iterator[Path]:
     """Yield the ways along the walls at which the rows end, where stock stood above the layer: both sides, front to
-    back.
+    back. None where turns (n, 3) of the layer's own rows went along all of that already.
 
     Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
     a later layer, or a later pass, would take flakes of several layers off at once.
@@ -345,12 +346,24 @@ def _end_walls(
         )
         left, tips = _stock_and_tips(column, layer, above)
         sag = _sag_mm(surface, layer, spec)
-        for first, last in spans(_stands_above(left, tips, stock, above)[0], pad=1, gap=y.size):
+        standing = _stands_above(left, tips, stock, above)[0]
+        if not (standing & ~_went_along(turns, x_mm, y)).any():
+            continue
+        for first, last in spans(standing, pad=1, gap=y.size):
             points = thin_points(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
             height = float(left[0, first]) + stock.slack_mm + 2 * sag
             yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
             yield cut(points, SLOT_FEED * spec.feed_mm_per_min)
             yield leave(points[-1, 0], points[-1, 1], safe_z_mm=safe_z_mm)
+
+
+def _went_along(turns: list[Array], x_mm: float, y_mm: Array) -> npt.NDArray[np.bool_]:
+    """Return (n,) which places y_mm of a wall at x_mm lie on a turn (m, 3) that goes straight along it."""
+    passed = np.zeros(y_mm.size, dtype=np.bool_)
+    for turn in turns:
+        if (turn[:, 0] == x_mm).all():
+            passed |= (turn[0, 1] <= y_mm) & (y_mm <= turn[-1, 1])
+    return passed
 
 
 def _between(y_mm: Array, step_mm: float) -> Array:

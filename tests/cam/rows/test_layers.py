@@ -23,6 +23,7 @@ from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
+from optics.heightfield import Heightfield
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2)
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
@@ -230,3 +231,19 @@ def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
             slow = path.feed_mm_per_min <= SLOT_FEED * spec.feed_mm_per_min
             slots, rows = slots + length * slow, rows + length * (not slow)
     assert 0 < slots < 4 * (STOCK.width_mm + 2 * spec.radius_mm) < rows
+
+
+def test_no_way_goes_along_a_wall_where_a_turn_has_been():
+    """The last plane cuts one corner alone, two rows wide, and the turn between them goes along all of its wall: every
+    descent takes off something.
+    """
+    x, y = np.linspace(0.0, STOCK.width_mm, 41), np.linspace(0.0, STOCK.height_mm, 31)
+    tilted = 0.1 * (y[:, None] - x[None, :] - STOCK.height_mm) - 0.1
+    lens = Heightfield.on_aperture(tilted, width_mm=STOCK.width_mm, height_mm=STOCK.height_mm)
+    top, spec = StockGrid.block(STOCK, 0.05), replace(ROUGH, step_down_mm=0.85)
+    grid = RemovalGrid(top, radius_mm=spec.radius_mm)
+    (batch,) = read_program(generate_program(lens, spec, STOCK, stock_top=top, post=GRBL))
+    depth_mm = grid.cut(batch).depth_mm[1:]
+    feeds = (np.minimum(batch.start_mm[:, 2], batch.end_mm[:, 2]) < 0) & ~batch.is_rapid
+    descents = np.split(np.arange(feeds.size), np.flatnonzero(np.diff(feeds)) + 1)
+    assert min(depth_mm[one].max() for one in descents if feeds[one[0]]) > 1e-6
