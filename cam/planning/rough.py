@@ -11,11 +11,12 @@ import numpy as np
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s
 from cam.planning.shop import CLEAR_MM, Shop
-from cam.planning.written_time import first_pass_s, rows_s
+from cam.planning.written_time import first_pass_s, planes_s, rows_s
 from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
+_GUESS_SHARE = 1.25  # of the least guess: first passes of tools beyond it are not made
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 """What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
 
@@ -39,6 +40,7 @@ class Roughing:
         self.form, self.shop = form, shop
         self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
         self._firsts: dict[Tool, Before] = {} if like is None else like._firsts
+        self._guesses_s: dict[Tool, float] = {} if like is None else like._guesses_s
         self._rough: dict[float, Before | None] = {}
         self._known: dict[tuple[float, float], Before | None] = {}
 
@@ -63,8 +65,8 @@ class Roughing:
         """Plan the rough by the quickest ball; beside its walls the shank of the finish must have room."""
         if finish.radius_mm not in self._rough:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
-            ways = [
-                self._plan_first(tool)
+            tools = [
+                tool
                 for tool in self.shop.tools
                 if self.shop.holds(tool)
                 and tool.radius_mm >= finish.radius_mm
@@ -72,14 +74,23 @@ class Roughing:
                 and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
                 and tool.reaches(self.form.deepest_mm)
             ]
+            most_s = _GUESS_SHARE * min(map(self._guess_first_s, tools), default=0.0)
+            ways = [self._plan_first(tool) for tool in tools if self._guess_first_s(tool) <= most_s]
             self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
         return self._rough[finish.radius_mm]
 
     def _plan_first(self, tool: Tool) -> Before:
         if tool not in self._firsts:
-            pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
-            self._firsts[tool] = self._make_way((), self._make_spec(tool, pitch_mm, _rough_leaves(tool)))
+            self._firsts[tool] = self._make_way((), self._first_spec(tool))
         return self._firsts[tool]
+
+    def _guess_first_s(self, tool: Tool) -> float:
+        if tool not in self._guesses_s:
+            self._guesses_s[tool] = planes_s(self.form, self._first_spec(tool), self.shop.mill)
+        return self._guesses_s[tool]
+
+    def _first_spec(self, tool: Tool) -> PassSpec:
+        return self._make_spec(tool, _ROUGH_PITCH_SHARE * tool.radius_mm, _rough_leaves(tool))
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from math import ceil, inf, pi
+from math import ceil, inf, log, pi
 
 import numpy as np
 from scipy.ndimage import grey_opening
@@ -20,7 +20,7 @@ from cam.duration import DurationModel, Kinematics
 from cam.materials import SLOT_FEED
 from cam.moves import Path, cut, rapid
 from cam.passes import PassSpec, Stock
-from cam.planning.pass_time import LensForm, entry_s
+from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
 from cam.posts.digits import Digits
 from cam.program import SAFE_Z_MM, pass_paths
 from cam.rows.layers import plane_row_distance_mm
@@ -28,14 +28,15 @@ from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.turned import turn_lens
-from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule, march_row, most_vertices, rough_rule
+from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule, march_row, most_vertices
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
 _ROWS = 24  # of a pass that are made; a third of them are off by up to 4 %
-_LEAST_PLACES = 6  # vertices of the coarse lens in a radius
-_MOST_SAMPLES = 1_000_000  # of layers that are made: a second
+_PITCHES_MM = (0.02, 0.07, 0.25)  # at which rows are made: vertices are much the same at those between
+_LEAST_PLACES = 4  # vertices of the coarse lens in a radius
+_MOST_SAMPLES = 250_000  # of layers that are made: a quarter of a second
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
 _DECIMALS = 5  # as written: points nearer to one another are one
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
@@ -76,10 +77,10 @@ def first_pass_s(
     """
     spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     if spec.finishes or spec.strategy == "contour":
-        return _planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
+        return planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
     rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(spec) * form.deepest_mm / spec.step_down_mm
     if rows_mm / _MOST_SAMPLES > spec.radius_mm / _LEAST_PLACES:
-        return _planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
+        return planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
     lens = _coarsen(form.lens, rows_mm / _MOST_SAMPLES)
     block = Stock(
         width_mm=lens.width_mm,
@@ -109,15 +110,18 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | No
 
     digits : on which the vertices of a finishing pass are put; None: where they are
     """
-    rounding = None if digits is None or not spec.finishes else Rounding(digits=digits, pitch_mm=spec.pitch_mm)
+    like = replace(spec, strategy="raster", pitch_mm=min(_PITCHES_MM, key=lambda one: abs(log(one / spec.pitch_mm))))
+    if spec.finishes:
+        rounding = None if digits is None else Rounding(digits=digits, pitch_mm=like.pitch_mm)
+        slowness, turns_s = _sampled_s_per_mm(form, like, mill, rounding), turn_s(spec, mill) - turn_s(like, mill)
+    else:  # chords are long, and the feed sets the time
+        slowness, turns_s = slowness_s_per_mm(form, spec, mill), turn_s(spec, mill)
     if spec.strategy == "contour":
-        slowness = _sampled_s_per_mm(form, replace(spec, strategy="raster"), mill, rounding)
         stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
         return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
     length_mm, across_mm = _spans_mm(form, spec)
-    rows_mm = length_mm * (ceil(across_mm / spec.pitch_mm) + 1)
     first_s = (1 / SLOT_FEED - 1) * length_mm / (spec.feed_mm_per_min / 60)  # more, with stock on both sides
-    return rows_mm * _sampled_s_per_mm(form, spec, mill, rounding) + first_s
+    return (ceil(across_mm / spec.pitch_mm) + 1) * (length_mm * slowness + turns_s) + first_s
 
 
 def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
@@ -167,11 +171,8 @@ def _join(rows: tuple[Array, ...], spec: PassSpec) -> Iterator[Path]:
 def _sampled_rows(form: LensForm, spec: PassSpec) -> tuple[Array, ...]:
     """Return vertices (n, 3) of rows evenly spread over lens and run-out."""
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
-    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
-    probe = min(lens.dx_mm, spec.radius_mm / 2)
-    rule = rough_rule(spec.stock_to_leave_mm, probe)
-    if spec.finishes:
-        rule = finish_rule(SLOPE_ERROR_RAD, probe, aperture_x_mm=(0.0, lens.width_mm))
+    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm)
+    rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
     length_mm, across_mm = _spans_mm(form, spec)
     out = np.empty((most_vertices(length_mm, rule), 3))
     rows = []
@@ -181,14 +182,15 @@ def _sampled_rows(form: LensForm, spec: PassSpec) -> tuple[Array, ...]:
     return tuple(rows)
 
 
-def _planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """Return about the seconds of planes, by the area of each.
+def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Return about the seconds of the first pass of a ball, by the area of each plane: within a fifth.
 
     Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
     """
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
     distance_mm = spec.pitch_mm * max(1, int(plane_row_distance_mm(spec) / spec.pitch_mm))
+    spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
     gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
     beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
