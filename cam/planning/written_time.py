@@ -34,7 +34,7 @@ from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
 _ROWS = 24  # of a pass that are made; a third of them are off by up to 4 %
-_PITCHES_MM = (0.02, 0.07, 0.25)  # at which rows are made: vertices are much the same at those between
+_PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
 _LEAST_PLACES = 4  # vertices of the coarse lens in a radius
 _MOST_SAMPLES = 250_000  # of layers that are made: a quarter of a second
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
