@@ -7,7 +7,7 @@ noise, and fills more of the valleys that make the picture's darkest places.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -145,7 +145,7 @@ def make_plan(
     fillings : by radius, of balls that leave valleys filled; a smaller one may take out what they leave
     """
     candidates, left_out = find_candidates(shop, lenses, light, fillings=fillings)
-    return plan_among(candidates, left_out, light, goal)
+    return plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: lenses)
 
 
 def find_candidates(
@@ -175,12 +175,37 @@ def find_candidates(
     return candidates, tuple(left_out)
 
 
-def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
-    """Choose among candidates that the light has guessed."""
+def plan_among(
+    candidates: list[Candidate],
+    left_out: tuple[tuple[str, str], ...],
+    light: Light,
+    goal: Goal,
+    *,
+    shop: Shop,
+    lenses: Callable[[], Mapping[float, LensForm]],
+) -> Plan:
+    """Choose among candidates that the light has guessed. lenses: as they are now, by radius of the finishing ball."""
     near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
+    guessed = dict(lenses())
     light.settle(one.marks for one in best.values())
-    return plan_by_score([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
+    settled = lenses()
+    near = [
+        replace(
+            _time_again(one, guessed[one.finish.radius_mm], settled[one.finish.radius_mm], shop),
+            psnr_db=light.aimed_db(one.marks),
+        )
+        for one in near
+    ]
+    return plan_by_score(near, left_out, goal)
+
+
+def _time_again(one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop) -> Candidate:
+    """Return a candidate whose finish takes the rows of another lens: a sharper one has shorter chords."""
+    seconds = list(one.seconds)
+    seconds[len(one.before)] += rows_s(settled, one.finish, shop.mill, shop.digits)
+    seconds[len(one.before)] -= rows_s(guessed, one.finish, shop.mill, shop.digits)
+    return replace(one, seconds=tuple(seconds))
 
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:

@@ -129,10 +129,10 @@ def _choose_plan(
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
             if not given and not is_surely_worth_it(finished.plan, milled, goal):
-                plan = plan_among(candidates, left_out, light, goal)
+                plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
                 milled = _score_by(seen, plan)
         else:
-            milled = plan = plan_among(candidates, left_out, light, goal)
+            milled = plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)

@@ -287,6 +287,19 @@ def test_no_pass_asks_for_a_shank_that_the_spindle_cannot_take() -> None:
     assert dict(found.left_out) == {tools[-1].name: "it has a shank of 8 mm; the mill's collet takes 6.35 mm"}
 
 
+def test_hours_are_those_of_the_lens_that_will_be_milled() -> None:
+    """A lens made sharper for its rows bends more: its chords are shorter, and on a slow link its rows slower."""
+    lenses, slow = {3.0: LensForm.of(bumps(0.02))}, replace(MILL, lines_per_s=40.0)
+
+    class Sharper(Blur):
+        def settle(self, several: Iterable[Marks]) -> None:
+            lenses[3.0] = LensForm.of(bumps(0.1))
+
+    one = replace(shop(tool(3.0)), mill=slow)
+    chosen = make_plan(one, lenses, Sharper(), Goal(), fillings={}).chosen
+    assert chosen.seconds[-1] == pytest.approx(rows_s(lenses[3.0], chosen.finish, slow), rel=0.01)
+
+
 def test_layers_are_as_shallow_as_frame_and_spindle_ask() -> None:
     light = replace(shop(tool(3.0)), removal_mm3_per_min=1000.0)
     finish = ball_pass("finish", radius_mm=3.0, pitch_mm=0.05, stock_to_leave_mm=0.0, step_down_mm=0.5)
