@@ -15,7 +15,6 @@ from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import POSTS
-from cam.posts.digits import Digits
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
@@ -36,7 +35,7 @@ from service.job.files import (
 )
 from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import measure_lens
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob, setup_of
 from service.job.stages.context import StageContext
@@ -123,15 +122,10 @@ def simulate(
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
-        digit_mm=_digits(machine).z_mm,
+        digit_mm=digits_of(machine).z_mm,
         total_bytes=sum(path.stat().st_size for path in paths),
         on_progress=on_progress,
     )
-
-
-def _digits(machine: MachineProfile) -> Digits:
-    """Return the raster on which programs for this mill state positions."""
-    return POSTS[machine.dialect].digits.coarsen(_step_mm(machine))
 
 
 def _step_mm(machine: MachineProfile) -> float:
@@ -152,7 +146,7 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
     """
-    digits = _digits(job.machine)
+    digits = digits_of(job.machine)
     if digits.z_mm < _COARSE_STEP_MM or job.spec.finish.finishes:
         return
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
