@@ -7,11 +7,11 @@ error of each track is remembered and the next ones aim as much higher or lower,
 wrong alternates from track to track. Nothing has to be known of their order, so rows and contours are served alike.
 
 Memory: a plane of cells that keep error times length, read with a Gaussian that is wide across the track and narrow
-along it. Written there is what the axis does, a whole step at a time within a move, too (`Tracks` leaves that out: it
-makes no difference to a lens as milled, and the whole of it to a finished one). And what the ball does: of two tracks
-p apart and d different in height the higher one loses R d^2 / 2p of its volume to the lower one, all but a
-ridge when d is above p^2 / 2R. So a track that stands out of its neighbours counts for less, which is looked up in a
-second plane, of the error of the last track at each place.
+along it. Written there is what the axis does, a whole step at a time within a move, too (`Tracks` leaves that out: of a
+lens as milled it is slopes alone that count, see `as_milled.stepping`, of a finished one heights). And what the ball
+does: of two tracks p apart and d different in height the higher one loses R d^2 / 2p of its volume to the lower one,
+all but a ridge when d is above p^2 / 2R. So a track that stands out of its neighbours counts for less, which is looked
+up in a second plane, of the error of the last track at each place.
 
 A track is at most a step below the lens: half a step by its aim, half by rounding. Memory grows with the region, not
 with the path.

@@ -73,12 +73,28 @@ def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore[no-untyped-def]
+def _spread_along(out, first, last, c, k, steps_within):  # type: ignore[no-untyped-def]
+    """Spread the slopes of facets first .. last - 1, which chord k leaves, from one end of each to the other."""
+    dx, dy = c.tips[k, 0] - c.tips[k - 1, 0], c.tips[k, 1] - c.tips[k - 1, 1]
+    way, group = math.hypot(dx, dy), c.group[k]
+    slopes, half_widths = steps_within
+    half_width = np.interp(abs(c.tips[k, 2] - c.tips[k - 1, 2]) / way, slopes[group], half_widths[group]) / way
+    for f in range(first, last):
+        to_and_fro = half_width if (f // 2) % 2 else -half_width  # a ball at a corner has slopes that rise, themselves
+        for corner in range(4):
+            more = to_and_fro if corner == 1 or corner == 2 else -to_and_fro
+            out[f, corner, 3] += more * dx
+            out[f, corner, 4] += more * dy
+
+
+@njit(cache=True, nogil=True)
+def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  # type: ignore[no-untyped-def]
     """Return (n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
     surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
     reach   : how far a ball can be that hides something
     longest, crossed : parts of a strip that are asked for, and of one that other tracks cross
+    steps_within     : of each ball's moves (slopes, half width) of what steps within them add
     """
     near, rivals = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS))
     frame, out = np.empty((3, 3)), np.empty((2 * (last - first) + _PER_CHORD, 4, 5))
@@ -123,6 +139,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
         before = bend(c.tips, k - 1, frame, rise, -1.0) if c.joined[k - 1] else straight
         after = bend(c.tips, k + 1, frame, rise, 1.0) if goes_on else straight
+        begin = filled
         if abs(rise) < most:
             strip = strip_of_chord(length, rise, radius, before, after)
             if strip.length > 0.0:
@@ -131,4 +148,5 @@ def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore
             strip = strip_of_corner(k, length, rise, radius, after, most)
             part = min(part, _CORNERS * min(length, after[2]))
             filled = facets_of_strip(c.tips, k, frame, radius, strip, part, count, rivals, farthest, out, filled)
+        _spread_along(out, begin, filled, c, k, steps_within)
     return out[:filled]

@@ -84,7 +84,7 @@ def sample_facets(
         number, rows = numbered
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
         tracks = _tracks(touched, rows, rule, direction, decimals).made_by(step_mm=step_mm, noise=noise)
-        milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm)
+        milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, step_mm=step_mm)
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
         return _inner(facets, 3 * milled.reach_mm + pitch_mm)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from cam.as_milled.chords import Chords, sort_chords
 from cam.as_milled.facets import facets_of
+from cam.as_milled.stepping import Spread, measure_spread
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from optics.heightfield import Heightfield
@@ -37,12 +38,14 @@ class MilledSurface:
 
     reach_mm   : balls farther apart than this do not hide anything of one another
     crossed_mm : how long a facet is at most where another track runs across
+    steps_within : what steps within moves add
     """
 
     chords: Chords
     lens: tuple[Array, float, float, float, float]
     reach_mm: float
     crossed_mm: float
+    steps_within: Spread
 
     @classmethod
     def of_tracks(
@@ -52,11 +55,13 @@ class MilledSurface:
         *,
         pitch_mm: float,
         error_mm: float = 0.0,
+        step_mm: float = 0.0,
     ) -> MilledSurface:
         """Make the surface of one program or several: a point belongs to the ball that went deepest there.
 
         pitch_mm : the widest distance between neighbouring tracks
         error_mm : standard deviation of the tips' heights
+        step_mm  : of the mill's axes, within moves
         """
         radius = max(one.radius_mm for one in tracks)
         reach = reach_of(radius, pitch_mm=pitch_mm, error_mm=error_mm)
@@ -65,6 +70,7 @@ class MilledSurface:
             lens=heightfield.spline_with_run_out(radius + 1.0).kernel_arguments,
             reach_mm=reach,
             crossed_mm=_CROSSED * pitch_mm,
+            steps_within=measure_spread(tracks, heightfield, step_mm=step_mm, reach_mm=reach),
         )
 
     @property
@@ -75,4 +81,5 @@ class MilledSurface:
         """Return (n, 4, 5) facets: corners in order around, each x, y, z [mm] and slopes in x and y."""
         first = number * CHORDS_PER_PART
         last = min(first + CHORDS_PER_PART, self.chords.joined.size)
-        return np.asarray(facets_of(self.chords, first, last, self.lens, self.reach_mm, _LONGEST_MM, self.crossed_mm))
+        lengths_mm = self.reach_mm, _LONGEST_MM, self.crossed_mm
+        return np.asarray(facets_of(self.chords, first, last, self.lens, *lengths_mm, self.steps_within))

@@ -1,11 +1,8 @@
 """Where the tool really goes: a program's cutting moves as chains of tips, on the machine's steps and with its noise.
 
-A move ends where the program says, rounded to the step of each axis; between its ends it is straight. A real axis
-steps within moves, too, which its inertia and the ball smooth; that is left out, and on long moves of a mill with
-steps of 4 µm its slopes along the rows are 1.7 to 2 times those told here (the report says so). Rounding every 0.02 mm
-of way instead tells the same picture (1 mm ball at pitch 0.05 mm, steps of 2 µm: 20.9 dB to the design's light where
-ends of moves alone have 21.0; slopes 23.9 and 23.7 mrad, without steps 14.5). Rapids and moves straight up or down cut
-no surface, so they only part one chain from the next.
+A move ends where the program says, rounded to the step of each axis; between its ends it is straight: what the steps
+within it do to slopes is added to facets, see `stepping`. Rapids and moves straight up or down cut no surface, so they
+only part one chain from the next.
 """
 
 from __future__ import annotations

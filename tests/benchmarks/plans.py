@@ -90,6 +90,7 @@ def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: Machi
         lens,
         pitch_mm=finish.pitch_mm,
         error_mm=tip_error_mm(step_mm=mill.step_mm, z_noise_mm=mill.z_noise_mm),
+        step_mm=mill.step_mm,
     )
     light = simulate_milled(surface.part, surface.parts, lens, PAPER_SETTING.bench, pixels=goal.shape)
     return score_caustic(light.irradiance, goal)

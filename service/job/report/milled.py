@@ -15,7 +15,6 @@ CAUSES = {
     "rounding": ("the decimals of the program", "a dialect with more of them helps"),
 }
 _WORTH_DB = 0.3
-_COARSE_STEP_MM = 0.001  # from which steps within a move count beside those of its ends
 UNSEEN_DB = 40.0  # of what blur does to a picture that has no finer detail than that
 _MOST_OF_IT = 0.7  # of what milling costs, from which one cause explains it
 
@@ -81,10 +80,7 @@ def _blur(milled: Mapping[str, Any]) -> str:
     step_um, noise_um = (number(1000 * milled[name], 2) for name in ("step_mm", "z_noise_mm"))
     machine = f"steps of {step_um} µm and height errors of {noise_um} µm"
     slopes = milled["slope_rms_mrad"]
-    within = " Steps within a move are not simulated, only where it ends: along the rows its slopes may be up to twice "
-    within += "as large, which changes the whole by little."
     return (
         f"For experts: its slopes are off by {slopes:.1f} µm per mm ({slopes:.1f} mrad) rms, which blurs the picture "
         f"by {milled['blur_x_px']:.1f} pixels in X and {milled['blur_y_px']:.1f} in Y (rms; with {machine})."
-        f"{within if milled['step_mm'] >= _COARSE_STEP_MM else ''}"
     )

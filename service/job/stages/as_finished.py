@@ -28,7 +28,7 @@ from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, r
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
 
-_STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
+_STEPPING_MM = 0.05  # an axis steps within moves, and a finish leaves the terraces; shorter ones it takes off
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
 _SEEN_MM = 0.1  # of a rim
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least

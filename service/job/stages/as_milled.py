@@ -56,6 +56,7 @@ def run_as_milled(context: StageContext) -> None:
             heightfield,
             pitch_mm=max(spec.pitch_mm for _, spec in passes),
             error_mm=error_of_tips_mm(context.machine),
+            step_mm=context.machine.step_mm,
         )
     with context.watch.stage("as milled: light") as on_progress:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)

@@ -29,12 +29,13 @@ def lens(tilt=(0.0, 0.0), bend=(0.0, 0.0), side_mm=SIDE_MM):
     return Heightfield.on_aperture(z - z.max() - 0.1, width_mm=side_mm, height_mm=side_mm)
 
 
-def surface_of(tracks, over, *, pitch_mm, step_mm=0.0, z_noise_mm=0.0):
+def surface_of(tracks, over, *, pitch_mm, step_mm=0.0, z_noise_mm=0.0, within_mm=0.0):
     return MilledSurface.of_tracks(
         [tracks],
         over,
         pitch_mm=pitch_mm,
         error_mm=tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm),
+        step_mm=within_mm,
     )
 
 
