@@ -40,7 +40,7 @@ FLAT_SLOPE = 0.02
 FAINT = 1e-3
 """Weight of a surface without slope, and of the pull along y."""
 
-STRETCH = 1.5
+STRETCH, COARSE_STRETCH = 1.5, 2.0
 STRETCHINGS = 12
 SMOOTH_MM = 0.6
 NODES = 400
@@ -56,10 +56,25 @@ DIP_BELOW = 0.8
 (Lens of `astronaut`, 100 mm, R 3, pitch 0.1: 95.2 % along the contours where 3 mm give 92.9; 0.4 % longer.)
 """
 
-RAMP = 0.3
-"""Share of a class step that is a ramp."""
+RAMP, COARSE_RAMP = 0.3, 1.0
+"""Share of a class step that is a ramp. Tracks glide by up to half a pitch on it: on a ramp of some pitches that would
+leave the contour, and holes beside it.
+"""
+
+FINE_ACROSS, COARSE_ACROSS = 1000.0, 400.0
+"""Pitches across the lens. On a fine lens turns are a small share of the path, and its length counts; on a coarse one
+they are a large share, and tracks must be as long, and follow the contours as closely, as they can. (Lens of
+`astronaut`, 100 mm, R 6, pitch 0.56: 95.5 % along the contours where ramps and stretch of a fine lens give 92.4; 3 %
+longer.)
+"""
 
 Mask = NDArray[np.bool_]
+
+
+def coarseness(pitch_mm: float, side_mm: float) -> float:
+    """Return 0 on a lens that is many pitches wide, 1 on one that is few."""
+    fine, coarse = side_mm / FINE_ACROSS, side_mm / COARSE_ACROSS
+    return min(max((pitch_mm - fine) / (coarse - fine), 0.0), 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,25 +102,27 @@ class ContourField:
     @classmethod
     def over(cls, heightfield: Heightfield, surface: ToolSurface, *, pitch_mm: float) -> ContourField:
         width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
+        coarse = coarseness(pitch_mm, max(width_mm, height_mm))
         step = min(2.5 * pitch_mm, 0.2, surface.radius_mm / 8)
         step = min(step, max(pitch_mm / 4, max(width_mm, height_mm) / CELLS))
         pad = ceil(surface.radius_mm / step)
         ring_mm = surface.radius_mm - min(FREE_PITCHES * pitch_mm, FREE_SHARE * surface.radius_mm)
         dip_mm = min(max(DIP_MM, DIP_PITCHES * pitch_mm), max(width_mm, height_mm) / DIPS_ACROSS)
         x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
-        spline = _solve_field(heightfield, surface)
+        spline = _solve_field(heightfield, surface, STRETCH + coarse * (COARSE_STRETCH - STRETCH))
         jets = _jets(spline, x, y)
         nodes = _mask_wanted(surface, x, y, width_mm, height_mm, _rim_tips(heightfield, surface, step))
         gradient = np.hypot(jets[1], jets[2])
         near = ndimage.minimum_filter(gradient, 3)
         greatest = float(np.quantile(gradient[nodes], 0.999))
+        ramp = RAMP + coarse * (COARSE_RAMP - RAMP)
         needed = np.log(greatest / np.clip(near, LEAST_GRADIENT * greatest, greatest)) / log(RATIO)
         return cls(
             x0_mm=float(x[0]),
             y0_mm=float(y[0]),
             step_mm=step,
             f=jets[0],
-            density=_density(needed, float(np.quantile(needed[nodes], DIP_BELOW)), dip_mm / step),
+            density=_density(needed, float(np.quantile(needed[nodes], DIP_BELOW)), dip_mm / step, ramp),
             level_mm=greatest * 2 * REACH_PITCHES * pitch_mm,
             wanted=nodes[:-1, :-1] & nodes[:-1, 1:] & nodes[1:, :-1] & nodes[1:, 1:],
             ring_mm=ring_mm,
@@ -163,20 +180,21 @@ def _mask_traced(
     return np.asarray(near[:-1, :-1] & near[:-1, 1:] & near[1:, :-1] & near[1:, 1:])
 
 
-def _density(needed: Array, usual: float, dip: float) -> Array:
+def _density(needed: Array, usual: float, dip: float, ramp: float) -> Array:
     """Return (ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps.
 
-    dip : length of a dip that is short, in steps of the grid
+    dip  : length of a dip that is short, in steps of the grid
+    ramp : share of a class step
     """
     size = max(3, 2 * round(dip / 2) + 1)
     raised = np.maximum(needed, ndimage.grey_closing(np.minimum(needed, usual), size))
     blur = max(1, round(dip / 10))
     raised = ndimage.gaussian_filter(ndimage.maximum_filter(raised, 2 * blur + 1), blur / 2, truncate=2.0)
     whole = np.ceil(raised)
-    return np.asarray(whole + np.clip(1 + (raised - whole) / RAMP, 0.0, 1.0))
+    return np.asarray(whole + np.clip(1 + (raised - whole) / ramp, 0.0, 1.0))
 
 
-def _solve_field(heightfield: Heightfield, surface: ToolSurface) -> BicubicSpline:
+def _solve_field(heightfield: Heightfield, surface: ToolSurface, stretch: float) -> BicubicSpline:
     """Return f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     spacing = max(max(width_mm, height_mm) / NODES, 0.05)
@@ -187,7 +205,7 @@ def _solve_field(heightfield: Heightfield, surface: ToolSurface) -> BicubicSplin
     touched = np.clip(contacts[:, 0], 0, width_mm), np.clip(contacts[:, 1], 0, height_mm)
     slopes = heightfield.spline().jets(*touched)[1:3].reshape(2, ny, nx)
     zx, zy = (ndimage.gaussian_filter(slope, (SMOOTH_MM / dy, SMOOTH_MM / dx), mode="nearest") for slope in slopes)
-    f = _along(zx, zy, dx, dy)
+    f = _along(zx, zy, dx, dy, stretch)
     by_x, by_y = ceil(surface.radius_mm / dx) + 3, ceil(surface.radius_mm / dy) + 3
     f = _beyond(_beyond(f, by_y, 0), by_x, 1)
     return BicubicSpline.through(f, x0_mm=-by_x * dx, y0_mm=-by_y * dy, dx_mm=dx, dy_mm=dy)
@@ -202,7 +220,7 @@ def _beyond(f: Array, rows: int, axis: int) -> Array:
     return np.moveaxis(np.concatenate([before, f, after]), 0, axis)
 
 
-def _along(zx: Array, zy: Array, dx: float, dy: float) -> Array:
+def _along(zx: Array, zy: Array, dx: float, dy: float, most: float) -> Array:
     """Return f (ny, nx) with grad f along (zx, zy): least squares over the edges of the grid, each weighted.
 
     A faint pull along y is all that an even surface feels; inside, where it meets others, it has no effect.
@@ -223,7 +241,7 @@ def _along(zx: Array, zy: Array, dx: float, dy: float) -> Array:
         toward = _on_edges(stretch * zx / length, stretch * zy / length)
         f = factors.solve(slopes.T @ (strength * toward + pull)).reshape(ny, nx)
         fy, fx = np.gradient(f, dy, dx)
-        stretch = np.clip((fx * zx + fy * zy) / length, 1.0, STRETCH)
+        stretch = np.clip((fx * zx + fy * zy) / length, 1.0, most)
     return np.asarray(f)
 
 

@@ -15,12 +15,15 @@ import numpy as np
 from numba import njit
 
 from cam.contour.dubins import draw, shortest
+from cam.contour.field import coarseness
 from cam.contour.tracer import ContourLines
+from cam.contour.two_opt import shorten
 from cam.moves import Array
 
-TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.75
-TURNS_ACROSS = 180.0
-"""Radii of a turn that fit across the lens: on a small part at a coarse pitch wide turns would be half the path."""
+TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.48
+"""Radii of turns: on a small part at a coarse pitch wide turns would be half the path. The tightest lead to the next
+track.
+"""
 
 PLACES_PITCHES = 25.0
 """Between the places at which a closed track may be entered."""
@@ -60,14 +63,14 @@ class Room(NamedTuple):
 
 def turn_radius_mm(pitch_mm: float, side_mm: float) -> float:
     """Return the turn radius of joints: wide enough for a mill, unless the lens is only some hundred pitches wide."""
-    return min(TURN_PITCHES * pitch_mm, max(side_mm / TURNS_ACROSS, TIGHTEST_PITCHES * pitch_mm))
+    return pitch_mm * TURN_PITCHES * float((TIGHTEST_PITCHES / TURN_PITCHES) ** coarseness(pitch_mm, side_mm))
 
 
 def tour_tracks(tracks: ContourLines, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
     """Return (n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
     entries = _entries(tracks, room, pitch_mm)
     points = np.empty((len(tracks.xy_mm) + (MOST_JOINT_POINTS + 1) * (tracks.count + 2), 2))
-    count = _tour(tracks.xy_mm, tracks.start, entries, room, *begin, points)
+    count = _tour(tracks.xy_mm, tracks.start, entries, room, begin, points)
     return points[:count].copy()
 
 
@@ -105,8 +108,7 @@ def _ways_in(xy, start, apart):  # type: ignore[no-untyped-def]
     count = 0
     for k in range(start.size - 1):
         first, last = start[k], start[k + 1] - 1
-        closed = first + 2 < last and xy[first, 0] == xy[last, 0] and xy[first, 1] == xy[last, 1]
-        if not closed:
+        if not _is_closed(xy, first, last):
             for v, way in ((first, 1), (last, -1)):
                 h = math.atan2(xy[v + way, 1] - xy[v, 1], xy[v + way, 0] - xy[v, 0])
                 pose[count, 0], pose[count, 1], pose[count, 2] = xy[v, 0], xy[v, 1], h
@@ -187,29 +189,64 @@ def _join(x, y, h, px, py, ph, room, out, count):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _tour(xy, start, e, room, x, y, h, out):  # type: ignore[no-untyped-def]
-    """Write the whole path into out (n, 2); return its number of points."""
+def _is_closed(xy, first, last):  # type: ignore[no-untyped-def]
+    return first + 2 < last and xy[first, 0] == xy[last, 0] and xy[first, 1] == xy[last, 1]
+
+
+@njit(cache=True, nogil=True)
+def _choose_stops(xy, start, e, radius, into, out, stops):  # type: ignore[no-untyped-def]
+    """Go from into[0] always to the nearest track; write the poses into[n] and out[n], and as stops[n] the track, its
+    first vertex and the sense.
+    """
     used = np.zeros(start.size - 1, np.bool_)
-    out[0, 0], out[0, 1] = x, y
-    count = 1
-    for _ in range(start.size - 1):
-        k = _nearest(e, used, x, y, h, room.radius)
-        count = _join(x, y, h, e.pose[k, 0], e.pose[k, 1], e.pose[k, 2], room, out, count)
+    out[0] = into[0]
+    for n in range(1, start.size):
+        k = _nearest(e, used, out[n - 1, 0], out[n - 1, 1], out[n - 1, 2], radius)
         track, v, way = e.track[k], e.vertex[k], e.sense[k]
         used[track] = True
+        stops[n, 0], stops[n, 1], stops[n, 2] = track, v, way
+        into[n] = e.pose[k]
         first, last = start[track], start[track + 1] - 1
-        closed = first + 2 < last and xy[first, 0] == xy[last, 0] and xy[first, 1] == xy[last, 1]
+        out[n] = e.pose[k]
+        if not _is_closed(xy, first, last):
+            end = last if way == 1 else first
+            out[n, 0], out[n, 1] = xy[end, 0], xy[end, 1]
+            out[n, 2] = math.atan2(xy[end, 1] - xy[end - way, 1], xy[end, 0] - xy[end - way, 0])
+
+
+@njit(cache=True, nogil=True)
+def _tour(xy, start, e, room, begin, path):  # type: ignore[no-untyped-def]
+    """Write the whole path into path (n, 2); return its number of points."""
+    into, out = np.empty((start.size, 3)), np.empty((start.size, 3))
+    stops = np.zeros((start.size, 3), np.int64)
+    into[0, 0], into[0, 1], into[0, 2] = begin
+    _choose_stops(xy, start, e, room.radius, into, out, stops)
+    order, turned = np.arange(start.size), np.zeros(start.size, np.bool_)
+    shorten(into, out, room.radius, order, turned)
+    x, y, h = begin
+    path[0, 0], path[0, 1] = x, y
+    count = 1
+    for n in range(1, start.size):
+        k, back = order[n], turned[n]
+        track, v, way = stops[k]
+        px, py, ph = out[k] if back else into[k]
+        count = _join(x, y, h, px, py, ph + math.pi if back else ph, room, path, count)
+        first, last = start[track], start[track + 1] - 1
+        closed = _is_closed(xy, first, last)
+        if back:
+            way = -way
+            v = v if closed else first + last - v
         for _ in range(last - first + 1):
-            out[count, 0], out[count, 1] = xy[v, 0], xy[v, 1]
+            path[count, 0], path[count, 1] = xy[v, 0], xy[v, 1]
             count += 1
             v += way
             if closed and v == last and way == 1:
                 v = first
             elif closed and v == first - 1:
                 v = last - 1
-        x, y = out[count - 1, 0], out[count - 1, 1]
-        h = e.pose[k, 2] if closed else math.atan2(y - out[count - 2, 1], x - out[count - 2, 0])
-    return _out_to_ring(x, y, h, room, out, count)
+        x, y, h = into[k] if back else out[k]
+        h = h + math.pi if back else h
+    return _out_to_ring(x, y, h, room, path, count)
 
 
 @njit(cache=True, nogil=True)

@@ -185,10 +185,10 @@ def test_on_a_steep_dome_whose_tips_fill_the_ring_turns_are_tight_but_no_corners
     judge(tips_of(heightfield, spec), heightfield, spec)
 
 
-@pytest.mark.thorough
-def test_a_coarse_pitch_follows_the_contours_too():
-    """Where tracks end only beside long dips, their turns are few. With dips of 3 mm: 89 %."""
-    heightfield, spec = bumps(side_mm=40.0), pass_of(0.15, 3.0)
+@pytest.mark.parametrize(("pitch", "radius"), [pytest.param(0.15, 3.0, marks=pytest.mark.thorough), (0.34, 3.0)])
+def test_a_coarse_pitch_follows_the_contours_too(pitch, radius):
+    """What is asked of every ball at every pitch of plans. Made as for a fine lens: 93.8 and 90.2 %."""
+    heightfield, spec = bumps(side_mm=40.0), pass_of(pitch, radius)
     surface = surface_with(heightfield, spec)
     xy = plan_path(heightfield, surface, spec, on_progress=lambda done: None)
     ahead, middle = np.diff(xy, axis=0), (xy[1:] + xy[:-1]) / 2
@@ -198,7 +198,7 @@ def test_a_coarse_pitch_follows_the_contours_too():
     long, slope = np.hypot(*ahead[inside].T), np.hypot(zx, zy)
     counts = slope > 0.01
     uphill = np.abs(ahead[inside, 0] * zx + ahead[inside, 1] * zy) / (slope * long)
-    assert long[counts & (uphill < np.sin(np.radians(15)))].sum() / long[counts].sum() > 0.92
+    assert long[counts & (uphill < np.sin(np.radians(15)))].sum() / long[counts].sum() > 0.95
 
 
 def test_the_path_follows_the_contours():

@@ -1,0 +1,153 @@
+"""Shortens the long joints of a tour: 2-opt and Or-opt moves (Croes 1958, Or 1976).
+
+Who always takes the nearest track leaves some behind, and crosses the lens for them at last. Only joints longer than an
+ordinary turn are looked at, each against all others. A joint is as long backwards, so parts of a tour may be turned
+round.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from cam.contour.dubins import shortest
+
+LONG_TURNS = 3.0
+"""Joints are long that are so many times a half circle."""
+
+LONGEST_PART = 4
+"""Stops that are moved elsewhere in one piece, at most."""
+
+ROUNDS = 3
+LEAST_GAIN = 0.02
+"""Of a half circle: a move that gains less is not worth it."""
+
+
+@njit(cache=True, nogil=True)
+def shorten(into, out, radius, order, turned):  # type: ignore[no-untyped-def]
+    """Change order (n + 1,), turned (n + 1,) so that the joints between the stops are shorter; the first stop stays.
+
+    Stop k is entered by the pose into[k] and left by out[k], turned round the other way.
+    """
+    n = order.size - 1
+    half = math.pi * radius
+    joint = np.zeros(n + 1)  # from stop i to the next; none behind the last
+    for i in range(n):
+        joint[i] = _between(into, out, radius, order, turned, i, i + 1, False, False)
+    for _ in range(ROUNDS):
+        improved = False
+        for i in range(n):
+            while joint[i] > LONG_TURNS * half:
+                if not (
+                    _turn_part(into, out, radius, order, turned, joint, i, LEAST_GAIN * half)
+                    or _move_part(into, out, radius, order, turned, joint, i, LEAST_GAIN * half)
+                ):
+                    break
+                improved = True
+        if not improved:
+            return
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _pose(into, out, order, turned, i, leaving, again):  # type: ignore[no-untyped-def]
+    """Return the pose by which the i-th stop is entered or left, as it is or turned once more."""
+    k = order[i]
+    back = turned[i] != again
+    pose = out[k] if leaving != back else into[k]
+    return pose[0], pose[1], pose[2] + math.pi if back else pose[2]
+
+
+@njit(cache=True, nogil=True)
+def _apart(into, out, order, turned, i, j, i_again, j_again):  # type: ignore[no-untyped-def]
+    """Return the distance from the i-th stop to the j-th: a joint is no shorter; none leads on from the last."""
+    if j >= order.size:
+        return 0.0
+    x, y, _ = _pose(into, out, order, turned, i, True, i_again)
+    px, py, _ = _pose(into, out, order, turned, j, False, j_again)
+    return math.hypot(px - x, py - y)
+
+
+@njit(cache=True, nogil=True)
+def _between(into, out, radius, order, turned, i, j, i_again, j_again):  # type: ignore[no-untyped-def]
+    """Return the length of the joint from the i-th stop to the j-th; there is none behind the last."""
+    if j >= order.size:
+        return 0.0
+    x, y, h = _pose(into, out, order, turned, i, True, i_again)
+    px, py, ph = _pose(into, out, order, turned, j, False, j_again)
+    return shortest(x, y, h, px, py, ph, radius)[0]
+
+
+@njit(cache=True, nogil=True)
+def _reverse(into, out, radius, order, turned, joint, a, b):  # type: ignore[no-untyped-def]
+    """Turn the part from the a-th stop to the b-th round."""
+    order[a : b + 1] = order[a : b + 1][::-1].copy()
+    turned[a : b + 1] = ~turned[a : b + 1][::-1]
+    joint[a:b] = joint[a:b][::-1].copy()
+    for i in (a - 1, b):
+        joint[i] = _between(into, out, radius, order, turned, i, i + 1, False, False)
+
+
+@njit(cache=True, nogil=True)
+def _turn_part(into, out, radius, order, turned, joint, i, least):  # type: ignore[no-untyped-def]
+    """Turn round what lies between joint i and another one, if that gains; return whether."""
+    best, choice = least, -1
+    for j in range(order.size):
+        a, b = min(i, j), max(i, j)
+        if a == b:
+            continue
+        now = joint[a] + joint[b]
+        first = _apart(into, out, order, turned, a, b, False, True)
+        if now - first - _apart(into, out, order, turned, a + 1, b + 1, True, False) <= best:
+            continue
+        gain = now - _between(into, out, radius, order, turned, a, b, False, True)
+        gain -= _between(into, out, radius, order, turned, a + 1, b + 1, True, False)
+        if gain > best:
+            best, choice = gain, j
+    if choice >= 0:
+        _reverse(into, out, radius, order, turned, joint, min(i, choice) + 1, max(i, choice))
+    return choice >= 0
+
+
+@njit(cache=True, nogil=True)
+def _move_part(into, out, radius, order, turned, joint, i, least):  # type: ignore[no-untyped-def]
+    """Move some stops behind joint i, or before it, into another joint, if that gains; return whether."""
+    n = order.size - 1
+    best, first, last, place, again = least, -1, -1, -1, False
+    for part in range(2 * LONGEST_PART):
+        a = i + 1 if part < LONGEST_PART else i + LONGEST_PART - part
+        b = i + 1 + part if part < LONGEST_PART else i
+        if a < 1 or b > n:
+            continue
+        saved = joint[a - 1] + joint[b] - _between(into, out, radius, order, turned, a - 1, b + 1, False, False)
+        if saved <= best:
+            continue
+        for j in range(n + 1):
+            if a - 1 <= j <= b:
+                continue
+            room = saved + joint[j]
+            for back in (False, True):
+                head, tail = (b, a) if back else (a, b)
+                near = _apart(into, out, order, turned, j, head, False, back)
+                if room - near - _apart(into, out, order, turned, tail, j + 1, back, False) <= best:
+                    continue
+                gain = room - _between(into, out, radius, order, turned, j, head, False, back)
+                gain -= _between(into, out, radius, order, turned, tail, j + 1, back, False)
+                if gain > best:
+                    best, first, last, place, again = gain, a, b, j, back
+    if place < 0:
+        return False
+    # the part and what lies between it and its new place change places
+    begin, end = (first, place) if place > last else (place + 1, last)
+    long = last - first + 1
+    _reverse(into, out, radius, order, turned, joint, begin, end)
+    if place > last:
+        _reverse(into, out, radius, order, turned, joint, begin, end - long)
+        if not again:
+            _reverse(into, out, radius, order, turned, joint, end - long + 1, end)
+    else:
+        _reverse(into, out, radius, order, turned, joint, begin + long, end)
+        if not again:
+            _reverse(into, out, radius, order, turned, joint, begin, begin + long - 1)
+    return True
