@@ -56,9 +56,9 @@ DIP_BELOW = 0.8
 (Lens of `astronaut`, 100 mm, R 3, pitch 0.1: 95.2 % along the contours where 3 mm give 92.9; 0.4 % longer.)
 """
 
-RAMP, COARSE_RAMP = 0.3, 1.0
-"""Share of a class step that is a ramp. Tracks glide by up to half a pitch on it: on a ramp of some pitches that would
-leave the contour, and holes beside it.
+RAMP, LONGEST_RAMP, RAMP_PITCHES = 0.3, 1.0, 75.0
+"""Share of a class step that is a ramp; on a lens only so many pitches wide all of it. Tracks glide by up to half a
+pitch on a ramp: on one of some pitches that would leave the contour, and holes beside it.
 """
 
 FINE_ACROSS, COARSE_ACROSS = 1000.0, 400.0
@@ -115,7 +115,7 @@ class ContourField:
         gradient = np.hypot(jets[1], jets[2])
         near = ndimage.minimum_filter(gradient, 3)
         greatest = float(np.quantile(gradient[nodes], 0.999))
-        ramp = RAMP + coarse * (COARSE_RAMP - RAMP)
+        ramp = min(max(RAMP, RAMP_PITCHES * pitch_mm / max(width_mm, height_mm)), LONGEST_RAMP)
         needed = np.log(greatest / np.clip(near, LEAST_GRADIENT * greatest, greatest)) / log(RATIO)
         return cls(
             x0_mm=float(x[0]),

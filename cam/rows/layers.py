@@ -7,7 +7,7 @@ come last over everything. No layer takes off more than step_down plus the cusps
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil, inf, pi, sqrt
@@ -229,14 +229,14 @@ def layer_paths(
     standing = _stands_above(left, tips, stock, above)
     by_row = [spans(row, pad=pad, gap=gap) for row in _with_neighbours(standing)]
     now = left.copy()
-    total = sum(map(len, by_row))
     pocket = _pocket(field, surface, layer)
     top_mm = float(stock.height_mm.max())
     before: Run | None = None
     place = np.empty(3)
     turns: list[Array] = []
     linked = spec.link == "u-turn"
-    runs = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
+    chained = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
+    runs = _leave_out_idle(chained, standing)
     for done, run in enumerate(runs, start=1):
         samples = slice(run.first, run.last + 1)
         points = np.column_stack(
@@ -258,10 +258,9 @@ def layer_paths(
         yield from _cuts(points, feeds, sag)
         now[run.row, samples] = np.minimum(now[run.row, samples], along)
         before, place = run, points[-1]
-        on_progress(done / total)
+        on_progress(done / len(runs))
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
-    if total:
         yield from _end_walls(field, surface, stock, layer, above, turns, spec, safe_z_mm=safe_z_mm)
 
 
@@ -316,6 +315,17 @@ def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     grown[1:] |= active[:-1]
     grown[:-1] |= active[1:]
     return grown
+
+
+def _leave_out_idle(runs: Iterable[Run], standing: npt.NDArray[np.bool_]) -> list[Run]:
+    """Return the runs without chains that lie beside stock alone: the tool would enter and cut nothing."""
+    chains: list[list[Run]] = []
+    for run in runs:
+        if not run.joined:
+            chains.append([])
+        chains[-1].append(run)
+    cutting = (chain for chain in chains if any(standing[one.row, one.first : one.last + 1].any() for one in chain))
+    return [run for chain in cutting for run in chain]
 
 
 def _end_walls(

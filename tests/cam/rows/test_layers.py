@@ -233,17 +233,26 @@ def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
     assert 0 < slots < 4 * (STOCK.width_mm + 2 * spec.radius_mm) < rows
 
 
-def test_no_way_goes_along_a_wall_where_a_turn_has_been():
-    """The last plane cuts one corner alone, two rows wide, and the turn between them goes along all of its wall: every
-    descent takes off something.
-    """
-    x, y = np.linspace(0.0, STOCK.width_mm, 41), np.linspace(0.0, STOCK.height_mm, 31)
-    tilted = 0.1 * (y[:, None] - x[None, :] - STOCK.height_mm) - 0.1
-    lens = Heightfield.on_aperture(tilted, width_mm=STOCK.width_mm, height_mm=STOCK.height_mm)
-    top, spec = StockGrid.block(STOCK, 0.05), replace(ROUGH, step_down_mm=0.85)
+def least_depth_of_descents(lens, spec):
+    """The deepest that each descent below the top of a flat block cuts; of all of them the least."""
+    top = StockGrid.block(STOCK, 0.05)
     grid = RemovalGrid(top, radius_mm=spec.radius_mm)
     (batch,) = read_program(generate_program(lens, spec, STOCK, stock_top=top, post=GRBL))
     depth_mm = grid.cut(batch).depth_mm[1:]
     feeds = (np.minimum(batch.start_mm[:, 2], batch.end_mm[:, 2]) < 0) & ~batch.is_rapid
     descents = np.split(np.arange(feeds.size), np.flatnonzero(np.diff(feeds)) + 1)
-    assert min(depth_mm[one].max() for one in descents if feeds[one[0]]) > 1e-6
+    return min(depth_mm[one].max() for one in descents if feeds[one[0]])
+
+
+def test_no_way_goes_along_a_wall_where_a_turn_has_been():
+    """The last plane cuts one corner alone, two rows wide, and the turn between them goes along all of its wall."""
+    x, y = np.linspace(0.0, STOCK.width_mm, 41), np.linspace(0.0, STOCK.height_mm, 31)
+    tilted = 0.1 * (y[:, None] - x[None, :] - STOCK.height_mm) - 0.1
+    lens = Heightfield.on_aperture(tilted, width_mm=STOCK.width_mm, height_mm=STOCK.height_mm)
+    assert least_depth_of_descents(lens, replace(ROUGH, step_down_mm=0.85)) > 1e-6
+
+
+@pytest.mark.parametrize(("seed", "step_down_mm"), [(0, 0.3), (0, 0.5), (1, 0.3), (1, 0.8)])
+def test_rows_beside_what_stands_are_no_reason_to_enter(make_bumps, seed, step_down_mm):
+    spec = replace(ROUGH, step_down_mm=step_down_mm, direction="y")
+    assert least_depth_of_descents(make_bumps(seed, relief_mm=2.0), spec) > 1e-6
