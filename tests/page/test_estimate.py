@@ -174,9 +174,11 @@ def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_
     with page.expect_request("**/v1/estimates?exactly=true"):
         choose(page, picture())
     expect(estimate).to_contain_text("A first look: exact figures follow")
+    expect(estimate).to_contain_text("Smallest detail…")
     fill(page, Width="30")
     expect(estimate).to_contain_text("5 h")
     expect(estimate).not_to_contain_text("A first look")
+    expect(estimate).not_to_contain_text("…")
     fill(page, Width="40")
     expect(estimate).to_contain_text("the exact figures could not be worked out")
     expect(estimate).to_contain_text("2 h")

@@ -21,9 +21,10 @@ const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
  * {ask(), stop(), settled}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none"
- * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`after`: the first look that it replaces),
- * "problems" with `problems`, "fault" with `words`, "absent" no such service. settled: an estimate is known of what was
- * asked last. A first look comes within a second; an exact answer follows where nothing is asked meanwhile.
+ * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
+ * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
+ * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
+ * comes within a second; its detail and PSNR are off by up to 4 dB, its hours hold.
  */
 export function estimator({ make, tell }) {
   let timer = 0;
@@ -55,7 +56,7 @@ export function estimator({ make, tell }) {
       const estimate = await api.upload("/v1/estimates", form, { headers: HEADERS, signal, quiet: true });
       if (signal.aborted) return;
       settled = true;
-      tell({ kind: "known", estimate });
+      tell({ kind: "known", estimate, first: !estimate.exact });
       if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
@@ -92,8 +93,8 @@ export function estimator({ make, tell }) {
   };
 }
 
-/** The estimate as a person reads it. */
-export function estimateWords(estimate) {
+/** The estimate as a person reads it; first: of a first look only what holds. */
+export function estimateWords(estimate, first) {
   return h(
     "div",
     { class: "stack" },
@@ -101,7 +102,7 @@ export function estimateWords(estimate) {
       "dl",
       { class: "figures" },
       figure(t("Machine time"), hours(3600 * estimate.hours)),
-      figure(t("Smallest detail"), mm(estimate.smallest_detail_mm), t("on the wall")),
+      figure(t("Smallest detail"), first ? "…" : mm(estimate.smallest_detail_mm), t("on the wall")),
       figure(t("Depth of the lens"), mm(estimate.relief_mm), t`steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&
@@ -133,7 +134,8 @@ function notice(kind, words) {
 }
 
 /** For the bar at the foot: one line. */
-export function estimateLine(estimate) {
+export function estimateLine(estimate, first) {
+  if (first) return t`About ${hours(3600 * estimate.hours)} of milling`;
   const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
   return t`About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
@@ -161,7 +163,8 @@ export function estimateCard() {
   };
   function stateWords(result) {
     if (result.slow) return `${BUSY} ${FIRST}`;
-    if (result.kind === "known" && !result.estimate.exact) return result.after ? ONLY_COARSE : COARSE;
+    if (result.first) return COARSE;
+    if (result.kind === "known" && !result.estimate.exact) return ONLY_COARSE;
     return words[result.kind] ?? t`No estimate now. ${result.words ?? ""}`;
   }
   function show(result) {
@@ -169,7 +172,7 @@ export function estimateCard() {
     element.setAttribute("aria-busy", String(result.kind === "busy"));
     state.textContent = stateWords(result);
     state.hidden = !state.textContent;
-    if (result.kind === "known") replace(body, estimateWords(result.estimate));
+    if (result.kind === "known") replace(body, estimateWords(result.estimate, result.first));
     else if (result.kind !== "busy") replace(body);
   }
   return { element, show };

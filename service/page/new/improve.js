@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { freshKey, hours, mm, sentence } from "../lib/words.js";
+import { freshKey, hours, sentence } from "../lib/words.js";
 import { eyeWords, isHard } from "../job/figures.js";
 import { put } from "./spec.js";
 
@@ -22,8 +22,9 @@ export function withChange(spec, values) {
 
 /**
  * {element, show(estimate), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
- * wants it; draw(values, blurMm): what the wall then shows, small, or nothing. A picture that is hard to recognise asks by itself, any other where a person does. First looks are held
- * against the first look at the job itself, whatever a more exact one tells.
+ * wants it; draw(values, blurMm): what the wall then shows, small, or nothing. A picture that is hard to recognise asks by
+ * itself, any other where a person does. First looks at changes are held against the first look at the job itself: what
+ * they gain is added to what a more exact one tells.
  */
 export function improvements({ make, take, draw }) {
   const list = h("ul", { class: "changes" });
@@ -31,11 +32,11 @@ export function improvements({ make, take, draw }) {
   const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What shows more?"));
   const title = h("h2", {}, t("What shows more"));
   const element = h("section", { class: "card improvements", "aria-label": t("What shows more"), hidden: true }, title, button, state, list);
-  const now = { estimate: null, asking: new AbortController() };
+  const now = { estimate: null, exact: null, found: [], asking: new AbortController() };
 
   function show(estimate) {
     stop();
-    now.estimate = estimate;
+    Object.assign(now, { estimate, exact: estimate, found: [] });
     replace(list);
     state.textContent = "";
     element.hidden = !Number.isFinite(estimate.psnr_db) || !estimate.changes?.length;
@@ -45,6 +46,8 @@ export function improvements({ make, take, draw }) {
 
   /** A more exact answer for the job that is shown. */
   function reconsider(exact) {
+    now.exact = exact;
+    replace(list, now.found.map(line));
     if (!element.hidden && !button.hidden && isHard(exact.psnr_db)) ask(now.estimate);
   }
 
@@ -62,7 +65,7 @@ export function improvements({ make, take, draw }) {
     now.asking = new AbortController();
     const { signal } = now.asking;
     fold(false);
-    const found = [];
+    const { found } = now;
     for (const [number, change] of estimate.changes.entries()) {
       state.textContent = t`Working it out: ${number + 1} of ${estimate.changes.length}…`;
       const seen = await estimateChange(change, signal);
@@ -88,11 +91,7 @@ export function improvements({ make, take, draw }) {
       "li",
       {},
       h("button", { type: "button", onclick: () => take(change) }, draw(change.values, seen.blur_mm), h("span", {}, sentence(change.what).replace(/\.$/, ""))),
-      h(
-        "small",
-        {},
-        t`${eyeWords(seen.psnr_db)} (${seen.psnr_db.toFixed(0)} dB), details from ${mm(seen.smallest_detail_mm)}, ${hours(3600 * seen.hours)}`,
-      ),
+      h("small", {}, [eyeWords(now.exact.psnr_db + seen.psnr_db - now.estimate.psnr_db), hours(3600 * seen.hours)].join(", ")),
     );
 
   return { element, show, reconsider, stop };

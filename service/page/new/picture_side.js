@@ -15,7 +15,7 @@ const SMALL = 160; // pixels of an outcome drawn small
 const HOW = t("drag to choose the part, pinch or + and − to zoom");
 
 /**
- * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate), small(spec, blurMm), blame(words), fault(),
+ * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate, first), small(spec, blurMm), blame(words), fault(),
  * focus(), sent(), draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent;
  * onOpening(name): a picture is being read, which may take a moment.
  */
@@ -98,9 +98,9 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
-  function show(estimate) {
+  function show(estimate, first) {
     now.estimate = estimate;
-    write(told, Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
+    write(told, !first && Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
     seen.draw();
   }
 

@@ -151,8 +151,8 @@ function newJob(profiles, app) {
     if (state.kind !== "known") improve.stop();
     else if (state.after) improve.reconsider(state.estimate);
     else improve.show(state.estimate);
-    if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
-    if (state.kind === "known") side.show(state.estimate);
+    if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate, state.first) : "");
+    if (state.kind === "known") side.show(state.estimate, state.first);
   }
 
   /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
@@ -179,7 +179,7 @@ function newJob(profiles, app) {
     try {
       const job = await sending.send(await side.sent(), spec, priority.read());
       now.sent = true;
-      if (asks.settled) foretell(job.id, now.estimate.psnr_db);
+      if (asks.settled && now.estimate.exact) foretell(job.id, now.estimate.psnr_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
