@@ -24,7 +24,7 @@ const HEADERS = { "Causticmill-Tab": freshKey() };
  * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
  * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
  * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
- * comes within a second; its detail and PSNR are off by up to 4 dB, its hours hold.
+ * comes within a second; its hours are about right, its PSNR and detail may be off by some dB.
  */
 export function estimator({ make, tell }) {
   let timer = 0;
