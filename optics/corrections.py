@@ -18,9 +18,9 @@ from optics.closing import close_to_radius
 from optics.errors import NoSurfaceError
 from optics.finish import foresee_finish, surface_in_light
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.metrics import CausticScore, score_caustic
 from optics.polish import DESIGN_BEAMS
-from optics.settings import LensSettings
 from optics.spline import Array
 from optics.transport.solver import OpticalPath, solve_transport
 

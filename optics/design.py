@@ -11,8 +11,8 @@ from optics.ball_fit import fit_ball
 from optics.black import find_advice
 from optics.corrections import ClosingCost, Corrected, Pass, Progress, correct_lens, measure_closing_cost
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.polish import PolishRecord, polish_lens
-from optics.settings import LensSettings
 from optics.spline import Array
 from optics.transport.solver import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap

@@ -34,7 +34,7 @@ REACH_PITCHES = 0.485
 """No place may be farther from every track: half a pitch, less what is seen to a pixel in cover.py."""
 
 LEAST_GRADIENT = 0.2
-"""Of the greatest: flatter spots of f, around summits and saddles, are left to strokes.py."""
+"""Of the greatest: flatter spots of f, around summits and saddles, are left to holes.py."""
 
 FLAT_SLOPE = 0.02
 FAINT = 1e-3

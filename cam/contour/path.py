@@ -14,7 +14,7 @@ import numpy as np
 
 from cam.contour.chords import tips_along
 from cam.contour.field import ContourField
-from cam.contour.strokes import without_holes
+from cam.contour.holes import fill_holes
 from cam.contour.tour import Room, tour_tracks, turn_radius_mm
 from cam.contour.tracer import trace
 from cam.moves import Array
@@ -61,7 +61,7 @@ def plan_path(
     field = ContourField.over(heightfield, surface, pitch_mm=pitch)
     tracks = trace(field, pitch_mm=pitch)
     on_progress(TRACED)
-    tracks = without_holes(tracks, field, width_mm=width, height_mm=height, pitch_mm=pitch)
+    tracks = fill_holes(tracks, field, width_mm=width, height_mm=height, pitch_mm=pitch)
     on_progress(CLOSED)
     ring = spec.radius_mm
     radius = min(turn_radius_mm(pitch, max(width, height)), 0.6 * spec.radius_mm)

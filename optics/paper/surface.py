@@ -16,13 +16,13 @@ import numpy as np
 from optics.bench import Bench
 from optics.errors import TotalReflectionError, UnsupportedBenchError
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.paper.flow import FlowSettings, PaperFlow, solve_paper_map
 from optics.paper.flow_darts import on_lattice
 from optics.paper.mesh import TriangleMesh
 from optics.paper.poisson import NeumannPoisson, divergence_load
 from optics.paper.smooth_map import SmoothGridMap, spline_over
 from optics.refraction import slope_for_shift
-from optics.settings import LensSettings
 from optics.spline import Array
 
 Progress = Callable[[str, float], None]

@@ -11,7 +11,7 @@ from PIL import Image
 
 from optics.bench import Bench
 from optics.irradiance import target_irradiance
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 from tests.benchmarks.pictures import EXAMPLES, target
 from tests.benchmarks.scoring import designed
 from tests.benchmarks.timing import Figure

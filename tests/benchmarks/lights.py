@@ -10,9 +10,9 @@ import numpy as np
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import score_caustic
-from optics.settings import LensSettings
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.scoring import designed, scores
 from tests.benchmarks.timing import Figure

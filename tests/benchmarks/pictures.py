@@ -11,7 +11,7 @@ from PIL import Image
 from optics.bench import Bench
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAPER_SETTING = LensSettings(

@@ -10,8 +10,8 @@ import numpy as np
 from cam.surface.cutter import largest_fitting_radius_mm
 from optics.caustic import Caustic, simulate_caustic
 from optics.design import LensDesign, design_lens
+from optics.lens_settings import LensSettings
 from optics.metrics import CausticScore, score_caustic
-from optics.settings import LensSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,8 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.errors import TotalReflectionError
 from optics.irradiance import target_irradiance
+from optics.lens_settings import LensSettings
 from optics.metrics import score_caustic
-from optics.settings import LensSettings
 from optics.transport.solver import solve_transport
 from tests.benchmarks.hard_pictures import Hard, hard_pictures
 from tests.benchmarks.timing import Figure

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from optics.bench import Bench
+from optics.lens_settings import LensSettings
 from optics.screen import Screen
-from optics.settings import LensSettings
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from optics.caustic import simulate_caustic
 from optics.design import LensDesign, design_lens
 from optics.errors import OpticsError
 from optics.irradiance import target_irradiance
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.screen import Screen
-from optics.settings import LensSettings
 
 pytestmark = pytest.mark.thorough
 

@@ -14,10 +14,10 @@ from optics.black import choose_branch, dark_leak_estimate, find_advice, fine_de
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import score_caustic
 from optics.screen import Screen
-from optics.settings import LensSettings
 
 BENCH = Bench.centre_on(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49)
 

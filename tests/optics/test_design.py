@@ -9,7 +9,7 @@ import numpy as np
 from cam.surface.cutter import largest_fitting_radius_mm
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 
 
 def test_closing_cost_is_stated_where_valleys_are_filled(settings: LensSettings) -> None:

@@ -14,8 +14,8 @@ from optics.caustic import simulate_caustic
 from optics.corrections import correct_lens
 from optics.finish import Finish, finish_surface, foresee_finish
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.metrics import psnr_db, smallest_detail_mm
-from optics.settings import LensSettings
 
 SIDE_MM, VERTICES = 24.0, 481
 

@@ -13,10 +13,10 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import score_caustic
 from optics.polish import polish_lens
-from optics.settings import LensSettings
 from optics.spline import _fit_all_columns
 from optics.tubes.picture import TubePicture
 from optics.tubes.rays import fit_transposed

@@ -17,9 +17,9 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import psnr_db
-from optics.settings import LensSettings
 from optics.spline import Array
 from optics.tolerance import (
     FOCUS_LOSS_DB,

@@ -14,8 +14,8 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.lens_settings import LensSettings
 from optics.light import Light
-from optics.settings import LensSettings
 from service.job.page_data.light import light_bytes
 from service.job.report.figures.base import srgb_levels
 from tests.page import canned_job

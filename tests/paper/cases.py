@@ -15,13 +15,13 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.lens_settings import LensSettings
 from optics.metrics import CausticScore, score_caustic
 from optics.paper.flow import FlowSettings, PaperFlow, pixel_vertices, project_to_frame
 from optics.paper.flow_rules import face_intensities
 from optics.paper.mesh import TriangleMesh
 from optics.paper.poisson import NeumannPoisson
 from optics.paper.surface import PaperLens, paper_lens
-from optics.settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SIDE_MM = THROW_MM = 100.0

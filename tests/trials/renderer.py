@@ -24,8 +24,8 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
+from optics.lens_settings import LensSettings
 from optics.light import Beam, Light, leave, meet, strength_on_face
-from optics.settings import LensSettings
 from optics.spline import Array
 from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure

@@ -27,7 +27,7 @@ from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors

@@ -25,7 +25,7 @@ from optics.closing import close_to_radius
 from optics.corrections import Corrected, correct_lens
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 from optics.threads import thread_count
 from optics.transport.solver import OpticalPath, solve_transport
 from service.job.picture.resampling import resize

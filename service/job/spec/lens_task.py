@@ -14,8 +14,8 @@ from optics.black import choose_branch
 from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
+from optics.lens_settings import LensSettings
 from optics.light import Light
-from optics.settings import LensSettings
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.light import LIGHT_WORDS

@@ -15,7 +15,7 @@ from optics.design import LensDesign, design_lens
 from optics.foreseen import sharpen
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
-from optics.settings import LensSettings
+from optics.lens_settings import LensSettings
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
 from service.job.finite_json import plain

@@ -8,13 +8,13 @@ import pytest
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.errors import TotalReflectionError, UnsupportedBenchError
+from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import score_caustic
 from optics.paper.flow import FlowSettings
 from optics.paper.mesh import TriangleMesh
 from optics.paper.surface import paper_lens, solve_paper_surface
 from optics.refraction import slope_for_shift
-from optics.settings import LensSettings
 
 INDEX = 1.49
 

@@ -14,12 +14,12 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.lens_settings import LensSettings
 from optics.photograph import register
 from optics.photograph.rays import ORDERS, SETTINGS, WallRays, surface_mode
 from optics.photograph.views import area_average
 from optics.photograph.wall import WallFit, fit_wall
 from optics.screen import Screen
-from optics.settings import LensSettings
 from optics.spline import Array
 from tests.optics.photographs import camera, photographed
 

@@ -15,9 +15,9 @@ from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.errors import TotalReflectionError
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.lens_settings import LensSettings
 from optics.metrics import CausticScore, score_caustic
 from optics.refraction import tangent_per_slope
-from optics.settings import LensSettings
 from optics.transport.even_light import rim_slopes
 from optics.transport.grid_levels import average_boxes, level_shapes
 from optics.transport.solver import solve_transport

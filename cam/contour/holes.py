@@ -1,4 +1,4 @@
-"""Short straight tracks over what the level lines leave: summits, saddles, and slivers where lines are born or end."""
+"""Fill the holes that level lines leave, over summits, saddles and slivers, with short straight tracks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TILE_PITCHES = 40.0
 """Longer holes are filled piece by piece: they bend."""
 
 
-def without_holes(
+def fill_holes(
     tracks: ContourLines, field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float
 ) -> ContourLines:
     """Return the tracks, and strokes over all places farther than half a pitch from them."""
@@ -27,13 +27,13 @@ def without_holes(
     bare = find_uncovered(tracks, pixels, pitch_mm=pitch_mm)
     if not len(bare):
         return tracks
-    strokes = strokes_over(bare, pitch_mm)
+    strokes = make_strokes(bare, pitch_mm)
     ring_mm = field.ring_mm
     inside = np.clip(strokes.xy_mm, -ring_mm, (width_mm + ring_mm, height_mm + ring_mm))
     return ContourLines.join([tracks, replace(strokes, xy_mm=on_ticks(inside))])
 
 
-def strokes_over(places_mm: Array, pitch_mm: float) -> ContourLines:
+def make_strokes(places_mm: Array, pitch_mm: float) -> ContourLines:
     """Lay rows over every cluster of the places (n, 2), along its long axis; each place is within the reach of one."""
     label = _clusters(places_mm, pitch_mm)
     order = np.argsort(label, kind="stable")
