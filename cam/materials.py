@@ -41,17 +41,19 @@ class CuttingData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """Cutting data for a few radii, ascending; between them the numbers are interpolated.
+    """What bends the light, and cutting data for a few radii, ascending; between them the numbers are interpolated.
 
     name  : as a job says it
     label : as a person reads it
     block : what to buy, as the set-up sheet says it
+    refractive_index  : of visible light; a job may give one of its own
     cutting_j_per_mm3 : what taking it off asks of the spindle
     """
 
     name: str
     label: str
     block: str
+    refractive_index: float
     advice: str
     sources: tuple[str, ...]
     cutting: tuple[CuttingData, ...]
@@ -104,6 +106,7 @@ PMMA = Material(
     name="pmma",
     label="acrylic (PMMA)",
     block="clear cast acrylic (PMMA), annealed",
+    refractive_index=1.49,
     advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
     sources=(
         "Acrylite, tech brief 'Routing': routers turn at 20 000 rpm or more",

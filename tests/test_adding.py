@@ -21,6 +21,7 @@ ICE = """ICE = Material(
     name="ice",
     label="ice",
     block="clear ice, frozen slowly",
+    refractive_index=1.31,
     advice="Cold.",
     sources=("a test",),
     cutting=(
@@ -35,7 +36,7 @@ MATERIALS: dict[str, Material] = {material.name: material for material in (PMMA,
 
 
 def test_a_material_is_added_in_one_file(tmp_path: Path) -> None:
-    """The passes' feeds are its own, those of a plan too, and the set-up sheet says what to buy."""
+    """The passes' feeds and the index are its own, those of a plan too, and the set-up sheet says what to buy."""
     old = "MATERIALS: dict[str, Material] = {material.name: material for material in (PMMA,)}\n"
     copy_tree(tmp_path, {"cam/materials.py": (old, ICE)})
     program = (
@@ -47,6 +48,7 @@ from service.job.report.setup_sheet import render_report
 jobs = [resolve_job(overrides=["preset=draft", f"stock.material={name}"]) for name in ("pmma", "ice")]
 print(json.dumps({
     "title": choices("StockSpec", "material")["ice"]["title"],
+    "index": [job.spec.optics.refractive_index for job in jobs],
     "spindle_rpm": [job.spec.passes[0].spindle_rpm for job in jobs],
     "planned": shop_of(jobs[1]).material.name,
     "sheet": render_report({}, spec=jobs[1].spec.plain()),
@@ -56,6 +58,7 @@ print(json.dumps({
     found = json.loads(run_in_copy(tmp_path, program))
     assert found["title"] == "ice" and found["planned"] == "ice"
     assert found["spindle_rpm"][1] == 10000 != found["spindle_rpm"][0]
+    assert found["index"] == [1.49, 1.31]
     assert "clear ice, frozen slowly" in found["sheet"]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from cam.materials import PMMA
 from service.job.spec.form import shown
 from service.job.spec.light import LightSpec
 from service.job.spec.outline import MOST_CORNERS, counter_clockwise, ellipse_mm, outline_fault
@@ -39,7 +40,7 @@ class OpticsSpec(Section):
         float,
         Field(ge=1.05, le=3.0),
         shown("Refractive index", "How strongly the material bends light: acrylic 1.49."),
-    ] = 1.49
+    ] = PMMA.refractive_index
     screen_width_mm: Annotated[
         Screen | None, shown("Picture width on the wall", card="lens", usual="like the lens")
     ] = None

@@ -37,8 +37,8 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
 
 
 def with_feeds(job: ResolvedJob) -> ResolvedJob:
-    """Return the same job with every speed, feed and step-down filled in from the material's start values, and the ball
-    that the lens is shaped for.
+    """Return the same job with every speed, feed and step-down filled in from the material's start values, its index of
+    refraction, and the ball that the lens is shaped for.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
@@ -61,10 +61,15 @@ def with_feeds(job: ResolvedJob) -> ResolvedJob:
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
     finish = resolve_finish(spec.finish, job.figures.processes, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
+    if "refractive_index" not in spec.optics.model_fields_set:
+        spec = _with_optics(spec, refractive_index=MATERIALS[spec.stock.material].refractive_index)
     if not spec.to_be_planned:
-        optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
-        spec = spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
+        spec = _with_optics(spec, min_radius_mm=spec.lens_radius_mm).model_copy(update={"passes": tuple(rows)})
     return job.with_spec(spec)
+
+
+def _with_optics(spec: JobSpec, **values: float | None) -> JobSpec:
+    return spec.model_copy(update={"optics": spec.optics.model_copy(update=values)})
 
 
 def without_derived(job: ResolvedJob) -> dict[str, Any]:
@@ -90,7 +95,10 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
             chosen = getattr(_stock_filled(bare, machine), name)
             same = [key for key in chosen_keys if getattr(chosen, key) == getattr(tool, key)]
             stock = stock.model_copy(update={name: tool.model_copy(update=dict.fromkeys(same))})
-    return spec.model_copy(update={"passes": tuple(rows), "stock": stock}).plain()
+    plain = spec.model_copy(update={"passes": tuple(rows), "stock": stock}).plain()
+    if spec.optics.refractive_index == material.refractive_index:
+        del plain["optics"]["refractive_index"]
+    return plain
 
 
 def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
