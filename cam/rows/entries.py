@@ -60,8 +60,8 @@ def enter(
     yield cut([(x, y, start_mm)], spec.plunge_mm_per_min)
     way = None
     if pocket is not None and _legs(polyline_mm, start_mm) > MOST_LEGS:
-        way = helix(polyline_mm, start_mm, spec, pocket)
-    yield cut(ramp(polyline_mm, start_mm) if way is None else way, spec.plunge_mm_per_min)
+        way = make_helix(polyline_mm, start_mm, spec, pocket)
+    yield cut(make_ramp(polyline_mm, start_mm) if way is None else way, spec.plunge_mm_per_min)
 
 
 def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: float) -> Iterator[Path]:
@@ -111,7 +111,7 @@ def _legs(polyline_mm: Array, start_mm: float) -> int:
     return 2 * ceil(_travel_mm(polyline_mm, run, longest, start_mm) / (2 * longest))
 
 
-def ramp(polyline_mm: Array, start_mm: float) -> Array:
+def make_ramp(polyline_mm: Array, start_mm: float) -> Array:
     """Return (m, 3) there and back on the first stretch, sinking at RAMP_SLOPE, never below the polyline, to its start.
 
     Long drops over short polylines go back and forth often. Where the path is higher than the ramp the tool follows
@@ -135,7 +135,7 @@ def ramp(polyline_mm: Array, start_mm: float) -> Array:
     return np.concatenate(sunk)
 
 
-def helix(polyline_mm: Array, start_mm: float, spec: PassSpec, pocket: Pocket) -> Array | None:
+def make_helix(polyline_mm: Array, start_mm: float, spec: PassSpec, pocket: Pocket) -> Array | None:
     """Return (m, 3) round a circle that touches the path in its first point, sinking at RAMP_SLOPE at most, down to the
     floor.
 

@@ -15,7 +15,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, stands
 from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Streamer
-from machines.grbl.timeouts import READY_SILENCE_S
+from machines.grbl.timeouts import HANDSHAKE_SILENCE_S
 
 NAMES = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}
 
@@ -119,7 +119,7 @@ class Handshake:
         """Look at the clock: nobody answers, or nobody does any more."""
         link, silent_s = self.link, self.link.silence.silent_s
         if link.phase is Phase.READY:
-            if silent_s > READY_SILENCE_S:
+            if silent_s > HANDSHAKE_SILENCE_S:
                 link.events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
                 link.view.report = None
                 link.greet(now_s, recognised=True)

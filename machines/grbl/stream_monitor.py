@@ -12,7 +12,7 @@ from machines.grbl.replies import Status
 from machines.grbl.states import HELD_STATES, Phase
 from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Flight, Stream, Streamer
-from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, REPORT_SILENCE_S, TELL_S, longest_wait_s
+from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, NOTIFY_SILENCE_S, REPORT_SILENCE_S, longest_wait_s
 from machines.grbl.tracking import Place
 
 DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
@@ -177,7 +177,7 @@ class StreamMonitor:
             words = f"no answer to '?' for {silent_s:.1f} s"
             self.stops.fault(FaultCause.STALL, words, stream.first_line, now_s)
             return
-        if silent_s > TELL_S and not silence.notified:
+        if silent_s > NOTIFY_SILENCE_S and not silence.notified:
             silence.notified = True
             words = (
                 f"no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "

@@ -22,9 +22,8 @@ from machines.grbl.settings import ControllerSettings
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks
 SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
-# Replies wait in drivers, networks and starved processes for longer than one thinks; a dead link is told of after 3 s.
-REPORT_SILENCE_S = 30.0
-READY_SILENCE_S = 3.0
+REPORT_SILENCE_S = 30.0  # until a link is called lost: replies wait in drivers, networks and starved processes
+HANDSHAKE_SILENCE_S = 3.0
 IDLE_S, IDLE_REPORTS = 2.0, 5  # Idle is believed so long and so often in a row
 BANNER_S = 5.0  # reset to banner: 0.1 s on an Uno, 2 s on an ESP32 that brings up its network
 HOLD_S = 8.0  # hold to standstill: rate / acceleration, 5000 mm/min at 20 mm/s2 is 4 s
@@ -33,7 +32,7 @@ DWELL_SLACK = 1.1  # the dwell loop of 1.1 is stretched by its interrupts
 UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, where the travel is not known either
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
-TELL_S = 3.0  # silence while a program runs, that the operator is told of
+NOTIFY_SILENCE_S = 3.0  # silence while a program runs, that the operator is told of
 PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
 LOOK_S = 0.25  # five times what lies between two looks of a computer that is not busy
 REPORT_S = 0.25  # a report is due ten times a second

@@ -36,7 +36,7 @@ _PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws
 _TURNED = 7.0  # tolerances of light may fall on turned pixels: black ones turn by rounding, others rarely
 _FOLDED = 0.02  # of the light on turned pixels: a lens that must not be made
 _SOFTER = ((0.0, 0.0), (0.01, 1.0), (0.03, 3.0), (0.1, 10.0), (1.0, 0.0))  # (floor, blur): what is tried in turn
-_MOST_COARSE = 100
+_MOST_ITERATIONS, _MOST_COARSE = 300, 100  # of the finest level, of each of the others
 _STALE = 60  # iterations without 2 % of progress: stopped
 _BLOW_UP = 2.0  # a residual this many times the best: restart
 
@@ -90,7 +90,7 @@ def solve_transport(
     skim_mm: float,
     start: OpticalPath | None = None,
     tolerance: float = TOLERANCE,
-    most_iterations: int = 300,
+    most_iterations: int = _MOST_ITERATIONS,
     on_progress: Callable[[float], None] | None = None,
 ) -> OpticalPath:
     """Return the optical path whose refraction gives each pixel its share of the light.

@@ -1,4 +1,5 @@
-"""report.html: the setup sheet a person takes to the mill, made from report.json, spec.json and the names of the files.
+"""report.html: the setup sheet a person takes to the mill, from report.json, spec.json and the names of the files; its
+words stand in templates/report.html.
 
 Everything that may be missing may be missing: after `design` there are no passes, and then the page says so. The page
 has no scripts and loads nothing but the pictures beside it.

@@ -16,7 +16,7 @@ from service.errors import SpecError, sentence_of_os_error
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
 from service.job.spec.model import PRESETS, JobSpec
-from service.job.spec.resolve import preset_rows, with_feeds, without_derived
+from service.job.spec.resolve import complete_job, preset_rows, without_derived
 from service.job.spec.resolved import Figures, LoadProfile, ResolvedJob, look_up
 
 RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that a 6 mm ball clears
@@ -39,7 +39,7 @@ def resolve_job(
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
-    return with_feeds(look_up(validate_spec(data), load))
+    return complete_job(look_up(validate_spec(data), load))
 
 
 def resolve_spec(**given: Any) -> JobSpec:

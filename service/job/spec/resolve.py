@@ -1,4 +1,6 @@
-"""Passes of a job: presets, and the speeds and feeds that the person left out."""
+"""What a person left out of a job, filled in (presets, speeds, feeds, the index) and held against the mill; as `cam` takes
+it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,7 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     return rows
 
 
-def with_feeds(job: ResolvedJob) -> ResolvedJob:
+def complete_job(job: ResolvedJob) -> ResolvedJob:
     """Return the same job with every speed, feed and step-down filled in from the material's start values, its index of
     refraction, and the ball that the lens is shaped for.
 
@@ -73,7 +75,7 @@ def _with_optics(spec: JobSpec, **values: float | None) -> JobSpec:
 
 
 def without_derived(job: ResolvedJob) -> dict[str, Any]:
-    """Return the spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they
+    """Return the spec as plain data without the speeds, feeds and step-downs that `complete_job` would fill in as they
     are.
 
     What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
@@ -145,7 +147,7 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
     if face is None:
         return None
     assert face.pitch_mm is not None and face.step_down_mm is not None and face.feed_mm_per_min is not None
-    assert face.plunge_mm_per_min is not None and face.spindle_rpm is not None  # by with_feeds
+    assert face.plunge_mm_per_min is not None and face.spindle_rpm is not None  # by complete_job
     return Facing(
         above_mm=face.above_mm,
         shape=face.tool,
@@ -221,7 +223,7 @@ def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[str]:
     """Yield what passes with figures of the person's own ask for beyond what the mill takes off."""
     most = most_removal_mm3_per_min(machine, MATERIALS[spec.stock.material])
     for number, row in enumerate(spec.passes):
-        assert row.step_down_mm is not None and row.feed_mm_per_min is not None  # by with_feeds
+        assert row.step_down_mm is not None and row.feed_mm_per_min is not None  # by complete_job
         asked = row.pitch_mm * row.step_down_mm * row.feed_mm_per_min
         if asked > (1 + _ROUNDING) * most:
             yield (

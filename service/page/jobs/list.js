@@ -120,7 +120,7 @@ function jobList(states, none, asked) {
   const made = {
     element: h("ul", { class: "jobs", "aria-label": t("Jobs"), onchange: () => tell() }),
     empty: h("p", { class: "dim", hidden: true }),
-    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => older(PAGE).then(tell) }, t("Show older jobs"))),
+    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => loadOlder(PAGE).then(tell) }, t("Show older jobs"))),
     picking: false,
     onChange: () => {},
     start,
@@ -179,7 +179,7 @@ function jobList(states, none, asked) {
     tell();
   }
 
-  async function older(limit) {
+  async function loadOlder(limit) {
     const page = await api.get(next.replace(/limit=\d+/, `limit=${limit}`), { signal: stop.signal });
     paged = true;
     next = page.next;
@@ -189,7 +189,7 @@ function jobList(states, none, asked) {
   /** By name, or in another order, all count: those that were not needed so far are asked for. */
   async function ask() {
     tell();
-    while (next && (asked.q || asked.sort) && cards.size < MOST) await older(WHOLE_PAGE);
+    while (next && (asked.q || asked.sort) && cards.size < MOST) await loadOlder(WHOLE_PAGE);
     tell();
   }
 

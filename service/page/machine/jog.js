@@ -34,7 +34,7 @@ const PAD = [
 ];
 const UP = 4; // place in PAD
 
-export function jog(link) {
+export function jogPanel(link) {
   const words = refusalLine();
   const steps = stepChoice(() => showStep());
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });

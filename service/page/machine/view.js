@@ -6,7 +6,7 @@ import { mark } from "../lib/state.js";
 import { terminal } from "./console.js";
 import { controlBar } from "./control_bar.js";
 import { history } from "./history.js";
-import { jog } from "./jog.js";
+import { jogPanel } from "./jog.js";
 import { findNextStep } from "./next_step.js";
 import { loadCard } from "./loading.js";
 import { MillLink } from "./mill_link.js";
@@ -52,7 +52,7 @@ export default async function view(root, params, app) {
 }
 
 function makeParts(link, chosen) {
-  const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link), zero: zeroDrawing(link) };
+  const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jogPanel(link), setup: setup(link), zero: zeroDrawing(link) };
   const load = loadCard(link, chosen);
   const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };

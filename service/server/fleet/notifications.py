@@ -51,21 +51,21 @@ class MillWatch:
         for machine in machines:
             trouble = _trouble_of(machine)
             if trouble and self._troubles.get(machine.name) != trouble:
-                told.append(self._trouble(machine, trouble))
+                told.append(self._describe_trouble(machine, trouble))
             self._troubles[machine.name] = trouble
         finished = {run.id: run for run in runs if run.state == FINISHED}
         if self._ended is not None:
-            told += [self._end(run) for name, run in finished.items() if name not in self._ended]
+            told += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
         self._ended = set(finished)
         return told
 
-    def _trouble(self, machine: MachineView, words: str) -> Notification:
+    def _describe_trouble(self, machine: MachineView, words: str) -> Notification:
         run = machine.run
         about = {} if run is None else {"run": run.id, "program": run.program}
         words = f"{machine.name}: {words}"
         return Notification(machine=machine.name, event="needs_hand", words=words, at=self._clock_s(), **about)
 
-    def _end(self, run: RunView) -> Notification:
+    def _describe_end(self, run: RunView) -> Notification:
         done = f"{run.machine}: {run.program.name} is finished"
         return Notification(
             machine=run.machine,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.passes import ball_pass
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, Pocket, enter, helix
+from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, Pocket, enter, make_helix
 
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
 WIDE = (-20.0, 20.0, -20.0, 20.0)
@@ -37,7 +37,7 @@ def test_a_helix_sinks_slowly_and_never_below_the_floor(curvature, tilt, depth_m
     floor = bowl(curvature, tilt, depth_mm)
     line = line_on(floor, length_mm)
     start = line[0, 2] + drop_mm
-    way = helix(line, start, ROUGH, Pocket(floor_mm=floor, region_mm=WIDE))
+    way = make_helix(line, start, ROUGH, Pocket(floor_mm=floor, region_mm=WIDE))
     if way is None:
         assert drop_mm < 0.5  # the floor rises above where it would start
         return
@@ -56,7 +56,9 @@ def test_on_even_floor_it_turns_the_way_that_climbs(direction, sense):
     """Round to the left on the part; rows along Y are made with the axes exchanged, which turns left into right."""
     floor = bowl(0, 0, 1.0)
     spec = ball_pass("r", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
-    way = helix(line_on(floor, 1.0), 0.5, replace(spec, direction=direction), Pocket(floor_mm=floor, region_mm=WIDE))
+    way = make_helix(
+        line_on(floor, 1.0), 0.5, replace(spec, direction=direction), Pocket(floor_mm=floor, region_mm=WIDE)
+    )
     assert way is not None
     x, y = way[:12, 0], way[:12, 1]
     assert np.sign(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) == sense
@@ -65,9 +67,9 @@ def test_on_even_floor_it_turns_the_way_that_climbs(direction, sense):
 def test_it_keeps_to_its_region_or_is_not_made():
     floor = bowl(0, 0, 1.0)
     line = line_on(floor, 0.6)
-    near_the_back = helix(line, 0.0, ROUGH, Pocket(floor_mm=floor, region_mm=(-9, 9, -9, 0.4)))
+    near_the_back = make_helix(line, 0.0, ROUGH, Pocket(floor_mm=floor, region_mm=(-9, 9, -9, 0.4)))
     assert near_the_back is not None and near_the_back[:, 1].max() <= 0.4
-    assert helix(line, 0.0, ROUGH, Pocket(floor_mm=floor, region_mm=(-0.1, 0.1, -0.1, 0.1))) is None
+    assert make_helix(line, 0.0, ROUGH, Pocket(floor_mm=floor, region_mm=(-0.1, 0.1, -0.1, 0.1))) is None
 
 
 def test_only_short_paths_are_entered_by_a_helix():

@@ -17,7 +17,7 @@ from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
+from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, make_ramp
 from cam.rows.layers import Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid
@@ -156,7 +156,7 @@ def test_a_ramp_cuts_its_whole_stretch():
     """When it is done nothing stands above the stretch it ran on: the last leg lies on the path."""
     assert np.degrees(np.arctan(RAMP_SLOPE)) <= 3.0 + 1e-9
     line = np.column_stack([np.linspace(0, 40, 81), np.zeros(81), np.full(81, -1.5)])
-    points = ramp(line, 0.1)
+    points = make_ramp(line, 0.1)
     assert points[:, 0].max() <= 15.5
     assert (points[-1] == line[0]).all()
     assert len(points) <= 10  # a straight leg is one move
