@@ -1,5 +1,5 @@
-"""What a person left out of a job, filled in (presets, speeds, feeds, the index) and held against the mill; as `cam` takes
-it.
+"""What a person left out of a job, filled in (presets, speeds, feeds, the index) and held against the mill; as `cam`
+takes it.
 """
 
 from __future__ import annotations
