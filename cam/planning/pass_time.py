@@ -17,6 +17,7 @@ from scipy.ndimage import grey_dilation
 
 from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec, Strategy
+from cam.planning.row_slopes import tooth_slopes_rad
 from cam.rows.entries import RAMP_SLOPE
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.surface.cutter import concave_curvature
@@ -45,6 +46,8 @@ class LensForm:
     height_mm: float
     heights_mm: Array
     slopes: Array
+    slopes_x: Array
+    slopes_y: Array
     bends_x: Array
     bends_y: Array
     steep_x: Array
@@ -72,6 +75,8 @@ class LensForm:
             height_mm=lens.height_mm,
             heights_mm=np.sort(z),
             slopes=np.sort(np.hypot(p, q)),
+            slopes_x=p,
+            slopes_y=q,
             bends_x=r / (1.0 + p * p) / np.sqrt(square),
             bends_y=t / (1.0 + q * q) / np.sqrt(square),
             steep_x=(1.0 + p * p) * np.sqrt(square),
@@ -107,6 +112,10 @@ class LensForm:
     def reached_share(self, radius_mm: float) -> float:
         """Return the share of the area whose curvature a ball of this radius fits."""
         return float(np.searchsorted(self.hollows_per_mm, 1.001 / radius_mm, side="right")) / self.hollows_per_mm.size
+
+    def tooth_slopes_rad(self, spec: PassSpec, step_mm: float) -> float:
+        """Return the rms slopes that steps within moves leave along the rows; a contour hardly rises."""
+        return 0.0 if spec.strategy == "contour" else _tooth_slopes_rad(self, spec.direction, spec.radius_mm, step_mm)
 
     def bends(self, direction: Direction) -> Array:
         return self.bends_x if direction == "x" else self.bends_y
@@ -168,6 +177,12 @@ def _widen_factor(form: LensForm, strategy: Strategy, direction: Direction, radi
         for steep, bends in _across(form, strategy, direction)
     ]
     return round(float(np.sqrt(np.mean(wide))) / _steepness(form, strategy, direction), 3)
+
+
+@lru_cache(maxsize=32)
+def _tooth_slopes_rad(form: LensForm, direction: Direction, radius_mm: float, step_mm: float) -> float:
+    slopes = form.slopes_x if direction == "x" else form.slopes_y
+    return tooth_slopes_rad(slopes, radius_mm=radius_mm, step_mm=step_mm)
 
 
 @lru_cache(maxsize=32)

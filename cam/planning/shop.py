@@ -87,6 +87,7 @@ class Shop:
             vertex_mm=form.usual_chord_mm(spec),
             whole_steps=self.whole_steps,
             steepness=form.steepness(spec),
+            tooth_rad=form.tooth_slopes_rad(spec, self.step_mm),
         )
 
 

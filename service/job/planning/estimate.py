@@ -324,13 +324,15 @@ def _slopes(quick: QuickLens) -> RowSlopes | None:
     if finish is None:
         return None
     digit_mm = POSTS[machine.dialect].digits.z_mm
+    step_mm = max(machine.step_mm, digit_mm)
     return row_slopes(
         radius_mm=finish.radius_mm,
         pitch_mm=finish.pitch_mm,
-        step_mm=max(machine.step_mm, digit_mm),
+        step_mm=step_mm,
         noise_mm=machine.z_noise_mm,
         vertex_mm=quick.form.usual_chord_mm(finish),
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
+        tooth_rad=quick.form.tooth_slopes_rad(finish, step_mm),
     )
 
 

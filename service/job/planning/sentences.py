@@ -198,13 +198,15 @@ def _steps(planned: Planned) -> Iterator[str]:
     if not machine.whole_steps:
         return
     finish = chosen.finish
+    form = planned.light.forms[finish.radius_mm]
     between = row_slopes(
         radius_mm=finish.radius_mm,
         pitch_mm=finish.pitch_mm,
         step_mm=machine.step_mm,
         noise_mm=machine.z_noise_mm,
         vertex_mm=chosen.slopes.vertex_mm,
-        steepness=planned.light.forms[finish.radius_mm].steepness(finish),
+        steepness=form.steepness(finish),
+        tooth_rad=form.tooth_slopes_rad(finish, machine.step_mm),
     )
     gain = chosen.psnr_db - planned.light.aimed_db(replace(chosen.marks, slopes=between))
     yield (
