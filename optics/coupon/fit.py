@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -120,6 +121,8 @@ class _Model:
         self.softer = float(np.mean(pixels[finished]) / np.mean(pixels[other]))  # where the camera makes the blur
         self.milled = [(of_strip[fold.strip], fold) for fold in fit if fold.half != finished]
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
+        # Of a setting and its neighbours in k0, order and lever: those in the other parameters have the same light.
+        self.light = lru_cache(maxsize=4 * max(1, len(self.finished)))(self._light)
 
     def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
         """Return a strip's light c_0 ... c_m when all its heights are that many times higher."""
@@ -128,10 +131,22 @@ class _Model:
         strip = Finished.of(profile, setting.finish.transfer)
         return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
 
+    def _light(self, profile: Profile, k0: float, order: float, lever: float) -> Complex:
+        """Return the light of a finished strip: nothing else of a setting has a part in it."""
+        transfer = Finish(k0_rad_per_mm=k0, order=order).transfer
+        return Finished.of(profile, transfer).light(lever * self.nominal_mm)
+
     def residuals(
-        self, profile: Profile, fold: Fold, harmonics: Complex, setting: _Setting, finished: bool, aside_mm: float = 0.0
+        self,
+        profile: Profile,
+        fold: Fold,
+        harmonics: Complex,
+        setting: _Setting,
+        finished: bool,
+        aside_mm: float | Array = 0.0,
     ) -> Array:
-        """Return (bins,) of one strip, in units of what is expected; 0 where nothing is known.
+        """Return (bins,) of one strip, in units of what is expected; 0 where nothing is known. (n, bins) for n places
+        aside.
 
         The strip's brightness is free. As milled the rows' marks carry light of the neighbours into a strip: there
         fringes may be paler, too, down to a third.
@@ -144,28 +159,26 @@ class _Model:
         expected = np.sqrt(fold.error**2 + _FLOOR**2 + (_SLOPE_FLOOR * fringe) ** 2)
         weight = np.where(np.isfinite(expected), 1.0 / expected, 0.0)
         seen = np.where(weight > 0, fold.light, 0.0)
-        if finished:
-            level = float((weight**2 * seen * light).sum() / max((weight**2 * light**2).sum(), 1e-12))
-            made = light * max(level, 1e-9)
-        else:
-            w2 = weight**2
-            ones, cross, both = w2.sum(), (w2 * fringe).sum(), (w2 * fringe**2).sum()
-            determinant = ones * both - cross**2
-            level = float((both * (w2 * seen).sum() - cross * (w2 * seen * fringe).sum()) / max(determinant, 1e-12))
-            part = float((ones * (w2 * seen * fringe).sum() - cross * (w2 * seen).sum()) / max(determinant, 1e-12))
-            level = max(level, 1e-9)
-            share = min(max(part / level, 1 / 3), 1.0)
-            made = 1.0 + share * fringe
-            level = float((w2 * seen * made).sum() / max((w2 * made**2).sum(), 1e-12))
-            made = made * max(level, 1e-9)
-        return np.asarray(weight * (seen - made))
+        w2 = weight**2
+        if not finished:
+            lit = w2 * fringe
+            ones, cross, both = _sums(w2), _sums(lit), _sums(lit * fringe)
+            plain, shown = _sums(w2 * seen), _sums(lit * seen)
+            determinant = np.maximum(ones * both - cross**2, 1e-12)
+            level = np.maximum((both * plain - cross * shown) / determinant, 1e-9)
+            share = np.clip((ones * shown - cross * plain) / determinant / level, 1 / 3, 1.0)
+            light = 1.0 + share * fringe
+        level = _sums(w2 * seen * light) / np.maximum(_sums(w2 * light**2), 1e-12)
+        return np.asarray(weight * (seen - light * np.maximum(level, 1e-9)))
 
     def of_half(self, setting: _Setting, *, finished: bool) -> list[Array]:
+        def light(profile: Profile) -> Complex:
+            if finished:
+                return self.light(profile, setting.k0, setting.order, setting.lever)
+            return fringe_coefficients(profile, setting.lever)
+
         pairs = self.finished if finished else self.milled
-        return [
-            self.residuals(profile, fold, self.harmonics(profile, setting, finished=finished)(1.0), setting, finished)
-            for profile, fold in pairs
-        ]
+        return [self.residuals(profile, fold, light(profile), setting, finished) for profile, fold in pairs]
 
     def all(self, vector: Array) -> Array:
         setting = _Setting.of(vector)
@@ -236,6 +249,11 @@ def _bounds() -> tuple[Array, Array]:
     return np.array([*logs[:, 0], *-shifts, -softer]), np.array([*logs[:, 1], *shifts, softer])
 
 
+def _sums(values: Array) -> Array:
+    """Return the sums over the bins, one for each place aside."""
+    return values.sum(axis=-1, keepdims=True)
+
+
 def _cost(parts: Sequence[Array]) -> float:
     """Return the cost of residuals, with outliers counted less."""
     return float(sum((np.sqrt(1.0 + part**2) - 1.0).sum() for part in parts))
@@ -296,12 +314,8 @@ def _find_ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> l
 
         def cost(share: float, pair: tuple[Profile, Fold] = (profile, fold), full: float = nominal,
                  light: Callable[[float], Complex] = light) -> float:  # fmt: skip
-            seen = light(share / full)
-            return min(
-                _cost([model.residuals(*pair, seen, setting, finished, aside_mm=float(aside))])
-                + (aside / _SHIFT_MM) ** 2
-                for aside in _ASIDE
-            )
+            left = model.residuals(*pair, light(share / full), setting, finished, aside_mm=_ASIDE[:, None])
+            return float(((np.sqrt(1.0 + left**2) - 1.0).sum(axis=1) + (_ASIDE / _SHIFT_MM) ** 2).min())
 
         costs = np.array([cost(share) for share in _LEFT])
         share, error = _find_minimum(costs, max(1.0, 2.0 * costs.min() / max(fold.usable_bins - 3, 1)))

@@ -115,10 +115,13 @@ def fringe_coefficients(profile: Profile, lever: float) -> Complex:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Finished:
-    """A strip behind a finish: slopes along and across (ny, samples in a period) at places y_mm (ny,)."""
+    """A strip behind a finish: slopes along and across (ny, samples in a period) at places y_mm (ny,), from its middle
+    up: what is below is their mirror image. counts (ny,): for how many rows each stands.
+    """
 
     strip: Strip
     y_mm: Array
+    counts: Array
     slope_x: Array
     slope_y: Array
 
@@ -132,6 +135,7 @@ class Finished:
         left = spectrum * transfer(np.hypot(ky, number[:, None] * strip.k_rad_per_mm))
         near = np.flatnonzero(np.abs(y - strip.middle_mm) <= (strip.high_mm - strip.low_mm) / 2 + _BEYOND_MM)
         near = near[::_Y_STRIDE]
+        near = near[near >= _Y_HALF]
         share = np.fft.irfft(left, n=y.size)[:, near].T
         change = np.fft.irfft(1j * ky * left, n=y.size)[:, near].T
         phase = 2 * np.pi * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
@@ -139,6 +143,7 @@ class Finished:
         return cls(
             strip=strip,
             y_mm=y[near],
+            counts=np.where(near > _Y_HALF, 2.0, 1.0),
             slope_x=((1j * number * strip.k_rad_per_mm * profile.harmonics_mm * share) @ waves).real,
             slope_y=((profile.harmonics_mm * change) @ waves).real,
         )
@@ -149,15 +154,19 @@ class Finished:
         """
         strip = self.strip
         phase = 2 * np.pi * (np.arange(_SAMPLES) + 0.5) / _SAMPLES + strip.k_rad_per_mm * lever_mm * self.slope_x
-        weight = _window(strip, self.y_mm[:, None] + lever_mm * self.slope_y)
+        weight = self.counts[:, None] * _window(strip, self.y_mm[:, None] + lever_mm * self.slope_y)
         scale = _Y_STRIDE * _Y_STEP_MM / (_SAMPLES * 2 * _across_mm(strip))
         found = _sum_waves(phase, weight, _harmonics_of(strip) + 1) * scale
         found[0] = max(found[0].real, 1.0)
         return np.asarray(found)
 
 
-def light_profile(harmonics: Complex, k_rad_per_mm: float, phase: Array, *, blur_mm: float, shift_mm: float) -> Array:
-    """Return (phases,) light of a strip from c_0 ... c_m, at phases of its period, blurred and moved along x."""
+def light_profile(
+    harmonics: Complex, k_rad_per_mm: float, phase: Array, *, blur_mm: float, shift_mm: float | Array
+) -> Array:
+    """Return (phases,) light of a strip from c_0 ... c_m, at phases of its period, blurred and moved along x; for
+    shifts (n, 1): (n, phases).
+    """
     m = np.arange(1, harmonics.size)
     soft = harmonics[1:] * np.exp(-((m * k_rad_per_mm * blur_mm) ** 2) / 2 - 1j * m * k_rad_per_mm * shift_mm)
     return np.asarray(harmonics[0].real + 2.0 * (soft @ np.exp(1j * m[:, None] * phase)).real)
