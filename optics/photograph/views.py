@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
-from optics.photograph.homography import apply_homography, jacobian_at, step_fields
+from optics.photograph.homography import jacobian_at, step_fields
 from optics.spline import Array
 
 Mask = NDArray[np.bool_]
@@ -55,16 +55,7 @@ class Photograph:
         """Return mean light, clipped share and being inside, over areas of sides `step` (down, across) around x, y."""
         level, _ = self._level(homography, step)
         light, clipped = self.light[level], self.clipped[level]
-        (high, wide), (ny, nx) = self.shape, light.shape
-        sums, clips, inside = np.zeros_like(x), np.zeros_like(x), np.ones(x.shape, dtype=bool)
-        for dx in (-step[1] / 4, step[1] / 4):
-            for dy in (-step[0] / 4, step[0] / 4):
-                u, v = apply_homography(homography, x + dx, y + dy)
-                inside &= (u > 0) & (u < wide) & (v > 0) & (v < high)  # false where it is NaN
-                at = np.nan_to_num(np.stack([v * (ny / high) - 0.5, u * (nx / wide) - 0.5]))
-                sums += map_coordinates(light, at, order=1, mode="nearest")
-                clips += map_coordinates(clipped, at, order=1, mode="nearest")
-        return sums / 4, clips / 4, inside
+        return _sample(light, clipped, homography, x, y, step, self.shape)
 
     def sampling_blur_px2(self, homography: Array, step: tuple[float, float]) -> float:
         """Return the variance, in areas sampled, by which a sample is softer than the mean over its area.
@@ -146,3 +137,33 @@ def pixel_noise(light: Array) -> float:
     """Return the noise from second differences along rows, which follow what is smooth (median: edges do not count)."""
     second = light[:, 2:] - 2 * light[:, 1:-1] + light[:, :-2]
     return 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)
+
+
+@njit(cache=True, nogil=True)
+def _sample(light, clipped, homography, x, y, step, shape):  # type: ignore[no-untyped-def]
+    """Return `Photograph.sample` from one of its sizes: means of four points, read bilinearly; beyond the horizon the
+    first pixel is read.
+    """
+    h, (ny, nx), (high, wide) = homography, light.shape, shape
+    sums, clips, inside = np.zeros(x.shape), np.zeros(x.shape), np.ones(x.shape, np.bool_)
+    for j in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            for quarter in range(4):
+                px = x[j, i] + (quarter // 2 - 0.5) * step[1] / 2
+                py = y[j, i] + (quarter % 2 - 0.5) * step[0] / 2
+                below = h[2, 0] * px + h[2, 1] * py + h[2, 2]
+                u = v = row = column = 0.0
+                if below > 1e-9 * abs(h[2, 2]):
+                    u = (h[0, 0] * px + h[0, 1] * py + h[0, 2]) / below
+                    v = (h[1, 0] * px + h[1, 1] * py + h[1, 2]) / below
+                    row = min(max(v * (ny / high) - 0.5, 0.0), ny - 1.0)
+                    column = min(max(u * (nx / wide) - 0.5, 0.0), nx - 1.0)
+                inside[j, i] &= 0 < u < wide and 0 < v < high
+                r, c = min(int(row), ny - 2), min(int(column), nx - 2)
+                s, t = row - r, column - c
+                a, b, d, e = (1 - s) * (1 - t), (1 - s) * t, s * (1 - t), s * t
+                sums[j, i] += a * light[r, c] + b * light[r, c + 1] + d * light[r + 1, c] + e * light[r + 1, c + 1]
+                clips[j, i] += (
+                    a * clipped[r, c] + b * clipped[r, c + 1] + d * clipped[r + 1, c] + e * clipped[r + 1, c + 1]
+                )
+    return sums / 4, clips / 4, inside
