@@ -38,6 +38,7 @@ LEVERS = np.linspace(0.05, 1.45, 57)
 _MOST = 20
 _SHARPEST_MM = 0.015  # blur below which no photograph is expected: harmonics beyond are nothing
 _SAMPLES = 256  # in a period
+_BINS = 4096  # of a period, for harmonics to a few millionths
 _ENOUGH, _MOST_SKIPPED = 40, 5  # columns of a period as milled; of those, one in so many is looked at
 _Y_STEP_MM, _Y_HALF, _Y_STRIDE = 1 / 32, 128, 2
 _BEYOND_MM = 1.2  # of a strip: light from farther away is not its own
@@ -81,17 +82,17 @@ def profiles_of_heights(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -
         z = z_mm[np.ix_(near, inside)]
         along, across = np.diff(z, axis=1) / step_x, np.diff(z, axis=0) / step_y
         slope_x, slope_y = (along[1:] + along[:-1]) / 2, (across[:, 1:] + across[:, :-1]) / 2  # in the cells' middles
-        phase_x = strip.k_rad_per_mm * ((x[1:] + x[:-1]) / 2 - begin)
+        period = ((x[1:] + x[:-1]) / 2 - begin) / strip.period_mm
         every = max(1, min(_MOST_SKIPPED, int(strip.period_mm / (_ENOUGH * step_x))))
-        slope_x, slope_y, phase_x = (values[..., ::every] for values in (slope_x, slope_y, phase_x))
-        middle_y = ((y_mm[near][1:] + y_mm[near][:-1]) / 2)[:, None]
-        scale = step_y / (phase_x.size * 2 * _across_mm(strip))
+        slope_x, slope_y, period = (np.ascontiguousarray(values[..., ::every]) for values in (slope_x, slope_y, period))
+        away = (y_mm[near][1:] + y_mm[near][:-1]) / 2 - strip.middle_mm
+        scale = step_y / (period.size * 2 * _across_mm(strip))
 
-        def light(lever: float, strip: Strip = strip, parts: tuple[Array, ...] = (slope_x, slope_y, phase_x, middle_y)
+        def light(lever: float, strip: Strip = strip, parts: tuple[Array, ...] = (slope_x, slope_y, period, away)
                   ) -> Complex:  # fmt: skip
-            slope_x, slope_y, phase_x, middle_y = parts
-            phase = phase_x + strip.k_rad_per_mm * lever * slope_x
-            return np.asarray(_sum_waves(phase, _window(strip, middle_y + lever * slope_y), _harmonics_of(strip) + 1))
+            bins = _bin_rays(parts, lever, lever / strip.period_mm, _across_mm(strip))
+            m = np.arange(_harmonics_of(strip) + 1)
+            return np.asarray(np.fft.rfft(bins)[: m.size] / np.sinc(m / _BINS) ** 2)
 
         with ThreadPoolExecutor(max_workers=thread_count()) as pool:
             table: Complex = scale * np.stack(list(pool.map(light, LEVERS * lever_mm)))
@@ -183,6 +184,29 @@ def _across_mm(strip: Strip) -> float:
 def _window(strip: Strip, y_mm: Array) -> Array:
     inside = _across_mm(strip) - np.abs(y_mm - strip.middle_mm)
     return np.asarray(np.clip(0.5 + inside / (2 * _SOFT_MM), 0.0, 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _bin_rays(parts, lever_mm, periods, across_mm):  # type: ignore[no-untyped-def]
+    """Return (_BINS,) weights of the rays by where in the period they arrive, each shared by the two nearest bins.
+
+    parts   : slope_x, slope_y (ny, nx); place in periods (nx,); mm from the strip's middle (ny,)
+    periods : by which a slope of 1 moves a ray along
+    """
+    slope_x, slope_y, period, away_mm = parts
+    bins = np.zeros(_BINS + 2)
+    for j in range(slope_x.shape[0]):
+        for i in range(slope_x.shape[1]):
+            weight = 0.5 + (across_mm - abs(away_mm[j] + lever_mm * slope_y[j, i])) / (2 * _SOFT_MM)
+            if weight > 0.0:
+                place = period[i] + periods * slope_x[j, i]
+                place = (place - np.floor(place)) * _BINS
+                n = int(place)
+                part = place - n
+                bins[n] += min(weight, 1.0) * (1.0 - part)
+                bins[n + 1] += min(weight, 1.0) * part
+    bins[:2] += bins[_BINS:]
+    return bins[:_BINS]
 
 
 @njit(cache=True, nogil=True)
