@@ -210,7 +210,6 @@ def predict_light(
         milled.coupon.heightfield(0.1),
         pitch_mm=milled.passed.pitch_mm,
         error_mm=tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm),
-        step_mm=machine.step_mm,
     )
     right = light_of_facets(facets.part, facets.parts, "right", on_progress=on_progress, **bench)
     out = []
