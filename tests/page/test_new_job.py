@@ -256,6 +256,14 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
+def test_a_time_at_most_is_asked_for_as_long_as_passes_are_planned(new_job: Page, sent: list[Any]) -> None:
+    """Whichever card decides that they are."""
+    fill(new_job, Time_at_most="3")
+    assert pressed(new_job, sent)[0]["plan"] == {"hours": 3}
+    new_job.get_by_label("Draft").check()
+    assert "plan" not in pressed(new_job, sent)[0]
+
+
 @pytest.mark.thorough
 def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened) -> None:
     page = open_blank(opened, "new", errors=("status of 422",))

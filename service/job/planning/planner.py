@@ -29,6 +29,7 @@ from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.resolve import most_removal_mm3_per_min
 from service.job.spec.resolved import ResolvedJob
+from service.wording import duration
 
 Progress = Callable[[float], None]
 COARSE_STEP_MM = 0.0005
@@ -139,7 +140,7 @@ def _choose_plan(
         ) from None
     if goal.hours is not None and not plan.met:
         least = ceil(10 * plan.quickest.hours) / 10
-        words = f"{goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
+        words = f"no plan takes {goal.hours:g} h or less; the quickest: {duration(3600 * plan.quickest.hours)}"
         raise SpecError([("plan.hours", words)], {"plan.hours": least})
     planned = Planned(
         plan=plan, light=light, machine=mill_of(job), goal=goal, shapes_lens=shapes_lens, tools=shop.tools

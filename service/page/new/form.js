@@ -38,18 +38,22 @@ export function specForm({ profiles, onChange, planned }) {
     }
   }
 
-  /** {spec: only what is not usual, faults: [{row, words}]}. */
+  /** {spec: only what is not usual, faults: [{row, words}]}; whether a row is there may be decided by one behind it. */
   function read() {
-    const faults = [];
-    let spec = rest.value(faults);
-    for (const one of rows) {
-      if (one.field.when && !one.field.when(spec)) continue;
-      try {
-        const value = one.read();
-        if (value !== undefined && !same(value, one.field.usual)) spec = put(spec, one.key, value);
-      } catch (error) {
-        faults.push({ row: one, words: error.message });
+    let asked = rows, count, faults, spec;
+    while (asked.length !== count) {
+      count = asked.length;
+      faults = [];
+      spec = rest.value(faults);
+      for (const one of asked) {
+        try {
+          const value = one.read();
+          if (value !== undefined && !same(value, one.field.usual)) spec = put(spec, one.key, value);
+        } catch (error) {
+          faults.push({ row: one, words: error.message });
+        }
       }
+      asked = asked.filter(({ field }) => !field.when || field.when(spec));
     }
     const list = milling.read(faults);
     return { spec: list ? { ...spec, passes: list } : spec, faults };

@@ -30,10 +30,11 @@ from service.job.planning.planner import mill_of, plan_for_picture, shop_of
 from service.job.planning.sentences import blur_warning, reasons
 from service.job.spec import lens_task
 from service.job.spec.loading import resolve_job, resolve_spec
-from service.job.spec.model import JobSpec
+from service.job.spec.model import JobSpec, PlanSpec
 from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import look_up
 from service.job.stages.table import plan, shares, stage_key
+from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
 from tests.page import canned_job
 
@@ -150,6 +151,25 @@ def test_a_picture_without_detail_is_not_told_that_its_detail_is_lost(planned: P
     light = copy(planned.light)
     light.target = gaussian_filter(light.target, 12.0)
     assert blur_warning(replace(planned, light=light), blurred) is None
+
+
+def test_a_limit_of_time_is_kept_or_said_to_be_kept_by_no_plan(spec: JobSpec, planned: Planned) -> None:
+    """With the figures, and with a value that does."""
+
+    def plan_within(hours: float) -> Planned:
+        job = look_up(spec.model_copy(update={"plan": PlanSpec(hours=hours)}))
+        return plan_for_picture(job, target_irradiance(grey(), viewed_from="lens"))
+
+    quickest, best = planned.plan.quickest, planned.plan.best
+    for hours in (1.001 * quickest.hours, (quickest.hours + best.hours) / 2):
+        assert plan_within(hours).chosen.hours <= hours < best.hours
+    with pytest.raises(SpecError) as told:
+        plan_within(0.5 * quickest.hours)
+    words = f"no plan takes {0.5 * quickest.hours:g} h or less; the quickest: {duration(3600 * quickest.hours)}"
+    ((field, said),) = told.value.problems
+    assert (field, said) == ("plan.hours", words)
+    (row,) = told.value.rows()
+    assert quickest.hours <= row["use"] <= quickest.hours + 0.1
 
 
 def test_what_the_person_decided_stays(planned: Planned) -> None:
