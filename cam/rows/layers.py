@@ -236,7 +236,7 @@ def layer_paths(
     turns: list[Array] = []
     linked = spec.link == "u-turn"
     chained = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
-    runs = _leave_out_idle(chained, standing)
+    runs = _leave_out_idle(chained, standing) if stock.flat else list(chained)
     for done, run in enumerate(runs, start=1):
         samples = slice(run.first, run.last + 1)
         points = np.column_stack(
@@ -318,7 +318,9 @@ def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 
 def _leave_out_idle(runs: Iterable[Run], standing: npt.NDArray[np.bool_]) -> list[Run]:
-    """Return the runs without chains that lie beside stock alone: the tool would enter and cut nothing."""
+    """Return the runs without chains that lie beside stock alone: the tool would enter and cut nothing. So it is under
+    planes; of stock that has a shape what stands between two rows is known less well.
+    """
     chains: list[list[Run]] = []
     for run in runs:
         if not run.joined:

@@ -84,7 +84,7 @@ def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
     """Climb to a local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px,
     py).
 
-    Given up, with f = -inf, as soon as it heads for the known maximum `top` at (tx, ty) or for a lower one.
+    Given up, with f = -inf, as soon as it heads for the known maximum `top` at (tx, ty), if any, or for a lower one.
     """
     near = 0.05 * b.node_step
     r2 = b.radius * b.radius
@@ -98,7 +98,8 @@ def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
         det = hxx * hyy - hxy * hxy
         if hxx < 0.0 and det > 0.0:
             sx, sy = (hxy * gy - hyy * gx) / det, (hxy * gx - hxx * gy) / det
-            if math.hypot(cx + ux + sx - tx, cy + uy + sy - ty) < near or f + gx * sx + gy * sy < top:
+            known = top > -np.inf and math.hypot(cx + ux + sx - tx, cy + uy + sy - ty) < near
+            if known or f + gx * sx + gy * sy < top:
                 return -np.inf, px, py  # the quadratic's gain is half of g . s
         else:
             sx, sy = r * gx, r * gy

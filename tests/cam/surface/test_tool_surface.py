@@ -101,6 +101,19 @@ def test_two_hills_hold_a_ball_that_newton_alone_would_sink(make_lens, brute_for
     assert ToolSurface.over(shallow, radius_mm=1.0).guarded_share == 0.0
 
 
+def test_a_hill_straight_under_the_ball_beats_lower_rests_beside_it(make_lens):
+    """Its top is where no search begins elsewhere: the first climb ends there, under the centre."""
+    lens = make_lens(
+        lambda x, y: (
+            -1.0
+            + 0.3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2) / 0.5)
+            + 1.0 * np.exp(-((np.abs(x - 4) - 1.4) ** 2 + (y - 3) ** 2) / 0.1)
+        )
+    )
+    tip = ToolSurface.over(lens, radius_mm=1.5).tip_heights_mm([4.0], [3.0])[0]
+    assert tip == pytest.approx(lens.spline().jets(np.array([4.0]), np.array([3.0]))[0][0], abs=1e-6)
+
+
 def test_far_hill_beats_the_valley_that_fits(make_lens, brute_force):
     """The contact nearest to the guess is a true local rest, but a spike at the ball's flank carries it higher."""
     spike = make_lens(lambda x, y: 0.9 * np.exp(-(((x - 4.9) / 0.12) ** 2)) + 0.0 * y)
