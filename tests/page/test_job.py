@@ -95,7 +95,7 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page) -> None:
 
 def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(modules: Page) -> None:
     """One scale of words, one way of saying times."""
-    script = """([levels, times]) => Promise.all([import("/page/job/figures.js"), import("/page/lib/words.js")]).then(
+    script = """([levels, times]) => Promise.all([import("/page/job/eye_words.js"), import("/page/lib/words.js")]).then(
         ([{eyeWords}, {hours}]) => [levels.map(eyeWords), times.map(hours)])"""
     levels = [step / 4 for step in range(40, 280)]
     times = [0, 59.4, 59.5, 89, 90, 3569, 3570, 9900, 86_369, 86_370, 90_000, 183_600]

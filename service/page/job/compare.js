@@ -6,7 +6,8 @@ import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
-import { eyeWords, millSeconds, passesOf, smallestDetail } from "./figures.js";
+import { eyeWords } from "./eye_words.js";
+import { millSeconds, passesOf, smallestDetail } from "./figures.js";
 import { settingWords, valueWords } from "./setting_words.js";
 import { wipe } from "./wipe.js";
 

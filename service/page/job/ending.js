@@ -4,7 +4,8 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { hours, within } from "../lib/words.js";
-import { eyeWords, isHard, likenessOf, millSeconds } from "./figures.js";
+import { eyeWords, isHard } from "./eye_words.js";
+import { likenessOf, millSeconds } from "./figures.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink } from "./save.js";
 

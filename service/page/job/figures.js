@@ -1,6 +1,7 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
 import { t } from "../lib/language.js";
 import { ball, hours, mm, passName } from "../lib/words.js";
+import { eyeWords } from "./eye_words.js";
 
 const WORTH_DB = 0.3;
 const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
@@ -10,14 +11,6 @@ const CAUSES = {
   noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
   rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
 };
-const EYE = [
-  [60, t("no eye can tell it from the target")],
-  [40, t("very close to the target")],
-  [33, t("small differences, seen only side by side")],
-  [27, t("plainly the picture; fine detail or tones are off")],
-  [21, t("recognisable, visibly soft or uneven")],
-  [-Infinity, t("hard to recognise")],
-];
 
 /** Width and height of the picture on the wall in mm. */
 export function screenOf(spec) {
@@ -31,26 +24,9 @@ export function pixelMm(spec) {
   return screenOf(spec).width / spec.image.pixels;
 }
 
-/** Whether one will hardly recognise the picture. */
-export function isHard(psnrDb) {
-  return psnrDb < EYE.at(-2)[0];
-}
-
 /** PSNR of a surface's light against the picture as a person gave it; undefined before it is known. */
 export function likenessOf(seen) {
   return seen?.against_original?.psnr_db ?? seen?.psnr_db;
-}
-
-/** What PSNR means to an eye. */
-export function eyeWords(psnrDb) {
-  return EYE.find(([least]) => psnrDb >= least)[1];
-}
-
-/** What it means from one level of dB to another: [[from, to, the first of its words]], worst first. */
-export function eyeBands(low, high) {
-  const tops = [Infinity, ...EYE.map(([least]) => least)];
-  const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;、]/)[0]]);
-  return bands.filter(([from, to]) => from < to).reverse();
 }
 
 /**

@@ -3,7 +3,8 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
-import { eyeWords, likenessOf } from "./figures.js";
+import { eyeWords } from "./eye_words.js";
+import { likenessOf } from "./figures.js";
 
 const WORTH_DB = 0.3;
 

@@ -3,7 +3,8 @@ import { h, replace, svg } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, passName, sentence } from "../lib/words.js";
-import { detailOfPlan, eyeBands, eyeWords, passWords } from "./figures.js";
+import { eyeBands, eyeWords } from "./eye_words.js";
+import { detailOfPlan, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
 const HEIGHT = 300;

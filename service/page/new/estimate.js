@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { eyeWords } from "../job/figures.js";
+import { eyeWords } from "../job/eye_words.js";
 import { figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
 
 const CALM_MS = 250;

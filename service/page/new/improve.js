@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { freshKey, hours, sentence } from "../lib/words.js";
-import { eyeWords, isHard } from "../job/figures.js";
+import { eyeWords, isHard } from "../job/eye_words.js";
 import { put } from "./spec.js";
 
 const WORTH_DB = 1;

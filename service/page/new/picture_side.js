@@ -2,7 +2,7 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
-import { eyeWords } from "../job/figures.js";
+import { eyeWords } from "../job/eye_words.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
 import { coarseBlur, screenOf } from "./screen.js";

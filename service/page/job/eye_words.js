@@ -1,0 +1,29 @@
+/** What a PSNR means to an eye. */
+
+import { t } from "../lib/language.js";
+
+const EYE = [
+  [60, t("no eye can tell it from the target")],
+  [40, t("very close to the target")],
+  [33, t("small differences, seen only side by side")],
+  [27, t("plainly the picture; fine detail or tones are off")],
+  [21, t("recognisable, visibly soft or uneven")],
+  [-Infinity, t("hard to recognise")],
+];
+
+/** Whether one will hardly recognise the picture. */
+export function isHard(psnrDb) {
+  return psnrDb < EYE.at(-2)[0];
+}
+
+/** What PSNR means to an eye. */
+export function eyeWords(psnrDb) {
+  return EYE.find(([least]) => psnrDb >= least)[1];
+}
+
+/** What it means from one level of dB to another: [[from, to, the first of its words]], worst first. */
+export function eyeBands(low, high) {
+  const tops = [Infinity, ...EYE.map(([least]) => least)];
+  const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;、]/)[0]]);
+  return bands.filter(([from, to]) => from < to).reverse();
+}
