@@ -346,14 +346,19 @@ def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent
     assert pressed(new_job, sent)[1] == file.getvalue()
 
 
-@pytest.mark.thorough
-def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None:
-    new_job.get_by_label("Width", exact=True).focus()
-    new_job.keyboard.press("Control+A")
-    new_job.keyboard.type("25")
-    new_job.keyboard.press("Enter")
+def test_enter_ends_a_field_and_only_the_button_makes_the_job(new_job: Page, sent: list[Any]) -> None:
+    """Without a mouse, or with a phone's keyboard, whose Go is Enter."""
+    new_job.get_by_text("Your ball cutters").click()
+    for label, value in (("Width", "25"), ("Name of the job", "mine"), ("Diameter", "4")):
+        field = new_job.get_by_label(label, exact=True)
+        field.fill(value)
+        field.press("Enter")
+        expect(field).not_to_be_focused()
+        expect(field).to_have_value(value)
+    assert not sent
+    make_it(new_job).press("Enter")
     expect(new_job.get_by_text("enough for this test")).to_be_visible()
-    assert sent[0][0]["optics"] == {"width_mm": 25}
+    assert [spec["optics"] for spec, _, _ in sent] == [{"width_mm": 25}]
 
 
 def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page) -> None:

@@ -79,7 +79,7 @@ function newJob(profiles, app) {
   const coupon = couponPart({ take: takeChange });
   const cutters = cuttersPart({ onChange: changed });
   const improve = improvements({ make: estimateForm, take: takeChange, draw: (values, blurMm) => side.small(withChange(form.read().spec, values), blurMm) });
-  const foot = submitBar();
+  const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
 
   const fold = (title, rows) => h("details", { class: "card fold", "aria-label": title }, h("summary", {}, title), rows);
@@ -92,8 +92,8 @@ function newJob(profiles, app) {
     h("details", { class: "card" }, h("summary", {}, t("Expert: passes, optics, stock, machine")), expert),
   ];
   const element = h(
-    "form",
-    { class: "new-job", onsubmit: submit, noValidate: true },
+    "div",
+    { class: "new-job", onkeydown: leaveField },
     side.element,
     h("section", { class: "card main-choices", "aria-label": t("Mill, size, time") }, form.main),
     h("section", { class: "settings stack tight", "aria-label": t("All else") }, settings),
@@ -169,8 +169,7 @@ function newJob(profiles, app) {
     if (focus && !goThere()) (ofPicture.length ? side : foot).focus();
   }
 
-  async function submit(event) {
-    event.preventDefault();
+  async function submit() {
     const { spec, faults } = form.read();
     if (faults.length) return showProblems({ focus: true });
     if (!side.has() || side.fault()) return side.focus();
@@ -212,12 +211,17 @@ function bothOf(estimated, refused) {
   return [...estimated, ...refused.filter(({ detail }) => !known.has(detail))];
 }
 
+/** Enter, on a phone the keyboard's Go, ends a field; a job is begun by its button alone. */
+function leaveField({ key, target, isComposing }) {
+  if (key === "Enter" && ["text", "number"].includes(target.type) && !isComposing) target.blur();
+}
+
 /** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */
-function submitBar() {
+function submitBar(onclick) {
   const line = h("p", { class: "line" });
   const why = h("p", { class: "line why", id: freshId("why") });
   const show = h("button", { type: "button", class: "quiet", onclick: () => now.goThere() }, t("Show"));
-  const button = h("button", { type: "submit", class: "primary big", "aria-describedby": why.id }, MAKE);
+  const button = h("button", { type: "button", class: "primary big", "aria-describedby": why.id, onclick }, MAKE);
   const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
   const faults = h("div", { class: "stack tight", role: "alert" });
   const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
