@@ -256,12 +256,22 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
-def test_a_time_at_most_is_asked_for_as_long_as_passes_are_planned(new_job: Page, sent: list[Any]) -> None:
-    """Whichever card decides that they are."""
-    fill(new_job, Time_at_most="3")
+def test_how_fine_is_chosen_beside_the_size_and_only_a_plan_can_keep_a_time(new_job: Page, sent: list[Any]) -> None:
+    main = new_job.get_by_role("region", name="Mill, size, time")
+    names = main.get_by_role("group", name="How fine").get_by_role("radio")
+    assert [one.get_attribute("value") for one in names.all()] == ["draft", "recommended", "paper"]
+    time = main.get_by_label("Time at most")
+    time.fill("3")
     assert pressed(new_job, sent)[0]["plan"] == {"hours": 3}
-    new_job.get_by_label("Draft").check()
-    assert "plan" not in pressed(new_job, sent)[0]
+    main.get_by_label("quick, to see whether it works").check()
+    expect(time).to_be_disabled()
+    expect(time).to_have_attribute("title", re.compile("Recommended"))
+    spec = pressed(new_job, sent)[0]
+    assert spec["preset"] == "draft" and "plan" not in spec
+    main.get_by_label("Recommended").check()
+    expect(time).to_have_value("3")
+    expect(time).to_have_attribute("title", re.compile("at most"))
+    assert pressed(new_job, sent)[0]["plan"] == {"hours": 3}
 
 
 @pytest.mark.thorough

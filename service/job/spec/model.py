@@ -41,12 +41,10 @@ MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
 _PRESETS = {
-    "recommended": (
-        "Recommended", "passes planned for this picture and machine: the best light for the time",
-    ),
-    "draft": ("Draft", "one rough and one coarse finish: quick, to see whether it works"),
-    "paper": ("Paper", "the three passes of the published method: very fine, slow"),
-}  # fmt: skip
+    "draft": ("Draft", "quick, to see whether it works"),
+    "recommended": ("Recommended", "planned for this picture and mill"),
+    "paper": ("As in the paper", "its three passes: very fine, slow"),
+}
 _LIKENESSES = {
     level: (f"{word} ({level} dB)", f"{psnr_in_words(level).capitalize()}.")
     for level, word in ((21, "recognisable"), (27, "plain"), (33, "good"), (40, "very close"))
@@ -181,7 +179,7 @@ class JobSpec(Section):
 
     preset: Annotated[
         Literal["paper", "draft", "recommended"],
-        shown("How fine", choices=_PRESETS, card="mill", look="cards"),
+        shown("How fine", choices=_PRESETS, card="main", look="cards"),
     ] = "paper"
     plan: Annotated[PlanSpec, Field(title="Plan")] = PlanSpec()
     image: Annotated[ImageSpec, Field(title="Picture")] = ImageSpec()

@@ -9,7 +9,7 @@ import { passes } from "./passes.js";
 import { row } from "./row.js";
 import { isTable, merged, put, same, valueAt } from "./spec.js";
 
-const PLANNED = { preset: "recommended" }; // what a job begins with
+const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
  * {main, lens, light, mill, picture, expert: elements; isUsual(group), read(), show(spec), blame(problems)}.
@@ -28,13 +28,14 @@ export function specForm({ profiles, onChange, planned }) {
   const milling = passes({ onChange: changed, known: planned });
   const rest = otherValues(changed);
 
-  /** Rows are there only where they mean something; one that appears empty and needs a value gets a start. */
+  /** Rows are there only where they mean something, or those that everybody chooses greyed; one that appears empty and needs a value gets a start. */
   function reveal() {
     const { spec } = read();
     for (const one of rows.filter(({ field }) => field.when)) {
       const there = one.field.when(spec);
       if (there && one.element.hidden && one.field.start && safely(one.read) === undefined) one.show(one.field.start);
-      one.element.hidden = !there;
+      if (one.field.card === "main") one.disable(there ? "" : PLANNED_ONLY);
+      else one.element.hidden = !there;
     }
   }
 
@@ -97,7 +98,7 @@ export function specForm({ profiles, onChange, planned }) {
   /** Whether all rows of "lens", "light"... are as usual. */
   function isUsual(group) {
     const { spec } = read();
-    return groups[group].every((one) => valueAt(spec, one.key) === undefined || valueAt(spec, one.key) === PLANNED[one.key]);
+    return groups[group].every((one) => valueAt(spec, one.key) === undefined);
   }
 
   const fields = (made) =>

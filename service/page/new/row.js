@@ -5,7 +5,7 @@ import { t } from "../lib/language.js";
 import { numberOf } from "./spec.js";
 
 /**
- * {element, key, field, read(), show(value), blame(words, use), focus()}.
+ * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}.
  * read() gives the value, undefined where the usual counts; TypeError, with words for the person, where it is none.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
@@ -40,7 +40,12 @@ export function row(field, { onChange, key = field.key }) {
     for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
   }
 
-  return { element, key, field, read: input.read, show: input.show, blame, focus: () => input.controls[0].focus() };
+  /** why: what it cannot be set for, "" where it can. */
+  function disable(why) {
+    for (const control of input.controls) Object.assign(control, { disabled: why !== "", title: why || field.limits });
+  }
+
+  return { element, key, field, read: input.read, show: input.show, blame, disable, focus: () => input.controls[0].focus() };
 }
 
 /** The input with its label: around a tick, before a single input, as the name of a group. */
