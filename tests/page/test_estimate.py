@@ -13,9 +13,10 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
+from cam.materials import MATERIALS
 from service.job.picture.limits import OWN_PICTURE
 from service.job.planning.estimate import estimate
-from service.job.spec.loading import resolve_job
+from service.job.spec.loading import resolve_job, resolve_spec
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page.answers import problem
@@ -61,6 +62,35 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     fill(page, Distance_to_the_wall="0")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
     expect(estimate.get_by_text("Machine time")).to_have_count(0)
+
+
+def test_the_estimate_says_what_must_be_at_hand(opened: Opened) -> None:
+    """Block with its margin and what is faced off, each cutter once, and the wall; of what is usual too."""
+    page = open_blank(opened, "new")
+    tools = ["cutter R 5 (Ø 10 mm)", "ball R 3 (Ø 6 mm)", "ball R 3 (Ø 6 mm)", "ball R 0.5 (Ø 1 mm)"]
+    given = {
+        "optics": {"width_mm": 60.5, "throw_mm": 150.0},
+        "stock": {"margin_mm": 10.0, "thickness_mm": 25.0, "material": "pmma", "face": {"above_mm": 0.5}},
+    }
+    answers: list[dict[str, Any]] = [
+        {"passes": [{"name": "finish", "tool": tool, "hours": 1.0} for tool in tools], "spec": given},
+        {"passes": ESTIMATE_EXAMPLE["passes"], "spec": {"preset": "draft"}},
+    ]
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE | answers.pop(0)))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    told = page.get_by_role("region", name="Estimate").locator(".figures")
+    expect(told).to_contain_text("Block80.5 × 120 × 25.5 mm")
+    expect(told).to_contain_text("CuttersCutter Ø 10 mm, Ball Ø 6 mm, Ball Ø 1 mm")
+    expect(told).to_contain_text("Distance to the wall150 mm")
+    fill(page, Width="90")
+    usual = resolve_spec(preset="draft")
+    margin_mm = 2 * usual.stock.margin_mm
+    sides = usual.optics.width_mm + margin_mm, usual.optics.height_mm + margin_mm, usual.stock.thickness_mm
+    expect(told).to_contain_text(
+        " × ".join(f"{side:g}" for side in sides) + f" mm{MATERIALS[usual.stock.material].label}"
+    )
+    expect(told).to_contain_text(f"Distance to the wall{usual.optics.throw_mm:g} mm")
 
 
 SPREAD = """(name) => {

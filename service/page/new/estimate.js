@@ -5,7 +5,9 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { eyeWords } from "../job/eye_words.js";
-import { figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
+import { capital, figures, freshKey, hours, mm, passName, sentence } from "../lib/words.js";
+import { SPEC } from "./fields.js";
+import { valueOf } from "./screen.js";
 
 const CALM_MS = 250;
 const EXACT_CALM_MS = 1500;
@@ -104,6 +106,7 @@ export function estimateWords(estimate, first) {
       figure(t("Machine time"), hours(3600 * estimate.hours)),
       figure(t("Smallest detail"), first ? "…" : mm(estimate.smallest_detail_mm), t("on the wall")),
       figure(t("Depth of the lens"), mm(estimate.relief_mm), t`steepest ${figures(estimate.max_slope_deg, 2)}°`),
+      needs(estimate),
     ),
     estimate.passes?.length > 0 &&
       h(
@@ -120,6 +123,19 @@ export function estimateWords(estimate, first) {
       ),
     (estimate.warnings ?? []).map((words) => notice("warn", words)),
   );
+}
+
+/** What must be at hand: the block with its margin and with what is faced off, cutters, room up to the wall. */
+function needs({ spec, passes }) {
+  const at = (key) => valueOf(spec, key), around = 2 * at("stock.margin_mm");
+  const block = [at("optics.width_mm") + around, at("optics.height_mm") + around, at("stock.thickness_mm") + (spec.stock?.face?.above_mm ?? 0)];
+  const { choices } = SPEC.find(({ key }) => key === "stock.material"), material = at("stock.material");
+  const cutters = new Set(passes.map(({ tool }) => capital(toolWords(tool.replace(/R .*\((.*)\)/, "$1")))));
+  return [
+    figure(t("Block"), `${block.map((side) => +side.toFixed(1)).join(" × ")} mm`, choices.find(([name]) => name === material)[1]),
+    figure(t("Cutters"), [...cutters].join(", ")),
+    figure(t("Distance to the wall"), mm(at("optics.throw_mm"))),
+  ];
 }
 
 /** "ball R 3 (Ø 6 mm)", as the server says it. */

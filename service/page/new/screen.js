@@ -6,7 +6,8 @@ import { valueAt } from "./spec.js";
 const RAD = Math.PI / 180;
 const RMS = Math.SQRT2 / 4; // of a disc of diameter 1, over both axes
 
-const valueOf = (spec, key) => valueAt(spec, key) ?? usualOf(key);
+/** What counts for a key of a spec, given or left out. */
+export const valueOf = (spec, key) => valueAt(spec, key) ?? usualOf(key);
 
 /** All of a spec that decides what is drawn: {aspect, fit, tone, invert, width_mm}. */
 export function screenOf(spec) {
