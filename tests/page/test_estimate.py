@@ -22,7 +22,7 @@ from service.wording import psnr_in_words
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit
-from tests.page.form import choose, fill, make_it, parts, picture
+from tests.page.form import choose, fill, make_it, parts, picture, wall
 from tests.page.test_next_step import after
 
 
@@ -102,16 +102,22 @@ SPREAD = """(name) => {
 
 
 def test_the_wall_follows_every_change_at_once_and_figures_that_are_out_of_date_are_dimmed(opened: Opened) -> None:
-    """Beside the picture as it is: a wall farther away is blurred more before the server has said a word."""
+    """Beside the picture as it is: a wall farther away is blurred more before the server has said a word. The first
+    answer is not there yet, and nobody takes the sharp picture for it.
+    """
     page = open_blank(opened, "new")
     asked: list[Route] = []
     page.route("**/v1/estimates", lambda route: asked.append(route))
     page.evaluate("location.hash = '#/new'")
     choose(page, edge())
     after(asked, 1, page)
+    expect(page.locator(".told")).to_have_text("not worked out yet")
+    expect(wall(page)).to_have_css("opacity", "0.4")
     asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
-    expect(page.locator(".told")).not_to_have_text("")
+    expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
+    expect(wall(page)).to_have_css("opacity", "1")
     expect(page.locator(".stale")).to_have_count(0)
+    page.evaluate("() => new Promise(requestAnimationFrame)")  # in which the wall is drawn
     sharp, near = (page.evaluate(SPREAD, name) for name in ("canvas.sharp", "canvas.wall"))
     assert near < sharp / 2
     fill(page, Distance_to_the_wall="200")

@@ -28,7 +28,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   const all = h("div", { class: "stack tight", hidden: true }, tools.element, values, title);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });
-  const told = h("small", { class: "told" });
+  const told = h("small", { class: "told" }, t("not worked out yet"));
 
   /** All that the wall shows: at once, as the last estimate foretells it of what is set now. */
   function readDrawing() {
@@ -100,6 +100,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
 
   function show(estimate, first) {
     now.estimate = estimate;
+    seen.wall.classList.add("known");
     write(told, !first && Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
     seen.draw();
   }

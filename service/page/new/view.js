@@ -104,7 +104,7 @@ function newJob(profiles, app) {
   function changed() {
     now.refused = []; // what was sent is not what is here any more
     side.draw();
-    element.classList.toggle("stale", side.has());
+    element.classList.toggle("stale", now.estimate !== null);
     asks.ask();
     ready();
   }
