@@ -232,6 +232,23 @@ def test_the_part_is_chosen_by_dragging_and_by_the_keyboard_alike(new_job: Page,
     assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[:, 20:])
 
 
+def test_the_height_follows_the_width_until_somebody_sets_it(new_job: Page, sent: list[Any]) -> None:
+    """In the proportion that it had; a width on its way to be typed leaves nothing behind."""
+    width, height = (new_job.get_by_label(name, exact=True) for name in ("Width", "Height"))
+    width.fill("")
+    width.press_sequentially("62,5")
+    expect(height).to_have_value("62.5")
+    assert pressed(new_job, sent)[0]["optics"] == {"width_mm": 62.5, "height_mm": 62.5}
+    height.fill("40")
+    width.fill("80")
+    expect(height).to_have_value("40")
+    new_job.get_by_role("link", name="Machines").click()
+    new_job.go_back()
+    expect(height).to_have_value("40")
+    width.fill("120")
+    expect(height).to_have_value("60")
+
+
 @pytest.mark.thorough
 def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> None:
     fill(new_job, Width="30,5", Distance_to_the_wall="250")
@@ -240,7 +257,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     new_job.get_by_label("Negative").check()
     new_job.get_by_text("Expert:").click()
     fill(new_job, Pixels_across="64")
-    new_job.get_by_label("Other values, as JSON").fill('{"optics": {"outline": [[0, 0], [30, 0], [15, 40]]}}')
+    new_job.get_by_label("Other values, as JSON").fill('{"optics": {"outline": [[0, 0], [30, 0], [15, 30]]}}')
     spec, _, _ = pressed(new_job, sent)
     assert spec == {
         "preset": "draft",
@@ -248,9 +265,10 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
         "image": {"pixels": 64, "invert": True},
         "optics": {
             "width_mm": 30.5,
+            "height_mm": 30.5,
             "throw_mm": 250,
             "light": {"kind": "point", "distance_mm": 1000},
-            "outline": [[0, 0], [30, 0], [15, 40]],
+            "outline": [[0, 0], [30, 0], [15, 30]],
         },
     }
     del spec["machine"]  # which this process does not know
@@ -369,7 +387,7 @@ def test_enter_ends_a_field_and_only_the_button_makes_the_job(new_job: Page, sen
     assert not sent
     make_it(new_job).press("Enter")
     expect(new_job.get_by_text("enough for this test")).to_be_visible()
-    assert [spec["optics"] for spec, _, _ in sent] == [{"width_mm": 25}]
+    assert [spec["optics"] for spec, _, _ in sent] == [{"width_mm": 25, "height_mm": 25}]
 
 
 def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page) -> None:

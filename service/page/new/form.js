@@ -21,12 +21,21 @@ export function specForm({ profiles, onChange, planned }) {
     reveal();
     onChange();
   };
-  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: changed }));
+  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: () => (keepShape(field.key), changed()) }));
   const groups = { main: make(MAIN), lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
   const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
   const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
   const milling = passes({ onChange: changed, known: planned });
   const rest = otherValues(changed);
+  const [width, height] = ["width", "height"].map((side) => rows.find(({ key }) => key === `optics.${side}_mm`));
+  const shape = { ratio: 1, byHand: false };
+
+  /** The height follows the width as long as nobody has set it. */
+  function keepShape(changedKey) {
+    const [wide, high] = [width, height].map((one) => safely(one.read));
+    if (changedKey === height.key) shape.byHand = high !== undefined;
+    if (changedKey === width.key && wide > 0 && !shape.byHand) height.show(+(wide * shape.ratio).toFixed(3));
+  }
 
   /** Rows are there only where they mean something, or those that everybody chooses greyed; one that appears empty and needs a value gets a start. */
   function reveal() {
@@ -73,6 +82,7 @@ export function specForm({ profiles, onChange, planned }) {
     milling.show(left.passes?.length ? left.passes : null);
     delete left.passes;
     rest.show(left);
+    shape.ratio = (safely(width.read) > 0 && safely(height.read) / width.read()) || 1;
     reveal();
   }
 

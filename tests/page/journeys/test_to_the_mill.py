@@ -70,7 +70,6 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     drop(page, PICTURE)
     page.get_by_label("Width", exact=True).fill("10")
     page.get_by_label("Height", exact=True).fill("10")
-    page.locator("summary", has_text="Milling").click()
     page.get_by_role("radio", name="Draft").check()
     page.get_by_text("Expert:").click()
     page.get_by_label("Pixels across").fill("64")
