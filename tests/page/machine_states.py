@@ -68,6 +68,7 @@ RUN: dict[str, Any] = {
     "id": RUN_ID,
     "machine": NAME,
     "job": _JOB,
+    "job_name": "astronaut.png",
     "program": {"number": 2, "name": "pass-2-finish.nc", "sha256": "9f" * 32},
     "state": "parked",
     "open": True,
@@ -185,12 +186,12 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
 USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
 
 
-def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """The machine as the API tells it, and the run that is on it, or was the last one."""
+def machine_in(state: str, own: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """The machine as the API tells it, and the run that is on it, or was the last one; own: what is different there."""
     changes, mill, run = STATES[state]
     machine = copy.deepcopy(MACHINE) | changes
     machine["mill"] |= mill
-    whole = None if run is None else copy.deepcopy(RUN) | run
+    whole = None if run is None else copy.deepcopy(RUN) | run | (own or {})
     if whole is not None and whole["open"]:
         told = whole | {"program": whole["program"]["name"]}
         machine["run"] = {key: told[key] for key in _OF_OPEN}
@@ -213,14 +214,15 @@ def told(
     *,
     operator: str = "",
     mill: dict[str, Any] | None = None,
+    run: dict[str, Any] | None = None,
     plan: Callable[[Route], Any] = lambda route: route.fulfill(json=PLAN),
 ) -> None:
     """From now on this page hears of one machine in this state; whoever takes control of it is that operator.
 
-    mill : what is different about the mill; a page that listens already hears of it at once
+    mill, run : what is different about them; a page that listens already hears of it at once
     plan : answers whoever asks how to go on
     """
-    machine, run = machine_in(state)
+    machine, whole = machine_in(state, run)
     if mill:
         machine["mill"] |= mill
     if operator:
@@ -229,13 +231,13 @@ def told(
         page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
     entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone", "by": "Ada"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
-    last = [run] if run is not None and not run["open"] else []
+    last = [whole] if whole is not None and not whole["open"] else []
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
     page.route("**/v1/machines/shop/grants", lambda route: route.fulfill(status=201, json=GRANT))
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
     page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
     page.route(
-        "**/v1/runs/*", lambda route: route.fulfill(status=200 if route.request.method == "GET" else 202, json=run)
+        "**/v1/runs/*", lambda route: route.fulfill(status=200 if route.request.method == "GET" else 202, json=whole)
     )
     page.route("**/v1/runs/*/recovery", plan)
     page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json=_job()))

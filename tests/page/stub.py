@@ -72,7 +72,7 @@ class Stub:
         return {"name": name, "scopes": scopes, "anonymous": False, "paired": True, "expires_at": None}
 
     def jobs(self, _request: Request) -> dict[str, Any]:
-        mine = _summary(canned_job.job())
+        mine = summary_of(canned_job.job())
         more = []
         for job in self.pictures:
             address = f"/v1/jobs/{job}/artifacts/thumbnail.png"
@@ -246,7 +246,7 @@ def _entry(number: int, words: str) -> dict[str, Any]:
     return {"number": number, "at_s": time.time(), "kind": "order", "words": words, "by": "Ada"}
 
 
-def _summary(job: dict[str, Any]) -> dict[str, Any]:
+def summary_of(job: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in job.items() if key not in ("report", "spec", "stages", "programs")}
 
 

@@ -8,12 +8,14 @@ import { ball, hours, percent } from "../lib/words.js";
 import { saveBlob } from "../job/save.js";
 import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES } from "./sentences.js";
+import { programWords } from "./words.js";
 
 const PAGE = 100;
 const SHOWN = 50;
 const COLUMNS = {
   run: ({ id }) => id,
   job: ({ job }) => job,
+  job_name: ({ job_name: name }) => name,
   program: ({ program }) => program.name,
   ball_radius_mm: (run) => run.setup?.tool?.radius_mm ?? "",
   state: ({ state }) => state,
@@ -33,7 +35,7 @@ export function history(link) {
   async function show() {
     const runs = (await allRuns(link.name)).filter((run) => run.started_at);
     const save = h("button", { type: "button", onclick: () => saveBlob(new Blob([csvOf(runs)], { type: "text/csv" }), `${link.name}-history.csv`) }, t("Save as CSV"));
-    const rows = runs.slice(0, SHOWN).map((run) => h("li", {}, h("span", {}, run.program.name), " ", stateOf(run), h("span", { class: "dim" }, factsOf(run))));
+    const rows = runs.slice(0, SHOWN).map((run) => h("li", {}, h("span", {}, programWords(run.program.name, run.job_name)), " ", stateOf(run), h("span", { class: "dim" }, factsOf(run))));
     replace(place, h("p", {}, runs.length ? sums(runs) : t("Nothing has been cut on this mill yet.")), runs.length ? [save, h("ol", { class: "given", tabIndex: 0, "aria-label": t("Programs, newest first") }, rows)] : null);
   }
 

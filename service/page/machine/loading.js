@@ -6,18 +6,21 @@ import { t } from "../lib/language.js";
 import { mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, refusalLine } from "./refusal_line.js";
-import { whyNot } from "./words.js";
+import { addressOf, whyNot } from "./words.js";
 
 const AGAIN_MS = 3000;
 const NONE_MS = 10_000;
 const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "tool"];
 
-/** chosen: {job, program} from the address of the page; a program by its name or number. */
+/**
+ * chosen: {job, program} that a person means, from the address of the page or by hand; a program by its name or number.
+ * Until it is on the mill nothing else is offered in its place; without it the program that follows the last run.
+ */
 export function loadCard(link, chosen) {
   const words = refusalLine();
-  const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
+  const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), link.changed(), choose(jobs.value)) });
   // An answer that is still on its way must not put another program in the place of the one that was taken.
-  const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
+  const passes = h("select", { onchange: () => ((chosen = { job: jobs.value, program: passes.value }), link.changed()) });
   const load = h("button", { type: "button", onclick: () => words.run(() => link.load(jobs.value, passes.value)) }, t("Load onto the mill"));
   const reason = h("p", { class: "missing", role: "status" });
   const form = h("div", { class: "load-form" }, field(t("Job"), jobs), field(t("Program"), passes), load, reason);
@@ -26,16 +29,18 @@ export function loadCard(link, chosen) {
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
   none.hidden = form.hidden = true;
-  const facts = { ready: false, jobs: 0, atWork: false };
-  let timer = 0;
+  const facts = { ready: false, jobs: 0, atWork: false, get preset() { return findPreset(); } };
+  let [timer, followed, listed] = [0, "", ""]; // listed: the job whose programs are offered
 
   const again = () => words.run(list);
 
   async function list() {
     const { jobs: all } = await api.get("/v1/jobs?state=running&state=succeeded&limit=50");
     const found = await withPrograms(all);
-    replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
-    const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
+    const wanted = findWanted().job;
+    const meant = wanted && !found.some((job) => job.id === wanted) ? await findJob(wanted) : null;
+    if (meant && mayBeMilled(meant)) found.push(meant); // older than those that are listed
+    replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === findWanted().job, dataset: { name: job.name } }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     waitFor(meant ?? (found.length ? null : all[0]));
     Object.assign(facts, { ready: true, jobs: found.length, atWork: !later.hidden });
     none.hidden = found.length > 0 || !later.hidden;
@@ -43,6 +48,35 @@ export function loadCard(link, chosen) {
     if (found.length) await choose(jobs.value);
     else if (later.hidden) timer = setTimeout(again, NONE_MS);
     link.changed();
+  }
+
+  const findWanted = () => (chosen.job ? chosen : findFollowing(link.run));
+
+  /** The program that the card is set to; null until it is known. meant: by a person, or by the last run. */
+  function findPreset() {
+    if (listed !== jobs.value || !passes.value) return null;
+    return { job: listed, job_name: jobs.selectedOptions[0].dataset.name, program: passes.value, meant: findWanted().job === listed };
+  }
+
+  /** The job of the last run may be gone; one that a person means is missed. */
+  async function findJob(id) {
+    const asked = api.get(`/v1/jobs/${id}`);
+    return chosen.job === id ? asked : asked.catch(() => null);
+  }
+
+  /** The jobs are looked at anew when a program has left the mill. What a person meant is done once it is there. */
+  function follow() {
+    const { run } = link;
+    if (run?.open && run.job === chosen.job && (!chosen.program || isProgram(run.program, chosen.program))) forgetChoice();
+    const now = run === undefined || run?.open ? "" : `${run?.id}`;
+    if (now && now !== followed) again();
+    followed = now;
+  }
+
+  function forgetChoice() {
+    chosen = {};
+    const address = addressOf(link.name);
+    if (location.hash.startsWith(`${address}?`)) history.replaceState(history.state, "", address);
   }
 
   /** A job that is still being worked on is looked at again until it is done. */
@@ -57,7 +91,9 @@ export function loadCard(link, chosen) {
   async function choose(id) {
     const [job, done] = await Promise.all([api.get(`/v1/jobs/${id}`), finished(id)]);
     if (jobs.value !== id) return;
-    const meant = id === chosen.job && job.programs.find((one) => [one.name, String(one.number)].includes(chosen.program));
+    listed = id;
+    const wanted = findWanted();
+    const meant = id === wanted.job && job.programs.find((one) => isProgram(one, wanted.program));
     const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
     replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? t`${one.name} (done on this mill)` : one.name)));
     link.changed();
@@ -68,21 +104,29 @@ export function loadCard(link, chosen) {
     return new Set(runs.filter((run) => run.state === "finished").map((run) => run.program.sha256));
   }
 
-  again();
   return {
     node,
-    /** The jobs are looked at anew when a program has left the mill. */
-    again: () => ((chosen = { job: jobs.value || chosen.job }), again()),
+    follow,
     close: () => clearTimeout(timer),
-    /** What the next step is told by: {ready, jobs, atWork}. */
+    /** What the next step is told by: {ready, jobs, atWork, preset}. */
     facts,
     update(nextStep) {
       const why = whyNot(link, STANDS, { besideRun: true });
       write(reason, link.machine?.mill?.state === "held" ? why : "");
       load.classList.toggle("primary", nextStep.step === "load");
-      enable([load], why === "" && !link.busy && passes.value !== "");
+      enable([load], why === "" && !link.busy && findPreset() !== null);
     },
   };
+}
+
+/** What comes after a run: the next pass, or the same program again where it did not finish. {job, program}, or {}. */
+function findFollowing(run) {
+  if (!run || run.open || (run.state === "finished" && !run.next)) return {};
+  return { job: run.job, program: (run.state === "finished" ? run.next : run.program).name };
+}
+
+function isProgram({ name, number }, wanted) {
+  return [name, String(number)].includes(wanted);
 }
 
 /** Jobs at work have programs for a mill once those have been checked. */

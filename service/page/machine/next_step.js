@@ -4,10 +4,10 @@
  */
 
 import { t } from "../lib/language.js";
-import { ball, capital, percent } from "../lib/words.js";
+import { ball, capital, jobName, percent } from "../lib/words.js";
 import { isAtHome, depthInBlock, isPlaced, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
-import { hasLiveRun } from "./words.js";
+import { hasLiveRun, programWords } from "./words.js";
 
 const HOME = { label: t("Home"), what: "home", body: {} };
 const ZERO_XY = { label: t("X and Y = 0 here"), what: "zero", body: { axes: "XY" } };
@@ -20,7 +20,7 @@ const RAISE_MM_PER_MIN = 500;
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
  * the order of its button; go: the card that it is done in; bars: why no program may start or go on before it is done,
- * "" where one may. load: {ready, jobs, atWork: one is being made}, ticked: all of the list.
+ * "" where one may. load: the `facts` of the card "Load a program", ticked: all of the list.
  */
 export function findNextStep(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
@@ -121,15 +121,21 @@ function findTopStep(machine, before) {
   return makeStep("zero", t`${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
-function findLoadStep(run, { ready, jobs, atWork }) {
+function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
   if (none && atWork) return makeStep("wait", t("wait for the job at work, then load its program here. Clamp the block meanwhile."), { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
-  return makeStep("load", loadWords(run), { go: "load" });
+  if (preset?.meant) return makeStep("load", loadWords(run, preset), { go: "load" });
+  if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });
+  return makeStep("load", preset ? loadWords(run, preset) : t("load a program."), { go: "load" });
 }
 
-function loadWords(run) {
-  if (run?.state !== "finished") return t("load a program.");
-  if (run.next) return t`load the next program, ${run.next.name}.`;
-  return t("the lens is milled: take it out, or load another program.");
+/** Of the program that the card is set to, and of no other. */
+function loadWords(run, { job, job_name: name, program }) {
+  const follows = run?.state === "finished" && run.job === job && run.next?.name === program;
+  return follows ? t`load the next program of ${jobName({ name })}, ${program}.` : t`load ${programWords(program, name)}.`;
+}
+
+function doneWords({ job_name: name }) {
+  return name ? t`the lens of ${jobName({ name })} is milled: take it out, or load another program.` : t("the lens is milled: take it out, or load another program.");
 }

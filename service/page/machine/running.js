@@ -9,7 +9,7 @@ import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
 import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES, tell } from "./sentences.js";
-import { runStanding, whyNot } from "./words.js";
+import { programWords, runStanding, whyNot } from "./words.js";
 
 export function runCard(link) {
   const words = refusalLine();
@@ -51,7 +51,7 @@ export function runCard(link) {
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
-      write(title, `${run.program.name}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
+      write(title, `${programWords(run.program.name, run.job_name)}${run.setup?.tool ? t`, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
       const rests = link.machine?.mill?.setup;

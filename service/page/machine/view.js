@@ -32,11 +32,8 @@ export default async function view(root, params, app) {
   const screen = layout(parts);
   replace(root, screen);
   const turned = turning(screen);
-  let wasOpen = false;
   link.onChange(() => {
-    const open = Boolean(link.machine?.run);
-    if (wasOpen && !open) parts.load.again();
-    wasOpen = open;
+    parts.load.follow();
     const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked });
     for (const one of Object.values(parts)) one.update(nextStep);
     arrange(link, parts);

@@ -1,7 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
 import { t } from "../lib/language.js";
-import { ball, sentence } from "../lib/words.js";
+import { ball, jobName, sentence } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 import { RUN_STATES, STATES, tell } from "./sentences.js";
 
@@ -46,6 +46,11 @@ export function standing(machine) {
   if (mill.state === "alarm" && !mill.alarm && !machine.run) return { kind: "wait", word: t("not homed yet"), words: millWords(mill).whole };
   const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", t("idle, tool in the block")] : doing(mill, machine.run);
   return { kind, word, words: millWords(mill).whole };
+}
+
+/** A program with its job: those of two jobs have the same names. */
+export function programWords(program, job) {
+  return job ? t`${program} of ${jobName({ name: job })}` : program;
 }
 
 /** Of a mill's own screen. */

@@ -61,6 +61,7 @@ def make_run_view(seen: Seen, around: Surroundings) -> RunView:
     return RunView(
         **dict(make_live_run(seen)),
         job=run.job_id,
+        job_name=around.job.name if around.job else "",
         program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
         setup=_set_up(around, run),
         required_checks=list_required_checks(run, around),

@@ -12,6 +12,7 @@ RUN_EXAMPLE: dict[str, Any] = {
     "id": _RUN_ID,
     "machine": "shop-mill",
     "job": _JOB_ID,
+    "job_name": "astronaut.png",
     "program": {"number": 2, "name": "pass-2-rough.nc", "sha256": _HASH},
     "state": "parked",
     "open": True,

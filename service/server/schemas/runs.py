@@ -108,6 +108,7 @@ class RunView(LiveRun):
     """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
 
     job: str
+    job_name: Annotated[str, Field(description="empty: the job is gone, or was not looked up")]
     program: ProgramOfRun
     setup: Annotated[
         dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")

@@ -90,7 +90,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     start(page)
     expect(page.locator(".running .mark")).to_have_text("finished")
     expect(page.locator(".meter")).to_contain_text("100 %")
-    expect(page.locator(".next")).to_contain_text("load the next program, pass-2-finish.nc")
+    expect(page.locator(".next")).to_contain_text("load the next program of logo, pass-2-finish.nc")
     expect(page.get_by_role("combobox", name="Program")).to_have_value("pass-2-finish.nc")
     page.get_by_role("button", name="Load onto the mill").click()
     expect(page.get_by_role("button", name="Start pass-2-finish.nc")).to_be_visible()

@@ -1,0 +1,80 @@
+"""Two jobs have programs of the same names: which one is meant, and whose zero and tool the mill still has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.page import canned_job
+from tests.page.browser import open_blank
+from tests.page.conftest import Opened
+from tests.page.machine_states import NAME, RUN, told
+from tests.page.stub import summary_of
+
+OWN, OTHER = RUN["job"], canned_job.JOB_ID  # of the last run; a newer one
+FIRST, SECOND = "pass-1-rough.nc", "pass-2-finish.nc"
+NAMES = {OWN: "astronaut.png", OTHER: "logo.png"}
+
+
+def shown(opened: Opened, run: dict[str, Any], address: str = "") -> Page:
+    """The mill's screen with control of it, after this run; two jobs have programs for it."""
+    page = open_blank(opened, "machine", key="Ada", once=True)
+    told(page, "finished", operator="Ada", mill={"needs": []}, run=run)
+    both = [canned_job.job() | {"id": job, "name": NAMES[job]} for job in (OTHER, OWN)]
+    listed = {"jobs": [summary_of(job) for job in both], "next": None}
+    page.route("**/v1/jobs?*", lambda route: route.fulfill(json=listed))
+    for job in (OWN, OTHER):
+        page.route(f"**/v1/jobs/{job}", lambda route: route.fulfill(json=one_of(both, route.request.url)))
+    page.evaluate(f"location.hash = '#/machines/{NAME}{address}'")
+    page.get_by_role("button", name="Take over").click()
+    page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
+    expect(page.get_by_text("You have control.")).to_be_visible()
+    return page
+
+
+def one_of(jobs: list[dict[str, Any]], address: str) -> dict[str, Any]:
+    return next(job for job in jobs if address.endswith(job["id"]))
+
+
+def pass_of(number: int, **more: Any) -> dict[str, Any]:
+    """What is different about a run of this pass of the older job."""
+    first, second = ({**RUN["program"], "number": k, "name": name} for k, name in enumerate((FIRST, SECOND), 1))
+    return {"program": second, "next": None} | ({"program": first, "next": second} if number == 1 else {}) | more
+
+
+@pytest.mark.parametrize(
+    ("run", "address", "words", "job", "program"),
+    [
+        (pass_of(1), "", "load the next program of astronaut, pass-2-finish.nc.", OWN, SECOND),
+        (pass_of(1, state="aborted"), "", "load pass-1-rough.nc of astronaut.", OWN, FIRST),
+        (pass_of(1), f"?job={OTHER}&program=1", "load pass-1-rough.nc of logo.", OTHER, FIRST),
+        (pass_of(1), f"?job={OTHER}&program=2", "load pass-2-finish.nc of logo.", OTHER, SECOND),
+        (pass_of(2), "", "the lens of astronaut is milled: take it out", OTHER, FIRST),
+    ],
+)
+def test_the_program_that_is_named_is_the_one_that_is_loaded(
+    opened: Opened, run: dict[str, Any], address: str, words: str, job: str, program: str
+) -> None:
+    """It follows the last run, or is what a person came with from a job's page: never one of another job unsaid."""
+    page = shown(opened, run, address)
+    expect(page.locator(".next .step")).to_contain_text(words)
+    expect(page.get_by_role("combobox", name="Job")).to_have_value(job)
+    expect(page.get_by_role("combobox", name="Program")).to_have_value(program)
+    expect(page.locator(".running h2")).to_contain_text(f"{run['program']['name']} of astronaut")
+
+
+def test_a_choice_is_named_and_done_with_once_it_is_on_the_mill(opened: Opened) -> None:
+    page = shown(opened, pass_of(1), f"?job={OTHER}&program=2")
+    step = page.locator(".next .step")
+    expect(step).to_contain_text("load pass-2-finish.nc of logo.")
+    page.get_by_role("combobox", name="Program").select_option(FIRST)
+    expect(step).to_contain_text("load pass-1-rough.nc of logo.")
+    page.get_by_role("combobox", name="Job").select_option(OWN)
+    expect(step).to_contain_text("load pass-1-rough.nc of astronaut.")
+    page.get_by_role("combobox", name="Job").select_option(OTHER)
+    expect(step).to_contain_text("load pass-1-rough.nc of logo.")
+    told(page, "parked", operator="Ada", run=pass_of(1, job=OTHER, job_name=NAMES[OTHER]))
+    expect(page.locator(".running h2")).to_contain_text("pass-1-rough.nc of logo")
+    assert page.evaluate("location.hash") == f"#/machines/{NAME}"
