@@ -126,6 +126,7 @@ class Commands:
             self.context.runs.note_touch_off()
         if axes:
             setup.zeroed = "".join(sorted({*setup.zeroed, *axes}))
+            setup.zeroed_anew = "".join(sorted({*setup.zeroed_anew, *axes}))
             self.context.runs.note_zero(axes)
 
 

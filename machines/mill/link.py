@@ -25,16 +25,18 @@ class Setup:
     """What is known of the mill's set-up since the link is there.
 
     zeroed       : axes whose work zero was set, as far as the position is still trusted
+    zeroed_anew  : those of them that were set since a program last started: not for a block before this one
     homed        : a homing cycle was carried out, and the position was not lost since
     parser_state : the controller's modes ($G) as told last
     """
 
     zeroed: str = ""
+    zeroed_anew: str = ""
     homed: bool = False
     parser_state: str | None = None
 
     def forget_place(self) -> None:
-        self.zeroed, self.homed = "", False
+        self.zeroed, self.zeroed_anew, self.homed = "", "", False
 
     def digest(self, status: MillStatus, needs: tuple[str, ...]) -> str:
         """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""

@@ -204,6 +204,7 @@ class RunStarter:
             run.take_back(before)
             raise
         self.control.note_start(run)
+        self.context.link.setup.zeroed_anew = ""
         try:
             self.context.runs.note_touch_off()
         except JournalError as error:

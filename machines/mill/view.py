@@ -104,6 +104,7 @@ class MillSnapshot:
     problem  : why there is no link, in words
     needs    : what a person has to do before the next start, in words
     zeroed   : axes whose work zero was set on this link, as far as the position is still trusted
+    zeroed_anew : those of them that were set since a program last started
     homed    : a homing cycle was carried out on this link, and the position was not lost since
     setup    : digest of what a start rests on: the zero and whether it can be trusted
     stops    : how often the mill was stopped by an order since its owner was started
@@ -124,6 +125,7 @@ class MillSnapshot:
     problem: str = ""
     needs: tuple[str, ...] = ()
     zeroed: str = ""
+    zeroed_anew: str = ""
     homed: bool = False
     setup: str = ""
     stops: int = 0
@@ -148,6 +150,7 @@ class MillSnapshot:
             "problem": self.problem,
             "needs": list(self.needs),
             "zeroed": self.zeroed,
+            "zeroed_anew": self.zeroed_anew,
             "homed": self.homed,
             "setup": self.setup,
             "stops": self.stops,
@@ -187,6 +190,7 @@ class SnapshotPublisher:
             problem=link.problem,
             needs=needs,
             zeroed=link.setup.zeroed,
+            zeroed_anew=link.setup.zeroed_anew,
             homed=link.setup.homed,
             setup=link.setup.digest(status, needs),
             stops=self._orders.stops,

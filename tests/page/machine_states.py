@@ -57,6 +57,7 @@ MACHINE: dict[str, Any] = {
         "needs": ["a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"],
         "latched": "",
         "zeroed": "XYZ",
+        "zeroed_anew": "",
         "setup": "5e" * 32,
         "stops": 7,
     },
@@ -215,11 +216,13 @@ def told(
     operator: str = "",
     mill: dict[str, Any] | None = None,
     run: dict[str, Any] | None = None,
+    before: dict[str, Any] | None = None,
     plan: Callable[[Route], Any] = lambda route: route.fulfill(json=PLAN),
 ) -> None:
     """From now on this page hears of one machine in this state; whoever takes control of it is that operator.
 
     mill, run : what is different about them; a page that listens already hears of it at once
+    before : the run before that one
     plan : answers whoever asks how to go on
     """
     machine, whole = machine_in(state, run)
@@ -231,7 +234,7 @@ def told(
         page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
     entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone", "by": "Ada"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
-    last = [whole] if whole is not None and not whole["open"] else []
+    last = [whole] if whole is not None and not whole["open"] else [before] if before else []
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
     page.route("**/v1/machines/shop/grants", lambda route: route.fulfill(status=201, json=GRANT))
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))

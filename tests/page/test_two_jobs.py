@@ -10,7 +10,8 @@ from playwright.sync_api import Page, expect
 from tests.page import canned_job
 from tests.page.browser import open_blank
 from tests.page.conftest import Opened
-from tests.page.machine_states import NAME, RUN, told
+from tests.page.driving import tick_all
+from tests.page.machine_states import NAME, RUN, told, with_control
 from tests.page.stub import summary_of
 
 OWN, OTHER = RUN["job"], canned_job.JOB_ID  # of the last run; a newer one
@@ -78,3 +79,60 @@ def test_a_choice_is_named_and_done_with_once_it_is_on_the_mill(opened: Opened) 
     told(page, "parked", operator="Ada", run=pass_of(1, job=OTHER, job_name=NAMES[OTHER]))
     expect(page.locator(".running h2")).to_contain_text("pass-1-rough.nc of logo")
     assert page.evaluate("location.hash") == f"#/machines/{NAME}"
+
+
+BEFORE = {"state": "finished", "open": False, "started_at": RUN["created_at"], "id": "an earlier one"}
+
+
+def wait_after(page: Page, before: dict[str, Any], *, anew: str = "") -> None:
+    """A program waits on a mill that another one has run on before; every zero is known, these axes' set since."""
+    mill = {"needs": [], "zeroed_anew": anew}
+    run = pass_of(1, id="a later one", travel_in_doubt=False, warnings=[])
+    told(page, "parked", operator="Ada", mill=mill, run=run, before=RUN | BEFORE | before)
+
+
+def test_the_zero_of_another_job_is_asked_for(opened: Opened) -> None:
+    """X and Y, whether the block is the same one in the same place, which bars the start; Z is set anew in any case."""
+    before = {"job": OTHER, "job_name": NAMES[OTHER], "operator": "Grace"}
+    page = with_control(opened, "idle")
+    wait_after(page, before)
+    line = page.locator(".next")
+    expect(line).to_contain_text("X0 Y0 was set for logo: is the same block clamped in the same place?")
+    tick_all(page.locator(".checklist:visible"))
+    page.get_by_label("Operator").fill("Ada")
+    expect(page.locator(".checklist .missing")).to_have_text("Say above where X0 Y0 is.")
+    go = page.get_by_role("button", name="Start pass-1-rough.nc")
+    expect(go).to_be_disabled()
+    line.get_by_role("button", name="Set anew").click()
+    expect(line.get_by_role("button", name="X and Y = 0 here")).to_be_enabled()
+    expect(go).to_be_disabled()
+    wait_after(page, before, anew="XY")
+    expect(line).to_contain_text("set Z")
+    expect(go).to_be_enabled()
+
+
+def test_a_block_that_is_still_there_keeps_its_zero_in_x_and_y(opened: Opened) -> None:
+    page = with_control(opened, "idle")
+    wait_after(page, {"job": OTHER, "job_name": NAMES[OTHER]})
+    line = page.locator(".next")
+    line.get_by_role("button", name="Same place").click()
+    expect(line.get_by_role("button", name="Z = 0 here")).to_be_enabled()
+
+
+FOREIGN = """async ([mill, run, before]) =>
+    (await import("/page/machine/place.js")).findForeignAxes({mill}, run, before)"""
+
+
+def test_a_later_pass_of_the_same_job_keeps_the_zero(modules: Page) -> None:
+    """So does a program that did not finish; a lens that is begun once more is another block."""
+
+    def foreign(anew: str, number: int, **before: Any) -> str:
+        last = None if not before else RUN | BEFORE | pass_of(1) | before
+        run = RUN | {"program": RUN["program"] | {"number": number}}
+        found: str = modules.evaluate(FOREIGN, [{"zeroed_anew": anew}, run, last])
+        return found
+
+    assert foreign("", 2, job=OWN) == foreign("", 1) == foreign("", 1, job=OWN, state="aborted") == ""
+    assert foreign("", 1, job=OWN) == foreign("", 2, job=OTHER) == "XYZ"
+    assert foreign("XY", 1, job=OTHER) == "Z"
+    assert foreign("XYZ", 1, job=OTHER) == ""

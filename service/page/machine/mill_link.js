@@ -13,6 +13,7 @@ import { Stopper } from "./stopper.js";
 
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
+const LOOKED_BACK = 25; // runs, for the last one that was started
 const ANSWER_MS = 1500; // an order of which the log says nothing by then is no reason to wait
 
 export class MillLink {
@@ -21,6 +22,9 @@ export class MillLink {
     this.name = name;
     this.machine = null;
     this.run = undefined; // not looked for yet; null: there has been none
+    this.before = null; // the program that was started before the one that waits now
+    this.answers = new Map(); // run -> whether its block is the one that X0 Y0 was set for, as a person here has said
+    this.sameBlock = (run) => this.answers.get(run.id);
     this.looking = false;
     this.log = [];
     this.commands = 0; // that have ended, as the log tells
@@ -114,8 +118,10 @@ export class MillLink {
     if (this.looking) return;
     this.looking = true;
     try {
-      const last = async () => (await api.get(`/v1/runs?machine=${encodeURIComponent(this.name)}&limit=1`)).runs[0] ?? null;
-      this.run = id ? await api.get(`/v1/runs/${id}`) : await last();
+      const list = async (limit) => (await api.get(`/v1/runs?machine=${encodeURIComponent(this.name)}&limit=${limit}`)).runs;
+      const run = id ? await api.get(`/v1/runs/${id}`) : ((await list(1))[0] ?? null);
+      const before = run?.state === "parked" ? (await list(LOOKED_BACK)).find((one) => one.started_at && one.id !== run.id) : null;
+      [this.run, this.before] = [run, before ?? null];
     } catch {
       // asked again with the next status
     } finally {
@@ -135,6 +141,12 @@ export class MillLink {
       setTimeout(() => this.unanswered === before && this.forgetOrder(), ANSWER_MS);
       return answer;
     });
+  }
+
+  /** A person's word of the block under the program that waits. */
+  answerPlace(same) {
+    this.answers.set(this.run.id, same);
+    this.changed();
   }
 
   forgetOrder() {

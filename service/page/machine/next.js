@@ -24,24 +24,27 @@ export function next(link, cards) {
   const node = h("section", { class: "next", "aria-label": t("Next step") }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
   let [shown, drawn, refusal] = ["", "", NONE];
   let fresh = 0;
-  let button = null;
+  let buttons = [];
   let now = null;
 
   function draw(nextStep) {
-    const { act, go } = nextStep;
-    const label = act?.label ?? (go ? t("Show") : "");
-    if (label !== drawn) {
-      button = label ? h("button", { type: "button", class: act ? "primary" : "", onclick: () => press() }, label) : null;
-      replace(place, button);
+    const { act, other, go } = nextStep;
+    const labels = [other?.label, act?.label ?? (go ? t("Show") : "")].filter(Boolean);
+    const key = labels.join("|");
+    if (key !== drawn) {
+      buttons = labels.map((label) => h("button", { type: "button", class: act && label === act.label ? "primary" : "", onclick: () => press(label) }, label));
+      replace(place, buttons);
       fresh = Date.now() + REST_MS;
       setTimeout(() => link.changed(), REST_MS + 20);
     }
-    drawn = label;
+    drawn = key;
   }
 
-  async function press() {
-    const { act, go } = now;
-    if (!act) return void reveal(cards[go]);
+  async function press(label) {
+    const { act, other, go } = now;
+    const answer = label === other?.label ? other : act;
+    if (!answer) return void reveal(cards[go]);
+    if (answer.same !== undefined) return void link.answerPlace(answer.same);
     refusal = NONE;
     try {
       await link.order(act.what, act.body);
@@ -75,7 +78,7 @@ export function next(link, cards) {
       shown = key;
       draw(nextStep);
       const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
-      if (button) enable([button], !nextStep.act || free); // what only shows is always free
+      enable(buttons, !nextStep.act || free); // what only shows is always free
     },
   };
 }

@@ -5,7 +5,7 @@
 
 import { t } from "../lib/language.js";
 import { ball, capital, jobName, percent } from "../lib/words.js";
-import { isAtHome, depthInBlock, isPlaced, riseToSafe, isZeroKnown } from "./place.js";
+import { depthInBlock, findForeignAxes, isAtHome, isPlaced, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
 import { hasLiveRun, programWords } from "./words.js";
 
@@ -16,10 +16,11 @@ const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
 const RAISE_MM_PER_MIN = 500;
+const NAME = 28; // letters of a job's name
 
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
- * the order of its button; go: the card that it is done in; bars: why no program may start or go on before it is done,
+ * the order of its button; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
  * "" where one may. load: the `facts` of the card "Load a program", ticked: all of the list.
  */
 export function findNextStep(link, { load = {}, ticked = false } = {}) {
@@ -33,7 +34,7 @@ export function findNextStep(link, { load = {}, ticked = false } = {}) {
 }
 
 function makeStep(step, words, more = {}) {
-  return { step, words, kind: "", trouble: null, act: null, go: "", bars: "", ...more };
+  return { step, words, kind: "", trouble: null, act: null, other: null, go: "", bars: "", ...more };
 }
 
 function findRunningStep({ machine: { mill, run }, mine }) {
@@ -60,7 +61,7 @@ function findStandingStep(link, trouble, load, ticked) {
   if (first) return first;
   if (trouble && mill.state === "jog") return makeStep("wait", t("wait until it stands."), { kind: trouble.kind });
   if (trouble) return makeStep("recover", trouble.next, { kind: trouble.kind, go: "recover" });
-  return findSetupStep(machine, run, load, ticked);
+  return findSetupStep(link, load, ticked);
 }
 
 /** After a stop the tool stands where it was: nothing goes sideways before it is up. */
@@ -89,22 +90,36 @@ function findHomeStep({ mill, profile }) {
 }
 
 /** The program comes first: it says which tool and which block the zero is for. */
-function findSetupStep(machine, run, load, ticked) {
+function findSetupStep(link, load, ticked) {
+  const { machine, run, before } = link;
   if (!run?.open) return findLoadStep(run, load);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
   if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
   const doubt = run.travel_in_doubt && { words: IN_DOUBT, kind: "warn", whole: true };
-  if (ticked) return { ...makeStep("start", t("start the program."), { go: "program" }), ...doubt };
-  return findZeroStep(machine, run.setup ?? {}) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
+  const foreign = findForeignAxes(machine, run, before);
+  const place = findPlaceStep(link, foreign);
+  if (place) return place;
+  if (ticked && !foreign.includes("Z")) return { ...makeStep("start", t("start the program."), { go: "program" }), ...doubt };
+  return findZeroStep(machine, run.setup ?? {}, foreign) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
-/** null where the zero holds, or where nobody can say: a link that tells no position. */
-function findZeroStep(machine, setup) {
+/** Whether X0 Y0 of another block is right for this one only a person can say; no program starts before that. */
+function findPlaceStep({ machine, run, before, sameBlock }, foreign) {
+  if (!/[XY]/.test(foreign) || !isZeroKnown(machine, "XY") || sameBlock(run)) return null;
+  const same = { label: t("Same place"), same: true };
+  if (sameBlock(run) === false) return { ...findCornerStep(machine, run.setup ?? {}), other: same, bars: t("Set X and Y first.") };
+  const name = before.job_name ? cutName(before.job_name) : t("another job");
+  const more = { kind: "warn", act: same, other: { label: t("Set anew"), same: false }, whole: true, bars: t("Say above where X0 Y0 is.") };
+  return makeStep("place", t`X0 Y0 was set for ${name}: is the same block clamped in the same place?`, more);
+}
+
+/** null where the zero holds, or where nobody can say: a link that tells no position. foreign: axes of another block. */
+function findZeroStep(machine, setup, foreign) {
   if (!isPlaced(machine.mill)) return null;
   if (!isZeroKnown(machine, "XY")) return findCornerStep(machine, setup);
-  const toolStays = setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
+  const toolStays = !foreign && setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
   const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has; this one is for another tool or block
-  if (!ended && isZeroKnown(machine, "Z")) return null;
+  if (!ended && !foreign.includes("Z") && isZeroKnown(machine, "Z")) return null;
   return findTopStep(machine, ended && setup.change ? t`change to ${ball(setup.tool.radius_mm)}, then ` : "");
 }
 
@@ -133,9 +148,15 @@ function findLoadStep(run, { ready, jobs, atWork, preset }) {
 /** Of the program that the card is set to, and of no other. */
 function loadWords(run, { job, job_name: name, program }) {
   const follows = run?.state === "finished" && run.job === job && run.next?.name === program;
-  return follows ? t`load the next program of ${jobName({ name })}, ${program}.` : t`load ${programWords(program, name)}.`;
+  return follows ? t`load the next program of ${cutName(name)}, ${program}.` : t`load ${programWords(program, cutName(name))}.`;
+}
+
+/** A job's name for a line that has little room. */
+function cutName(name) {
+  const whole = jobName({ name });
+  return whole.length > NAME ? `${whole.slice(0, NAME - 1)}…` : whole;
 }
 
 function doneWords({ job_name: name }) {
-  return name ? t`the lens of ${jobName({ name })} is milled: take it out, or load another program.` : t("the lens is milled: take it out, or load another program.");
+  return name ? t`the lens of ${cutName(name)} is milled: take it out, or load another program.` : t("the lens is milled: take it out, or load another program.");
 }

@@ -13,6 +13,15 @@ export function isZeroKnown({ mill }, axes) {
   return Boolean(mill.position_trusted) && [...axes].every((axis) => set(AXES.indexOf(axis)));
 }
 
+/**
+ * Axes whose zero is of a block before this one: set before the last program began, which this one does not go on after.
+ * before: the run of that program, null where there is none.
+ */
+export function findForeignAxes({ mill }, run, before) {
+  const follows = before?.job === run.job && (before.state !== "finished" || before.program.number < run.program.number);
+  return before && !follows ? [...AXES].filter((axis) => !mill.zeroed_anew?.includes(axis)).join("") : "";
+}
+
 /** A link that tells no position leaves zero and height to the person. */
 export function isPlaced(mill) {
   return [mill?.machine_mm, mill?.work_mm].every((place) => place?.length === 3 && place.every(Number.isFinite));

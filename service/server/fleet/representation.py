@@ -216,6 +216,7 @@ def _mill(status: Json) -> Json:
         "needs": status.get("needs", []),
         "latched": status.get("latched", ""),
         "zeroed": status.get("zeroed", ""),
+        "zeroed_anew": status.get("zeroed_anew", ""),
         "stops": status.get("stops", 0),
         "setup": str(status.get("setup", ""))[:100],
     }

@@ -116,6 +116,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "needs": [],
         "latched": "",
         "zeroed": "XYZ",
+        "zeroed_anew": "Z",
         "setup": "9a0b4cf07d1e2c33",
     },
     "run": {

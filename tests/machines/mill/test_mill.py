@@ -216,6 +216,15 @@ def test_what_was_zeroed_and_homed_is_told_until_the_position_is_lost(shop: Shop
     assert shop.mill.snapshot.as_dict()["zeroed"] == ""
 
 
+def test_a_zero_is_set_anew_until_a_program_starts(shop: Shop) -> None:
+    """From then on it is the zero of that program's block."""
+    shop.bench.command_done(SetZero("XY"))
+    assert shop.mill.snapshot.as_dict()["zeroed_anew"] == "XY"
+    shop.started()
+    assert shop.mill.snapshot.zeroed == "XY"
+    assert shop.mill.snapshot.zeroed_anew == ""
+
+
 @pytest.mark.parametrize("order", ["hold", "abort"])
 def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Path, kill_trial: Any, order: str) -> None:
     """The mill goes on with what it holds, long moves here; the hold reaches it when the cable is back."""
