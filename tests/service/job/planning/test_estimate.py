@@ -7,10 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from optics.design import design_lens
+from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from service.errors import PictureError, SpecError
 from service.job.picture import decoding, reading
@@ -19,12 +21,13 @@ from service.job.picture.reading import read_picture
 from service.job.planning import estimate as estimating
 from service.job.planning.estimate import PIXELS, coarse_spec, estimate
 from service.job.planning.lens_facts import measure_lens
+from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec import lens_task
-from service.job.spec.lens_task import lens_settings
+from service.job.spec.lens_task import lens_settings, with_branch
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import look_up
+from service.job.spec.resolved import ResolvedJob, look_up
 from tests.service.job.stages.jobs import run_job
 
 PICTURES = Path(__file__).parents[4] / "examples"
@@ -73,13 +76,25 @@ def test_the_lens_is_of_the_branch_that_the_job_s_own_picture_suggests(
 
 
 @pytest.mark.thorough
-def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
-    """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
+def test_a_finish_is_estimated_as_the_job_plans_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one, and
+    the exact answer is of the job's own plan: of its spec and its picture.
+    """
     values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
     spec = resolve_spec(preset="recommended", overrides=values)
+    plans: list[tuple[ResolvedJob, Array, Array | None, Planned]] = []
+
+    def recorded(job: ResolvedJob, target: Array, *, whole: Array | None) -> Planned:
+        plans.append((job, target, whole, plan_for_picture(job, target, whole=whole)))
+        return plans[-1][-1]
+
+    monkeypatch.setattr(estimating, "plan_for_picture", recorded)
     found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
+    job, target, whole, planned = plans[1]
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
-    planned = plan_for_picture(look_up(spec), target_irradiance(read.linear, viewed_from="lens"))
+    own = target_irradiance(read.linear, viewed_from="lens")
+    np.testing.assert_array_equal(target, own)
+    assert (job, whole) == (look_up(with_branch(spec, own)), None)
     assert planned.finishing is not None
     assert (found["exact"], exact["exact"]) == (False, True)
     for one, apart_db in ((found, 0.75), (exact, 1e-9)):
