@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import signal
@@ -13,6 +14,10 @@ from service.processes.kernel_cache import use_current_kernels
 from tests import order
 
 use_current_kernels()  # before any test module imports numba
+# Freed arrays of up to 256 MB stay with the process, where this is glibc: given back to the system and taken anew, each
+# is filled with zeros first, which is up to a fifth of a job's time.
+for _M_MMAP_OR_TRIM_THRESHOLD in (-3, -1):
+    getattr(ctypes.CDLL(None), "mallopt", max)(_M_MMAP_OR_TRIM_THRESHOLD, 1 << 28)
 gc.disable()  # a million objects are made while tests are collected, and all of them stay
 
 # Kernels compile on their first call, so an example may take seconds; their order is fixed to keep CI repeatable.
