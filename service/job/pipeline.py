@@ -65,6 +65,7 @@ class FolderJob:
             desk=self.desk,
         )
         with translate_errors():
+            self.picture_queue.raise_failures()  # of a full disk is told now, not after all that comes next
             function(context)
         self.so_far.add({**context.report, "timings_s": context.watch.timings_s}, context.notes)
 

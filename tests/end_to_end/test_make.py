@@ -305,7 +305,9 @@ def test_an_interrupt_while_a_kernel_is_loaded_leaves_nothing(
 
 @pytest.mark.thorough
 def test_a_disk_that_takes_no_more_leaves_nothing(picture: Path, tmp_path: Path) -> None:
-    """A limit on the size of a file stands in for a full disk: the write fails in the middle of the lens's solid."""
+    """A limit on the size of a file stands in for a full disk: the write fails in the middle of the lens's solid, and
+    the last pass is not begun.
+    """
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
@@ -313,8 +315,9 @@ def test_a_disk_that_takes_no_more_leaves_nothing(picture: Path, tmp_path: Path)
     earlier = tmp_path / "out"
     earlier.mkdir()
     fewer = settings({"optics.corrections": 0})
-    done = ran("make", picture, "-o", earlier, *SETTINGS, *fewer, "--quiet", preexec_fn=limit)
+    done = ran("make", picture, "-o", earlier, *SETTINGS, *fewer, preexec_fn=limit)
     assert done.returncode == 1
+    assert "write pass 3" not in done.stdout
     assert len(done.stderr.splitlines()) == 1
     assert "the file is larger than this system allows" in done.stderr
     assert list(tmp_path.iterdir()) == [earlier]

@@ -30,6 +30,11 @@ class PictureQueue:
         """Write what `picture` returns, some time before `finish` does."""
         self._begun.append(self._thread.submit(lambda: job_files.write_bytes(path, picture())))
 
+    def raise_failures(self) -> None:
+        """Raise what the first did that has failed so far."""
+        while self._begun and self._begun[0].done():
+            self._begun.pop(0).result()
+
     def finish(self) -> None:
         """Wait until all that was begun is written; raises what the first that failed did."""
         while self._begun:
