@@ -19,6 +19,7 @@ from service.job.planning.estimate import estimate
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
+from tests.page import canned_job
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit
@@ -257,6 +258,31 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     expect(shown.get_by_role("button", name="What shows more?")).to_be_visible()  # it is not hard any more
     page.get_by_role("button", name="Undo").click()
     expect(page.get_by_label("Width", exact=True)).not_to_have_value("150")
+
+
+@pytest.mark.parametrize(("way", "psnr_db"), [("&show=more", 18.0), ("&show=more", 24.5), ("", 18.0)])
+def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, way: str, psnr_db: float) -> None:
+    """And it is worked out, whatever the estimate says; a plain copy begins at its top."""
+    page = open_blank(opened, "new", size="phone")
+    told = {"psnr_db": psnr_db, "changes": CHANGES[:1]}
+    page.route(
+        "**/v1/estimates",
+        lambda route: route.fulfill(
+            json=ESTIMATE_EXAMPLE | (told if "optics" not in parts(route)[0] else {"psnr_db": 30.0})
+        ),
+    )
+    asked = canned_job.request()
+    page.route("**/request", lambda route: route.fulfill(json=asked | {"spec": {"preset": "draft"}}))
+    page.route(f"**{asked['image']}", lambda route: route.fulfill(body=picture()))
+    page.evaluate("address => { location.hash = address }", f"#/new?from={canned_job.JOB_ID}{way}")
+    shown = page.get_by_role("region", name="What shows more")
+    expect(shown.get_by_role("listitem")).to_have_count(1)
+    if way:
+        expect(shown).to_be_focused()
+        expect(shown).to_be_in_viewport()
+    else:
+        expect(shown).not_to_be_focused()
+        assert page.evaluate("scrollY") == 0
 
 
 @pytest.mark.thorough

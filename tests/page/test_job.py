@@ -451,7 +451,9 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     ending = page.get_by_role("region", name="Your lens is ready to mill")
     expect(ending.get_by_role("img", name="On the wall, as milled")).to_be_visible()
     expect(ending.get_by_role("listitem")).to_have_text([re.compile("Mill it"), re.compile("Shine light through it")])
-    expect(ending.get_by_role("link", name="What shows more?")).to_have_attribute("href", f"#/new?from={job['id']}")
+    expect(ending.get_by_role("link", name="What shows more?")).to_have_attribute(
+        "href", f"#/new?from={job['id']}&show=more"
+    )
     ending.get_by_role("button", name="Programs").click()
     expect(page.get_by_role("heading", name="Programs")).to_be_in_viewport()
     page = open_blank(opened, "job")

@@ -21,7 +21,7 @@ export function withChange(spec, values) {
 }
 
 /**
- * {element, show(estimate), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
+ * {element, show(estimate), focus(), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
  * wants it; draw(values, blurMm): what the wall then shows, small, or nothing. A picture that is hard to recognise asks by
  * itself, any other where a person does. First looks at changes are held against the first look at the job itself: what
  * they gain is added to what a more exact one tells.
@@ -31,7 +31,7 @@ export function improvements({ make, take, draw }) {
   const state = h("p", { class: "dim", role: "status" });
   const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What shows more?"));
   const title = h("h2", {}, t("What shows more"));
-  const element = h("section", { class: "card improvements", "aria-label": t("What shows more"), hidden: true }, title, button, state, list);
+  const element = h("section", { class: "card improvements", "aria-label": t("What shows more"), tabIndex: -1, hidden: true }, title, button, state, list);
   const now = { estimate: null, exact: null, found: [], asking: new AbortController() };
 
   function show(estimate) {
@@ -42,6 +42,14 @@ export function improvements({ make, take, draw }) {
     element.hidden = !Number.isFinite(estimate.psnr_db) || !estimate.changes?.length;
     if (!element.hidden && isHard(estimate.psnr_db)) ask(estimate);
     else fold(true);
+  }
+
+  /** A person has come for this. */
+  function focus() {
+    if (element.hidden) return;
+    if (!button.hidden) ask(now.estimate);
+    element.scrollIntoView();
+    element.focus({ preventScroll: true });
   }
 
   /** A more exact answer for the job that is shown. */
@@ -94,5 +102,5 @@ export function improvements({ make, take, draw }) {
       h("small", {}, [eyeWords(now.exact.psnr_db + seen.psnr_db - now.estimate.psnr_db), hours(3600 * seen.hours)].join(", ")),
     );
 
-  return { element, show, reconsider, stop };
+  return { element, show, focus, reconsider, stop };
 }

@@ -54,7 +54,7 @@ export default async function view(root, params, app) {
 /** What the job begins with: another job, the picture just dropped, or what was left here. */
 async function beginning(params) {
   const draft = takeDraft();
-  if (params.from) return (await import("./source.js")).sourceOf(params.from, params.plan);
+  if (params.from) return { ...(await (await import("./source.js")).sourceOf(params.from, params.plan)), forMore: params.show === "more" };
   const file = take();
   return file ? { spec: draft?.spec, file } : (draft ?? {});
 }
@@ -68,9 +68,9 @@ async function knownProfiles() {
   }
 }
 
-/** {element, begin({spec, picture, edits, name, file}), draft(), stop(), leave()}. */
+/** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), leave()}. forMore: a person comes to see what shows more. */
 function newJob(profiles, app) {
-  const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null }; // problems by estimate, by refusal
+  const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null, forMore: false }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
@@ -103,6 +103,7 @@ function newJob(profiles, app) {
 
   function changed() {
     now.refused = []; // what was sent is not what is here any more
+    now.forMore = false;
     side.draw();
     element.classList.toggle("stale", now.estimate !== null);
     asks.ask();
@@ -115,11 +116,12 @@ function newJob(profiles, app) {
     foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.why && now.goThere);
   }
 
-  async function begin({ spec, ...start }) {
+  async function begin({ spec, forMore, ...start }) {
     showSpec(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
     card.show({ kind: "none" });
     ready();
     await side.begin(start);
+    now.forMore = forMore;
     asks.ask();
   }
 
@@ -153,6 +155,8 @@ function newJob(profiles, app) {
     else improve.show(state.estimate);
     if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate, state.first) : "");
     if (state.kind === "known") side.show(state.estimate, state.first);
+    if (state.kind === "known" && now.forMore) improve.focus();
+    if (state.kind !== "busy") now.forMore = false;
   }
 
   /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
