@@ -248,10 +248,17 @@ def told(
     page.evaluate("window.dispatchEvent(new Event('online'))")  # a stream that waits asks again
 
 
-def with_control(opened: Callable[..., Page], state: str, *, mill: dict[str, Any] | None = None, **how: Any) -> Page:
+def with_control(
+    opened: Callable[..., Page],
+    state: str,
+    *,
+    mill: dict[str, Any] | None = None,
+    run: dict[str, Any] | None = None,
+    **how: Any,
+) -> Page:
     """A page at this mill, with control of it."""
     page = open_blank(opened, "machine", key="Ada", **how)
-    told(page, state, operator="Ada", mill=mill)
+    told(page, state, operator="Ada", mill=mill, run=run)
     page.evaluate(f"location.hash = '#/machines/{NAME}'")
     page.get_by_role("button", name="Take over").click()
     page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()

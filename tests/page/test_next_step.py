@@ -226,6 +226,25 @@ def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None
     expect(page.locator(".next")).to_contain_text("wait until it stands")
 
 
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_what_is_to_be_ticked_is_shown_and_then_the_line_starts(opened: Opened, size: str) -> None:
+    """By the very button of the card: once all is ticked, and by whom."""
+    page = with_control(opened, "parked", size=size, mill={"needs": []}, run={"travel_in_doubt": False})
+    line, listed = page.locator(".next"), page.locator(".checklist:visible")
+    line.get_by_role("button", name="Show").click()
+    assert out_of_sight(page, ".checklist .tick") == []
+    expect(listed.locator("input").first).to_be_focused()
+    tick_all(listed)
+    page.get_by_label("Operator").fill("")
+    expect(line).to_contain_text("give your name, then start.")
+    page.get_by_label("Operator").fill("Ada")
+    sent = orders_of(page)
+    line.get_by_role("button", name="Start", exact=True).click()
+    after(sent, 1, page)
+    [(order, body)] = sent
+    assert (order.rpartition(":")[2], body["operator"], body["checks"]) == ("start", "Ada", RUN["required_checks"])
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_who_is_shown_where_to_jog_sees_where_the_tool_is(opened: Opened, size: str) -> None:

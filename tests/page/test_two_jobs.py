@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.page import canned_job
 from tests.page.browser import open_blank
@@ -64,6 +65,20 @@ def test_the_program_that_is_named_is_the_one_that_is_loaded(
     expect(page.get_by_role("combobox", name="Job")).to_have_value(job)
     expect(page.get_by_role("combobox", name="Program")).to_have_value(program)
     expect(page.locator(".running h2")).to_contain_text(f"{run['program']['name']} of astronaut")
+
+
+def test_what_the_line_names_it_loads(opened: Opened) -> None:
+    page = shown(opened, pass_of(1))
+    asked: list[dict[str, Any]] = []
+
+    def take(route: Route) -> None:
+        asked.append(json.loads(route.request.post_data or "{}"))
+        route.fulfill(status=201, json=RUN)
+
+    page.route(f"**/v1/machines/{NAME}/runs", take)
+    page.locator(".next").get_by_role("button", name="Load", exact=True).click()
+    page.wait_for_function("() => !document.querySelector('.next button:disabled')")
+    assert asked == [{"job": OWN, "program": SECOND}]
 
 
 def test_a_choice_is_named_and_done_with_once_it_is_on_the_mill(opened: Opened) -> None:

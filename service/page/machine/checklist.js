@@ -12,7 +12,7 @@ import { checkWords } from "./words.js";
  */
 export function checklist(run, { label, words, act, changed = () => {} }) {
   const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => ((lost = ""), count(), changed()) }) }));
-  const operator = h("input", { type: "text", maxLength: 100, autocomplete: "name", value: api.who.paired ? api.who.name : "", oninput: () => count() });
+  const operator = h("input", { type: "text", maxLength: 100, autocomplete: "name", value: api.who.paired ? api.who.name : "", oninput: () => (count(), changed()) });
   const go = h("button", { type: "button", class: "big go", onclick: () => act({ operator: operator.value.trim(), checks: boxes.map(({ check }) => check) }) }, label);
   const missing = h("p", { class: "missing", role: "status" });
   let [why, lost] = ["", ""];
@@ -35,6 +35,10 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
   );
   return {
     node,
+    button: go,
+    get named() {
+      return operator.value.trim() !== "";
+    },
     get ticked() {
       return boxes.every(({ box }) => box.checked);
     },

@@ -106,6 +106,7 @@ export function loadCard(link, chosen) {
 
   return {
     node,
+    button: load,
     follow,
     close: () => clearTimeout(timer),
     /** What the next step is told by: {ready, jobs, atWork, preset}. */
@@ -113,7 +114,7 @@ export function loadCard(link, chosen) {
     update(nextStep) {
       const why = whyNot(link, STANDS, { besideRun: true });
       write(reason, link.machine?.mill?.state === "held" ? why : "");
-      load.classList.toggle("primary", nextStep.step === "load");
+      load.classList.toggle("primary", nextStep.step === "load" && !nextStep.act);
       enable([load], why === "" && !link.busy && findPreset() !== null);
     },
   };

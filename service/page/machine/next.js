@@ -13,8 +13,8 @@ const REST_MS = 1000; // that a new button rests: the press before it was meant 
 const SHORT = 60; // letters of a refusal that the line has room for
 const NONE = { brief: "", whole: "" };
 
-/** cards: {name: node} that a step may be done in. */
-export function next(link, cards) {
+/** cards: {name: node} that a step may be done in; presses: {name: () => the button of a card that does it}. */
+export function next(link, cards, presses) {
   const look = h("span", { class: "next-shape" });
   const trouble = h("p", { class: "trouble", role: "alert" });
   const step = h("p", { class: "step", role: "status" });
@@ -45,6 +45,7 @@ export function next(link, cards) {
     const answer = label === other?.label ? other : act;
     if (!answer) return void reveal(cards[go]);
     if (answer.same !== undefined) return void link.answerPlace(answer.same);
+    if (answer.press) return void presses[answer.press]()?.click();
     refusal = NONE;
     try {
       await link.order(act.what, act.body);
@@ -78,13 +79,15 @@ export function next(link, cards) {
       shown = key;
       draw(nextStep);
       const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
-      enable(buttons, !nextStep.act || free); // what only shows is always free
+      const { act } = nextStep;
+      enable(buttons, !act || (free && (!act.press || presses[act.press]()?.disabled === false))); // what only shows is always free
     },
   };
 }
 
 /** Into view, under no bar, with the focus on what can be used there. */
-function reveal(card) {
+function reveal(found) {
+  const card = found?.querySelector(".checklist") ?? found; // what is to be ticked
   card?.scrollIntoView({ block: "start" });
   const first = card?.querySelector(".pad button:enabled") ?? card?.querySelector("button:enabled, select:enabled, input:enabled");
   first?.focus({ preventScroll: true });

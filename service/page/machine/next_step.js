@@ -12,6 +12,8 @@ import { hasLiveRun, programWords } from "./words.js";
 const HOME = { label: t("Home"), what: "home", body: {} };
 const ZERO_XY = { label: t("X and Y = 0 here"), what: "zero", body: { axes: "XY" } };
 const ZERO_Z = { label: t("Z = 0 here"), what: "zero", body: { axes: "Z" } };
+const LOAD = { label: t("Load"), press: "load" };
+const START = { label: t("Start"), press: "start" };
 const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
@@ -20,17 +22,17 @@ const NAME = 28; // letters of a job's name
 
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
- * the order of its button; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
- * "" where one may. load: the `facts` of the card "Load a program", ticked: all of the list.
+ * the order of its button, or `press`: the button of a card that it stands for; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
+ * "" where one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom.
  */
-export function findNextStep(link, { load = {}, ticked = false } = {}) {
+export function findNextStep(link, { load = {}, ticked = false, named = true } = {}) {
   const trouble = troubleOf(link);
   const standsStill = trouble && !["home", "recover"].includes(trouble.step);
   if (!link.machine && !trouble) return makeStep("wait", t("Asking the server."), { whole: true });
   if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
   if (!link.mine) return { ...findControlStep(link), trouble };
-  return { ...findStandingStep(link, trouble, load, ticked), trouble };
+  return { ...findStandingStep(link, trouble, load, { ticked, named }), trouble };
 }
 
 function makeStep(step, words, more = {}) {
@@ -50,7 +52,7 @@ function findControlStep({ machine: { control } }) {
   return makeStep("control", t("take control of the mill."));
 }
 
-function findStandingStep(link, trouble, load, ticked) {
+function findStandingStep(link, trouble, load, given) {
   const { machine, run } = link;
   const { mill } = machine;
   if (mill.state === "homing") return makeStep("wait", t("wait until it is home."), { kind: "busy" });
@@ -61,7 +63,7 @@ function findStandingStep(link, trouble, load, ticked) {
   if (first) return first;
   if (trouble && mill.state === "jog") return makeStep("wait", t("wait until it stands."), { kind: trouble.kind });
   if (trouble) return makeStep("recover", trouble.next, { kind: trouble.kind, go: "recover" });
-  return findSetupStep(link, load, ticked);
+  return findSetupStep(link, load, given);
 }
 
 /** After a stop the tool stands where it was: nothing goes sideways before it is up. */
@@ -90,7 +92,7 @@ function findHomeStep({ mill, profile }) {
 }
 
 /** The program comes first: it says which tool and which block the zero is for. */
-function findSetupStep(link, load, ticked) {
+function findSetupStep(link, load, { ticked, named }) {
   const { machine, run, before } = link;
   if (!run?.open) return findLoadStep(run, load);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
@@ -99,7 +101,7 @@ function findSetupStep(link, load, ticked) {
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
   if (place) return place;
-  if (ticked && !foreign.includes("Z")) return { ...makeStep("start", t("start the program."), { go: "program" }), ...doubt };
+  if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
   return findZeroStep(machine, run.setup ?? {}, foreign) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
@@ -140,9 +142,9 @@ function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
   if (none && atWork) return makeStep("wait", t("wait for the job at work, then load its program here. Clamp the block meanwhile."), { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
-  if (preset?.meant) return makeStep("load", loadWords(run, preset), { go: "load" });
+  if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
   if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });
-  return makeStep("load", preset ? loadWords(run, preset) : t("load a program."), { go: "load" });
+  return preset ? makeStep("load", loadWords(run, preset), { act: LOAD }) : makeStep("load", t("load a program."), { go: "load" });
 }
 
 /** Of the program that the card is set to, and of no other. */

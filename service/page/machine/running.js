@@ -42,6 +42,12 @@ export function runCard(link) {
     get ticked() {
       return Boolean(list?.ticked);
     },
+    get named() {
+      return Boolean(list?.named);
+    },
+    get button() {
+      return list?.button;
+    },
     update(nextStep) {
       const { run } = link;
       node.hidden = !run;
@@ -58,7 +64,7 @@ export function runCard(link) {
       if (idle && !stands) list?.clear(t("The mill has moved since: look again."));
       else if (rests !== setup) list?.clear(t("Zero or position have changed since: look again."));
       [idle, setup] = [stands, rests];
-      list?.update(whyNot(link) || nextStep.bars, ["tick", "start"].includes(nextStep.step));
+      list?.update(whyNot(link) || nextStep.bars, nextStep.step === "tick");
     },
   };
 }

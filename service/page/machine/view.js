@@ -34,8 +34,8 @@ export default async function view(root, params, app) {
   const turned = turning(screen);
   link.onChange(() => {
     parts.load.follow();
-    const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked });
-    for (const one of Object.values(parts)) one.update(nextStep);
+    const nextStep = findNextStep(link, { load: parts.load.facts, ticked: parts.program.ticked, named: parts.program.named });
+    for (const one of Object.values(parts)) one.update(nextStep); // the line last: it presses what the cards have
     arrange(link, parts);
     turned(link);
   });
@@ -53,7 +53,7 @@ function makeParts(link, chosen) {
   const load = loadCard(link, chosen);
   const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
-  return { ...own, ...others, next: next(link, cards) };
+  return { ...own, ...others, next: next(link, cards, { load: () => load.button, start: () => others.program.button }) };
 }
 
 /** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
