@@ -45,8 +45,9 @@ def test_a_server_that_has_lost_the_mill_does_not_know_who_has_control(opened: O
 
 @pytest.mark.thorough
 def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened: Opened) -> None:
+    """A simulated one may be many times as fast."""
     page = open_blank(opened, "machine")
-    for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left, simulated")):
+    for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left on a real mill")):
         told(page, state)
         page.evaluate(f"location.hash = '{SCREEN}'")
         expect(page.locator(".meter .row span").first).to_have_text(words)

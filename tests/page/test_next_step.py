@@ -24,6 +24,7 @@ OVER_IT = FRESH | {"work_mm": [-150.0, -150.0, -1.0], "machine_mm": [-150.0, -15
 XY_SET = FRESH | {"zeroed": "XY", "work_mm": [0.0, 0.0, -1.0], "machine_mm": [-150.0, -150.0, -1.0]}
 ON_TOP = XY_SET | {"work_mm": [0.0, 0.0, -21.0], "machine_mm": [-150.0, -150.0, -21.0]}
 ALL_SET = ON_TOP | {"zeroed": "XYZ", "work_mm": [0.0, 0.0, 0.0]}
+UP = {"work_mm": [0.0, 0.0, 5.0], "machine_mm": [-150.0, -150.0, -16.0]}
 RAISED = {"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]}
 DUE = """async ([machine, run, mine, ticked, load]) => {
     const { findNextStep } = await import("/page/machine/next_step.js");
@@ -96,13 +97,14 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     assert due(XY_SET, run=RUN)[:2] == ["top", ""]
     assert due(ON_TOP, run=RUN)[:2] == ["zero", "Z = 0 here"]
     assert due(ALL_SET)[0] == "load"
-    assert due(ALL_SET, run=RUN)[0] == "tick"
+    assert due(ALL_SET, run=RUN)[:2] == ["off", "Raise Z"], "it stands on the block where Z = 0 was set"
+    assert due(ALL_SET | UP, run=RUN)[0] == "tick"
     assert due(ALL_SET, run=RUN, ticked=True)[0] == "start"
     for ticked in (False, True):
-        words = due(ALL_SET, run=RUN | {"travel_in_doubt": True}, ticked=ticked)[2]
+        words = due(ALL_SET | UP, run=RUN | {"travel_in_doubt": True}, ticked=ticked)[2]
         assert "may not fit the travel" in words
-        assert "may not" not in due(ALL_SET, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
-    after_another = ALL_SET | {"needs": ["a program has ended"]}
+        assert "may not" not in due(ALL_SET | UP, run=RUN | {"travel_in_doubt": False}, ticked=ticked)[2]
+    after_another = ALL_SET | UP | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]
     assert "R 0.5 (Ø 1 mm)" in new_tool[2]
@@ -224,6 +226,31 @@ def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None
     expect(tick).to_be_checked()
     told(page, "stopped", operator="Ada", mill=RAISED | {"state": "jog"})
     expect(page.locator(".next")).to_contain_text("wait until it stands")
+
+
+def test_off_the_block_by_the_line(opened: Opened) -> None:
+    page = with_control(opened, "parked", mill=ALL_SET)
+    sent = orders_of(page)
+    line = page.locator(".next")
+    expect(line).to_contain_text("raise the tool a little, then tick the list.")
+    line.get_by_role("button", name="Raise Z").click()
+    after(sent, 1, page)
+    assert sent == [("jog", {"by_mm": [0, 0, 5], "feed_mm_per_min": 500})]
+
+
+def test_travel_is_in_doubt_only_once_every_zero_is_set(opened: Opened) -> None:
+    """Before that it is bound to be: the program is placed by a zero that nobody has set for it."""
+    page = with_control(opened, "parked", mill=XY_SET)
+    card = page.locator(".running")
+    expect(card).to_contain_text("Whether it fits the travel is known once X, Y and Z are set.")
+    expect(card.get_by_text("It may not fit the travel")).to_have_count(0)
+    told(page, "parked", operator="Ada", mill=ALL_SET | UP)
+    expect(card.get_by_text("It may not fit the travel")).to_be_visible()
+
+
+def test_the_list_says_who_switches_the_spindle_on(opened: Opened) -> None:
+    page = with_control(opened, "parked")
+    expect(page.locator(".checklist")).to_contain_text("the program switches the spindle on, at 18,000 rpm")
 
 
 @pytest.mark.parametrize("size", ["wide", "phone"])

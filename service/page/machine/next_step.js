@@ -5,7 +5,7 @@
 
 import { t } from "../lib/language.js";
 import { ball, capital, jobName, percent } from "../lib/words.js";
-import { depthInBlock, findForeignAxes, isAtHome, isPlaced, riseToSafe, isZeroKnown } from "./place.js";
+import { depthInBlock, findForeignAxes, isAtHome, isPlaced, isZeroSet, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
 import { hasLiveRun, programWords } from "./words.js";
 
@@ -18,6 +18,7 @@ const RESUME = t("Resume when all is clear, or STOP.");
 const RAISE = t("raise Z first.");
 const IN_DOUBT = t("From this zero the program may not fit the travel: set the zero where it does.");
 const RAISE_MM_PER_MIN = 500;
+const [CLEAR_MM, UP_MM] = [1, 5]; // over the block, when a program may start; as far as one press goes
 const NAME = 28; // letters of a job's name
 
 /**
@@ -97,12 +98,12 @@ function findSetupStep(link, load, { ticked, named }) {
   if (!run?.open) return findLoadStep(run, load);
   if (run.state === "preparing") return makeStep("wait", t("wait, the program is on its way to the mill."), { kind: "busy" });
   if (run.state !== "parked") return makeStep("wait", t("see what is said of the program."), { go: "program" });
-  const doubt = run.travel_in_doubt && { words: IN_DOUBT, kind: "warn", whole: true };
+  const doubt = run.travel_in_doubt && isZeroSet(machine, run, before) && { words: IN_DOUBT, kind: "warn", whole: true };
   const foreign = findForeignAxes(machine, run, before);
   const place = findPlaceStep(link, foreign);
   if (place) return place;
   if (ticked && !foreign.includes("Z")) return { ...(named ? makeStep("start", t("start the program."), { act: START }) : makeStep("tick", t("give your name, then start."), { go: "program" })), ...doubt };
-  return findZeroStep(machine, run.setup ?? {}, foreign) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
+  return findZeroStep(machine, run.setup ?? {}, foreign) ?? findOffStep(machine) ?? { ...makeStep("tick", t("look, tick the list, then start."), { go: "program" }), ...doubt };
 }
 
 /** Whether X0 Y0 of another block is right for this one only a person can say; no program starts before that. */
@@ -113,6 +114,15 @@ function findPlaceStep({ machine, run, before, sameBlock }, foreign) {
   const name = before.job_name ? cutName(before.job_name) : t("another job");
   const more = { kind: "warn", act: same, other: { label: t("Set anew"), same: false }, whole: true, bars: t("Say above where X0 Y0 is.") };
   return makeStep("place", t`X0 Y0 was set for ${name}: is the same block clamped in the same place?`, more);
+}
+
+/** Where Z = 0 was set the tool stands on the block. */
+function findOffStep({ mill, profile }) {
+  const stands = isPlaced(mill) && mill.state === "idle" && Math.abs(mill.work_mm[2]) < CLEAR_MM;
+  const up = stands ? Math.min(UP_MM, riseToSafe({ mill, profile: { ...profile, safe_z_mm: UP_MM } })) : 0;
+  if (up < CLEAR_MM) return null;
+  const act = { label: t("Raise Z"), what: "jog", body: { by_mm: [0, 0, up], feed_mm_per_min: RAISE_MM_PER_MIN } };
+  return makeStep("off", t("raise the tool a little, then tick the list."), { act });
 }
 
 /** null where the zero holds, or where nobody can say: a link that tells no position. foreign: axes of another block. */

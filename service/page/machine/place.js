@@ -22,6 +22,12 @@ export function findForeignAxes({ mill }, run, before) {
   return before && !follows ? [...AXES].filter((axis) => !mill.zeroed_anew?.includes(axis)).join("") : "";
 }
 
+/** Whether X, Y and Z are set for this program; true where nobody can say. */
+export function isZeroSet(machine, run, before) {
+  if (!isPlaced(machine.mill)) return true;
+  return isZeroKnown(machine, AXES) && !findForeignAxes(machine, run, before);
+}
+
 /** A link that tells no position leaves zero and height to the person. */
 export function isPlaced(mill) {
   return [mill?.machine_mm, mill?.work_mm].every((place) => place?.length === 3 && place.every(Number.isFinite));

@@ -9,6 +9,7 @@ import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
 import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES, tell } from "./sentences.js";
+import { isZeroSet } from "./place.js";
 import { programWords, runStanding, whyNot } from "./words.js";
 
 export function runCard(link) {
@@ -32,10 +33,11 @@ export function runCard(link) {
     }
   }
 
+  const isZeroed = (run) => !link.machine?.mill || isZeroSet(link.machine, run, link.before);
   const fill = (run) => {
     const parked = run.state === "parked";
     list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
-    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
+    replace(more, notes(run, !parked || isZeroed(run)), aboutSpindle(run, link.machine?.profile), parked ? startControls(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, t("That was the last pass: the lens is milled.")));
   };
   return {
     node,
@@ -52,7 +54,7 @@ export function runCard(link) {
       const { run } = link;
       node.hidden = !run;
       if (!run) return;
-      const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words}`;
+      const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words} ${isZeroed(run)}`;
       if (now !== shown) fill(run);
       shown = now;
       const [kind, word] = link.away ? ["off", t`last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
@@ -83,20 +85,21 @@ function meter() {
       bar.value = run.share;
       write(line, run.lines ? t`line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
       const over = !Number.isFinite(run.time_left_s) || run.state === "finished" || run.state === "aborted";
-      write(left, over ? "" : t`${hours(run.time_left_s)} left${simulated ? t(", simulated") : ""}`);
+      write(left, over ? "" : t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}`);
     },
   };
 }
 
-function notes(run) {
+function notes(run, zeroed) {
   const own = ["interrupted", "aborted"].includes(run.state) ? "" : tell(run).whole; // said above, with what to do
   const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
   const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
-  return [notice, run.state === "parked" || run.warnings?.length ? warningsNode(run) : null];
+  return [notice, run.state === "parked" || run.warnings?.length ? warningsNode(run, zeroed) : null];
 }
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
-function warningsNode({ warnings = [], travel_in_doubt: travel }) {
+function warningsNode({ warnings = [], travel_in_doubt: travel }, zeroed) {
+  if (travel && !zeroed) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
   const words = travel ? t("It may not fit the travel") : warnings.length === 1 ? t`${warnings.length} warning` : t`${warnings.length} warnings`;
   return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));

@@ -1,7 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
 import { t } from "../lib/language.js";
-import { ball, jobName, sentence } from "../lib/words.js";
+import { ball, jobName, sentence, thousands } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 import { RUN_STATES, STATES, tell } from "./sentences.js";
 
@@ -139,6 +139,11 @@ export function coordinate(value, places = 3) {
   return value < 0 && Number(text) !== 0 ? `−${text}` : text;
 }
 
+/** Every program switches it on; what has a switch of its own does not hear that. */
+function spindleWords(rpm) {
+  return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; one with a switch of its own is switched on by hand` : "";
+}
+
 /** What a person looked at before the mill moves; `setup` of the run says what is right. */
 export function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
@@ -150,7 +155,7 @@ export function checkWords(check, run) {
     case "stock":
       return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
     case "clear":
-      return [t("Nothing is in the way of the tool"), t("hands, clamps, wrenches, the probe's cable; goggles on")];
+      return [t("Nothing is in the way of the tool"), [t("hands, clamps, wrenches, the probe's cable; goggles on"), spindleWords(tool?.spindle_rpm)].filter(Boolean).join("; ")];
     case "position":
       return [t("The position shown is where the tool really is"), t("compare the readout with the block")];
     case "order":
