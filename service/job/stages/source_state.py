@@ -49,12 +49,21 @@ def _imports(module: str) -> tuple[str, ...]:
 
 def _list_imported_names(path: Path) -> Iterator[str]:
     """Yield every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
-    for node in ast.walk(parse(path)):
+    for node in _list_statements(parse(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _list_statements(module: ast.Module) -> Iterator[ast.AST]:
+    """Yield all statements, but no expressions, which cannot import: ten times as many nodes."""
+    waiting: list[ast.AST] = [module]
+    while waiting:
+        yield (node := waiting.pop())
+        for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+            waiting += getattr(node, name, ())
 
 
 def _exists(name: str) -> bool:
