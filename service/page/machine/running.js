@@ -33,7 +33,11 @@ export function runCard(link) {
     }
   }
 
-  const isZeroed = (run) => !link.machine?.mill || isZeroSet(link.machine, run, link.before);
+  let zeroed = ""; // the run that every zero was set for: what is said of it then stays, and Start keeps its place
+  const isZeroed = (run) => {
+    if (!link.machine?.mill || isZeroSet(link.machine, run, link.before)) zeroed = run.id;
+    return zeroed === run.id;
+  };
   const fill = (run) => {
     const parked = run.state === "parked";
     list = parked ? checklist(run, { label: t`Start ${run.program.name}`, words, act: (given) => words.run(() => start(given)), changed: () => link.changed() }) : null;
