@@ -22,7 +22,7 @@ NAMES = {OWN: "astronaut.png", OTHER: "logo.png"}
 
 def shown(opened: Opened, run: dict[str, Any], address: str = "") -> Page:
     """The mill's screen with control of it, after this run; two jobs have programs for it."""
-    page = open_blank(opened, "machine", key="Ada", once=True)
+    page = open_blank(opened, "machine", key="Ada")
     told(page, "finished", operator="Ada", mill={"needs": []}, run=run)
     both = [canned_job.job() | {"id": job, "name": NAMES[job]} for job in (OTHER, OWN)]
     listed = {"jobs": [summary_of(job) for job in both], "next": None}
