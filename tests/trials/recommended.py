@@ -122,7 +122,7 @@ def _cut_pass(
         drops = grid.cut(batch)
         depths[-1][-1] = max(depths[-1][-1], drops.depth_mm[0])
         depths.append(drops.depth_mm[1:].copy())
-        is_low = np.minimum(batch.start_mm[:, 2], batch.end_mm[:, 2]) < 0  # under Z0, the top of the block
+        is_low = np.minimum(batch.start_mm[:, 2], batch.end_mm[:, 2]) <= 0  # of the air: Z0 is the top of the block
         feeds.append(is_low & ~batch.is_rapid & batch.spindle_on)
     feeding, depth_mm = np.concatenate(feeds), np.concatenate(depths)[1:]
     descent = np.cumsum(feeding & ~np.concatenate(([False], feeding[:-1])))
