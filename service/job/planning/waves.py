@@ -64,13 +64,15 @@ class Waves:
 
     def kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
         """Return what is left of each wave, and of its square: rows run along the contour lines, so across them is the
-        gradient's direction, which all places share out.
+        gradient's direction, which all places share out, and along them a quarter of a turn from it.
         """
         edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
         share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
-        across = slopes.across.transfer(waves, reach_mm)
-        left, parts = np.interp(self._along_turns, waves, across), np.concatenate([share, share]) / 2
+        across, along = (spread.transfer(waves, reach_mm) for spread in (slopes.across, slopes.along))
+        quarter = np.concatenate([np.roll(turns, _DIRECTIONS // 2, axis=0) for turns in np.split(self._along_turns, 2)])
+        left = np.interp(self._along_turns, waves, across) * np.interp(quarter, waves, along)
+        parts = np.concatenate([share, share]) / 2
         return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
 
 
