@@ -110,6 +110,14 @@ class ServerSettings(BaseSettings):
         """One folder per local mill: its agent's journal, programs, token and agent.json."""
         return self.data / "agents"
 
+    @property
+    def max_upload_bytes(self) -> int:
+        return int(self.max_upload_mb * 1e6)
+
+    @property
+    def max_pixels(self) -> int:
+        return int(self.max_megapixels * 1e6)
+
     def environment(self) -> dict[str, str]:
         """Return the environment of a child process that shall have the same settings as this one."""
         own = {

@@ -17,7 +17,8 @@ from cam.moves import Array, Path, cut, rapid
 from cam.passes import PassSpec
 from cam.rows.vertices import TICKS_PER_MM, thin_points
 
-RAMP_SLOPE = tan(radians(3.0))
+RAMP_DEG = 3.0
+RAMP_SLOPE = tan(radians(RAMP_DEG))
 RAMP_STRETCH_MM = 15.0
 STRAIGHT_MM = 1e-6
 """Points this near to a straight line are not written: a leg of a ramp is one move until it meets the path."""

@@ -16,10 +16,11 @@ from service.job.spec.finish_library import Process
 from service.job.spec.lens_task import finish_of
 from service.job.spec.resolved import ResolvedJob
 
-_NEAR = 3  # of such steps, within which a lens is as good a sample
-_FINER = 1.25  # minutes, from one that is tried to the next
+_NEAR = 6  # of such steps, within which a lens is as good a sample
+_FINER = 1.12  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
 _WORTH_DB = 0.1
+_ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _GUESS_DB = 1.0  # that sharpening may bring: 0.9 at most on six pictures and four mills and sizes
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -93,7 +94,7 @@ def plan_finish(
     exactly    : and by one as fine as the picture for the best: creases cost more there than on a coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
-    rows = _quickest_alike(candidates, milled)
+    rows = _quickest_alike(candidates)
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
     first = _best(rows, left_out, ways[::_NEAR], goal)
@@ -108,13 +109,13 @@ def plan_finish(
     return _best(rows, left_out, [(best.finishing, best.light)], goal)
 
 
-def _quickest_alike(candidates: list[Candidate], light: PictureLight) -> list[Candidate]:
-    """Return, of finishes without a rest pass that leave the same, the quickest: directions and strategies; sorted."""
-    found: dict[tuple[float, ...], Candidate] = {}
+def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
+    """Return, of finishes without a rest pass that leave the same, the quickest, whatever their strategy; sorted."""
+    found: dict[tuple[object, ...], Candidate] = {}
     for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):
         if one.rest is None:
             finish = one.finish
-            found.setdefault((finish.radius_mm, finish.pitch_mm, one.slopes.off_mm, light.across_mm(finish)), one)
+            found.setdefault((finish.radius_mm, finish.pitch_mm, finish.direction, one.slopes.off_mm), one)
     return list(found.values())
 
 
@@ -124,11 +125,21 @@ def _best(
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
 ) -> FinishedPlan:
-    found: list[tuple[tuple[bool, float], FinishedPlan]] = []
+    """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
+    found: list[FinishedPlan] = []
     for finishing, light in ways:
         plan = plan_by_score(_score_better(candidates, light), left_out, goal)
-        found.append((merit(plan, goal), FinishedPlan(plan=plan, finishing=finishing, light=light)))
-    return max(found, key=lambda one: one[0])[1]
+        found.append(FinishedPlan(plan=plan, finishing=finishing, light=light))
+    best = max(found, key=lambda one: merit(one.plan, goal))
+    if goal.psnr_db is not None or goal.blur_mm is not None:
+        return best
+    least = (best.plan.met, best.plan.chosen.psnr_db - _ALIKE_DB)
+    alike = [one for one in found if merit(one.plan, goal) >= least]
+    return best if len(alike) == 1 else max(alike, key=_ssim)
+
+
+def _ssim(one: FinishedPlan) -> float:
+    return one.light.score(one.light.picture(one.plan.chosen.marks)).ssim
 
 
 def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from cam.passes import Direction
 from cam.planning.planner import Marks
 from cam.planning.row_slopes import RowSlopes, row_profile
 from optics.bench import Bench
@@ -72,7 +74,8 @@ class FinishedLight(PictureLight):
         super().__init__(milled.target, milled.bench, goal=milled.goal)
         self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
         self._spectra = spectra or Spectra(milled)
-        self._lens_scale = self._stripe_scale = 1.0
+        self._lens_scale = 1.0
+        self._stripe_scale: dict[Direction, float] = {"x": 1.0, "y": 1.0}
         self._errors: dict[float, float] = {}  # of the guess, by radius
         self._lit: dict[float, Array] = {}  # (ny, nx) through a lens as fine as the picture, unmarked, by radius
 
@@ -103,7 +106,7 @@ class FinishedLight(PictureLight):
         spec, form = marks.spec, self.lenses[marks.radius_mm].form
         off_mm, pixel_mm = round(marks.slopes.off_mm, 6), self.across_mm(spec)
         bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, off_mm, self.finish, pixel_mm)
-        return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
+        return math.sqrt(_STRIPES * self._stripe_scale[spec.direction]) * self.reach_mm(form) * bend_per_mm
 
     def is_lit(self, marks: Marks) -> bool:
         """Return whether light was shone through a lens as fine as the picture."""
@@ -131,7 +134,6 @@ class FinishedLight(PictureLight):
         finished = finish_surface(lens, self.finish)
         whole = self.target.shape  # half of the stripes are finer than a coarse pixel
         plain = self._light_of(finished, whole)
-        stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - plain
         seen = plain if target.shape == whole else self._light_of(finished, target.shape)
         if fine and target.shape == whole:
             self._lit[marks.radius_mm] = plain
@@ -143,12 +145,17 @@ class FinishedLight(PictureLight):
         # No finish makes a lens better than it is without marks.
         unmarked = self._peak**2 * 10.0 ** (-0.1 * self.lenses[marks.radius_mm].perfect_db)
         self._lens_scale *= max(off_free + off_fine, unmarked) / self._lens_error(marks.radius_mm)
+        for direction in self._stripe_scale:
+            self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), finished, plain)
+
+    def _calibrate_stripes(self, marks: Marks, finished: Heightfield, plain: Array) -> None:
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
-            self._stripe_scale *= _ALONG * float(np.square(stripes).mean()) / guessed
+            stripes = self._light_of(add_rows(finished, marks, self.finish), plain.shape) - plain
+            self._stripe_scale[marks.spec.direction] *= _ALONG * float(np.square(stripes).mean()) / guessed
 
     def trust(self, calibrated: FinishedLight) -> None:
         """Take over how far the guesses of another finish were off."""
-        self._lens_scale, self._stripe_scale = calibrated._lens_scale, calibrated._stripe_scale
+        self._lens_scale, self._stripe_scale = calibrated._lens_scale, dict(calibrated._stripe_scale)
 
     def _light_of(self, lens: Heightfield, shape: tuple[int, ...]) -> Array:
         pixels = (shape[0], shape[1])

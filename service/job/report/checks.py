@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from typing import Any
 
+from cam.rows.entries import RAMP_DEG
 from service.wording import MISSING, number, whole
 
 Row = Mapping[str, Any]
@@ -28,7 +29,7 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
         ("Stock left above what the pass leaves, where the ball reaches", "cusps, 5 µm and a quarter of it", _excess),
         ("Shank and end of flutes against stock that stands", "no contact", _shank),
         ("Extent within the mill's travel", "travel of each axis", _extent),
-        ("Entries, on ramps of 3° or in air", "", lambda p: _unit(p, "entries", whole, "")),
+        (f"Entries, on ramps of {RAMP_DEG:g}° or in air", "", lambda p: _unit(p, "entries", whole, "")),
         ("Cut climbing, by volume", "", lambda p: _percent(p, "climb_share")),
         ("Cut at the ball's full width", "deep ones at half the feed", _slots),
         ("Along the contour lines (within 15°)", "", lambda p: _percent(_part(p, "contour"), "aligned_share")),

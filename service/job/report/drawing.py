@@ -13,41 +13,41 @@ _ROOM_FOR_WORDS = 110.0
 _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 
-def top_view(job: BlockSizes) -> Markup:
+def top_view(block: BlockSizes) -> Markup:
     """Draw the block as the operator sees it from above, the front of the mill at the bottom."""
-    block_w, block_h = job.width_mm + 2 * job.margin_mm, job.height_mm + 2 * job.margin_mm
+    block_w, block_h = block.width_mm + 2 * block.margin_mm, block.height_mm + 2 * block.margin_mm
     scale = 230.0 / max(block_w, block_h)
     left, top = 58.0, 14.0
-    w, h, m = block_w * scale, block_h * scale, job.margin_mm * scale
+    w, h, m = block_w * scale, block_h * scale, block.margin_mm * scale
     zero_x, zero_y = left + m, top + h - m
     arrow = min(60.0, 0.45 * min(w, h))
     parts = [
         _box(left, top, w, h, _BLOCK, "#5b6b7a"),
-        *_hatch_for_clamps(job, left, top, w, h),
-        *_swept(job, zero_x, zero_y, scale),
-        *_lens(job, zero_x, zero_y, scale),
-        *_clamps(job, zero_x, zero_y, scale),
+        *_hatch_for_clamps(block, left, top, w, h),
+        *_swept(block, zero_x, zero_y, scale),
+        *_lens(block, zero_x, zero_y, scale),
+        *_clamps(block, zero_x, zero_y, scale),
         _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
         _arrow(zero_x, zero_y, zero_x, zero_y - arrow),
         f'<circle cx="{zero_x:.1f}" cy="{zero_y:.1f}" r="4.5" fill="{_ACCENT}"/>',
         _text(zero_x + arrow + 4, zero_y - 5, "X", colour=_ACCENT),
         _text(zero_x + 6, zero_y - arrow + 4, "Y", colour=_ACCENT),
         _text(zero_x + 9, zero_y - 9, "X0 Y0", colour=_ACCENT),
-        *_lens_size(job, left, top, w, h, m),
+        *_lens_size(block, left, top, w, h, m),
         _dimension_across(left, left + w, top + h + 16, f"block {block_w:g} mm"),
         _dimension_up(left - 14, top, top + h, f"{block_h:g} mm"),
         _text(left + w / 2, top + h + 48, "front of the mill (operator)", anchor="middle", colour="#66727f"),
     ]
-    if job.margin_mm > 0:
-        parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {job.margin_mm:g}"))
+    if block.margin_mm > 0:
+        parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {block.margin_mm:g}"))
     return _svg(left + 340, top + h + 58, "The block from above", parts)
 
 
-def _hatch_for_clamps(job: BlockSizes, left: float, top: float, w: float, h: float) -> list[str]:
+def _hatch_for_clamps(block: BlockSizes, left: float, top: float, w: float, h: float) -> list[str]:
     """Hatch where clamps may stand, or say that they may not; what cutters sweep is drawn over it."""
-    if job.swept_mm is None:
+    if block.swept_mm is None:
         return []
-    if not job.has_room_for_clamps:
+    if not block.has_room_for_clamps:
         return [_text(left + w + 6, top + h / 2, "no clamp on top", colour=_ACCENT)]
     pattern = (
         '<defs><pattern id="clamps" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
@@ -57,30 +57,30 @@ def _hatch_for_clamps(job: BlockSizes, left: float, top: float, w: float, h: flo
     return [pattern, hatched, _text(left + w + 6, top + h / 2, "clamps: hatched")]
 
 
-def _swept(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
+def _swept(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw what the cutter's flanks go over, where a ring is left around it."""
-    if job.swept_mm is None or job.ring_mm <= 0:
+    if block.swept_mm is None or block.ring_mm <= 0:
         return []
-    left, right, front, back = job.swept_mm
+    left, right, front, back = block.swept_mm
     box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
     size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
     return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
 
 
-def _clamps(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
+def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw the clamps that the spec names, where they stand."""
     return [
         _box(zero_x + scale * x, zero_y - scale * (y + depth), scale * width, scale * depth, "#8795a1", "#1f2933")
-        for x, y, width, depth in job.clamps_mm
+        for x, y, width, depth in block.clamps_mm
     ]
 
 
-def _lens(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
+def _lens(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
     """Draw the aperture, and in it the outline of a lens that is no rectangle."""
-    w, h = scale * job.width_mm, scale * job.height_mm
-    if not job.outline_mm:
+    w, h = scale * block.width_mm, scale * block.height_mm
+    if not block.outline_mm:
         return [_box(zero_x, zero_y - h, w, h, _LENS, "#1f2933")]
-    points = " ".join(f"{zero_x + scale * x:.1f},{zero_y - scale * y:.1f}" for x, y in job.outline_mm)
+    points = " ".join(f"{zero_x + scale * x:.1f},{zero_y - scale * y:.1f}" for x, y in block.outline_mm)
     return [
         f'<rect x="{zero_x:.1f}" y="{zero_y - h:.1f}" width="{w:.1f}" height="{h:.1f}" fill="none" stroke="#5b6b7a" '
         'stroke-width="0.8" stroke-dasharray="2 3"/>',
@@ -88,9 +88,9 @@ def _lens(job: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[s
     ]
 
 
-def _lens_size(job: BlockSizes, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
+def _lens_size(block: BlockSizes, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
     """Return the lens's size: in its middle where that is clear of the axes, else beside the block."""
-    words = f"{job.width_mm:g} × {job.height_mm:g} mm"
+    words = f"{block.width_mm:g} × {block.height_mm:g} mm"
     if min(w, h) - 2 * m > _ROOM_FOR_WORDS:
         x, y, anchor = left + w / 2, top + h / 2, "middle"
     else:
@@ -98,11 +98,11 @@ def _lens_size(job: BlockSizes, left: float, top: float, w: float, h: float, m: 
     return _text(x, y - 18, "lens", anchor=anchor), _text(x, y - 3, words, anchor=anchor)
 
 
-def side_view(job: BlockSizes) -> Markup:
+def side_view(block: BlockSizes) -> Markup:
     """Draw light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
     left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
-    deepest = job.deepest_mm or 0.0
-    depth = min(max(deepest / job.thickness_mm, 0.0), 0.95) * (back - zero)
+    deepest = block.deepest_mm or 0.0
+    depth = min(max(deepest / block.thickness_mm, 0.0), 0.95) * (back - zero)
     low, high = zero + depth, zero + 3
     inner = left + 16
     curve = (
@@ -119,26 +119,26 @@ def side_view(job: BlockSizes) -> Markup:
         f'<line x1="{left - 40}" y1="{zero}" x2="{left + width + 20}" y2="{zero}" stroke="{_ACCENT}" '
         f'stroke-dasharray="5 4"/>',
         _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
-        _dimension_up(left - 24, wall + 2, zero, f"wall {job.throw_mm:g} mm"),
-        _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
-        _text(left + width + 24, back + 4, "flat back" if job.is_mirror else "flat, polished back"),
-        *_draw_light(job, left, width, zero, back),
+        _dimension_up(left - 24, wall + 2, zero, f"wall {block.throw_mm:g} mm"),
+        _dimension_up(left - 24, zero, back, f"{block.thickness_mm:g} mm"),
+        _text(left + width + 24, back + 4, "flat back" if block.is_mirror else "flat, polished back"),
+        *_draw_light(block, left, width, zero, back),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
     ]
-    if job.deepest_mm is not None:
+    if block.deepest_mm is not None:
         beside = min(max(low + 4, zero + 21), back - 14)  # clear of the labels of Z0 and of the back
         parts.append(_text(left + width + 24, beside, f"deepest {deepest:.2f} mm"))
     return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
 
 
-def _draw_light(job: BlockSizes, left: float, width: float, zero: float, back: float) -> list[str]:
+def _draw_light(block: BlockSizes, left: float, width: float, zero: float, back: float) -> list[str]:
     """Draw arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
     middle = left + width / 2
-    spread = 1.0 if job.lamp_mm is None else 0.35
-    low, high = (zero - 62, zero - 8) if job.is_mirror else (back + 34, back + 6)
+    spread = 1.0 if block.lamp_mm is None else 0.35
+    low, high = (zero - 62, zero - 8) if block.is_mirror else (back + 34, back + 6)
     arrows = [_arrow(middle + spread * off, low, middle + off, high, colour="#c77700") for off in (-65.0, 0.0, 65.0)]
-    source = "parallel light" if job.lamp_mm is None else f"lamp, {job.lamp_mm:g} mm away"
-    if job.is_mirror:
+    source = "parallel light" if block.lamp_mm is None else f"lamp, {block.lamp_mm:g} mm away"
+    if block.is_mirror:
         beside, colour = left + width + 24, "#8a5200"
         words = ((source, zero - 58), ("from the wall's side", zero - 42))
         return [*arrows, *(_text(beside, y, line, colour=colour) for line, y in words)]

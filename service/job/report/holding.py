@@ -15,7 +15,7 @@ _JAWS_MM = 5.0  # of the block that a vice needs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockSizes:
-    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
+    """Sizes of a job's block in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
 
     outline_mm : corners of a lens that is no rectangle
     swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
@@ -65,7 +65,7 @@ class Holding:
 
 
 def plan_holding(
-    job: BlockSizes | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
+    block: BlockSizes | None, lows: Sequence[tuple[float, float]], rapid_z_mm: float | None, *, faced: bool = False
 ) -> Holding:
     """Plan it from the ring that programs leave.
 
@@ -74,14 +74,14 @@ def plan_holding(
     faced      : the whole top is milled, from beside the block
     """
     under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM
-    clamped = job is not None and job.has_room_for_clamps
+    clamped = block is not None and block.has_room_for_clamps
     clearance_mm = max(CLEARANCE_MM, under_rapids_mm) if clamped else CLEARANCE_MM
     highest_mm = min(clearance_mm, under_rapids_mm)
     sentences: tuple[str, ...]
-    if job is None or job.swept_mm is None:
+    if block is None or block.swept_mm is None:
         sentences = ("outside of what the cutters sweep.",)
     else:
-        sentences = (_word_sweep(job.swept_mm), *_word_holding(job, lows, highest_mm, faced))
+        sentences = (_word_sweep(block.swept_mm), *_word_holding(block, lows, highest_mm, faced))
     highest = f"{number(highest_mm)} mm above the stock top" if not faced else "1 mm below the faced top"
     return Holding(sentences=sentences, clearance_mm=clearance_mm, highest=highest)
 
@@ -92,27 +92,28 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
 
 
 def _word_holding(
-    job: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
+    block: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
 ) -> Iterator[str]:
-    if job.clamps_mm:
+    if block.clamps_mm:
         yield "The clamps in the drawing are those of stock.clamps: every program was checked against them."
-    if job.has_room_for_clamps:
+    if block.has_room_for_clamps:
         yield (
-            f"Around it a ring {number(job.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "
+            f"Around it a ring {number(block.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "
             f"else (hatched in the drawing), outside the dashed line and at most {number(highest_mm)} mm high. For "
             "higher ones give a greater machine.safe_z_mm; the tools then stick out by as much more."
         )
         return
-    narrow = job.ring_mm > 0
+    narrow = block.ring_mm > 0
     lowest_mm = min([0.0, *(low_mm for ring_mm, low_mm in lows if narrow or ring_mm <= 0)])
     if narrow:
         yield (
-            f"No clamp on top: the ring around it is only {number(job.ring_mm, 1)} mm wide, and the cutters pass it "
+            f"No clamp on top: the ring around it is only {number(block.ring_mm, 1)} mm wide, and the cutters pass it "
             f"down to Z {number(lowest_mm, 1)} mm."
         )
     else:
         yield "That reaches the edge of the block: no clamp on top."
-    jaws = job.thickness_mm + lowest_mm - _UNDER_RAPIDS_MM >= _JAWS_MM
+    jaws = block.thickness_mm + lowest_mm - _UNDER_RAPIDS_MM >= _JAWS_MM
     vice = f", or in a vice whose jaws stay below Z {number(lowest_mm - 1, 1)} mm" if jaws else ""
-    wider = f"; stock.margin_mm = {number(job.margin_mm + CLAMP_MM - job.ring_mm, 1)} leaves a ring that can be clamped"
+    wide_mm = block.margin_mm + CLAMP_MM - block.ring_mm
+    wider = f"; stock.margin_mm = {number(wide_mm, 1)} leaves a ring that can be clamped"
     yield f"Hold it from below (vacuum, wax or double-sided tape){vice}{'' if faced else wider}."

@@ -199,7 +199,7 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
     more = [f"{len(warnings) - most} more on the setup sheet, report.html."] if most < len(warnings) else []
     return [
         ("Warnings", "!", [*map(escape, warnings[:most]), *more]),
-        ("Stock and zero", "•", _items("stock", setup) if setup["job"] else []),
+        ("Stock and zero", "•", _items("stock", setup) if setup["block"] else []),
         ("Before you press start", "☐", _items("start", setup)),
         ("Around the passes", "•", [*map(escape, setup["around"])]),
     ]

@@ -81,10 +81,10 @@ def describe_setup(
     spec = spec or {}
     programs = _programs(report, spec)
     passes = [row for row in programs if not row["is_around"]]
-    job = _block_of(report, spec, programs)
+    block = _block_of(report, spec, programs)
     highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
     rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
-    holding = plan_holding(job, _lows(programs, job), rapid_z_mm, faced=bool(table(spec.get("stock")).get("face")))
+    holding = plan_holding(block, _lows(programs, block), rapid_z_mm, faced=bool(table(spec.get("stock")).get("face")))
     for row in programs:
         if _z_bounds(row):
             row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
@@ -94,9 +94,9 @@ def describe_setup(
         "report": report,
         "optics": table(report.get("optics")),
         "spec": {key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
-        "job": job,
-        "top_view": top_view(job) if job else None,
-        "side_view": side_view(job) if job else None,
+        "block": block,
+        "top_view": top_view(block) if block else None,
+        "side_view": side_view(block) if block else None,
         "passes": programs,
         "unreached": _list_unreached(passes),
         "verdict": _verdict(programs),
@@ -111,7 +111,7 @@ def describe_setup(
         "milled": sentences_as_milled(table(report.get("as_milled"))),
         "prepared": sentences_of_preparation(report),
         "lens_rows": lens_rows(report, spec),
-        "throw": _throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
+        "throw": _throw(block, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         "check_rows": check_rows(programs),
         "finishing": make_finishing_card(report),
         "holding": holding,
@@ -149,10 +149,10 @@ def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
 
 
-def _lows(programs: Sequence[Mapping[str, Any]], job: BlockSizes | None) -> list[tuple[float, float]]:
+def _lows(programs: Sequence[Mapping[str, Any]], block: BlockSizes | None) -> list[tuple[float, float]]:
     """Return (ring that it leaves around the block, lowest Z) of each program [mm]."""
     swept = [(one, _z_bounds(row)[0]) for row in programs if (one := _swept([row])) and _z_bounds(row)]
-    return [] if job is None else [(job.ring_beside_mm(one), low_mm) for one, low_mm in swept]
+    return [] if block is None else [(block.ring_beside_mm(one), low_mm) for one, low_mm in swept]
 
 
 def _block_of(
@@ -299,22 +299,25 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]], clearance_mm: float) -> 
 
 
 def _throw(
-    job: BlockSizes | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
+    block: BlockSizes | None,
+    spec: Mapping[str, Any],
+    passes: Sequence[Mapping[str, Any]],
+    tolerances: Mapping[str, Any],
 ) -> dict[str, Any] | None:
     """Return figures for the paragraph on the distance to the wall and the lamp."""
-    if job is None:
+    if block is None:
         return None
     optics, image, stock = table(spec.get("optics")), table(spec.get("image")), table(spec.get("stock"))
     radii = [row.get("radius_mm") or 0.0 for row in passes]
-    own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
-    spread_mm = job.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
-    screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
+    own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, block.throw_mm)
+    spread_mm = block.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
+    screen_mm = float(optics.get("screen_width_mm") or block.width_mm)
     pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None
     return {
-        "one_percent_mm": 0.01 * job.throw_mm,
-        "tolerances": tolerance_sentences(tolerances, throw_mm=job.throw_mm),
-        "from_back_mm": job.throw_mm + job.thickness_mm,
-        "ring_stays": job.ring_mm > 0 and job.margin_mm > 2 * max(radii, default=0.0) and not stock.get("cut_out"),
+        "one_percent_mm": 0.01 * block.throw_mm,
+        "tolerances": tolerance_sentences(tolerances, throw_mm=block.throw_mm),
+        "from_back_mm": block.throw_mm + block.thickness_mm,
+        "ring_stays": block.ring_mm > 0 and block.margin_mm > 2 * max(radii, default=0.0) and not stock.get("cut_out"),
         "spread_mm": spread_mm,
         "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
         "spread_of": "The sun's disc" if own_mm is None else "The size of the source",

@@ -135,12 +135,12 @@ class Supervisor:
 
     def _announce(self, words: str) -> None:
         """Announce where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
-        where, folder = url_of(self._listener), _read_setting("DATA", "")
+        where, folder = url_of(self._listener), _read_setting("DATA")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
             if self._ready:
                 self._show_code(where)
-        if not self._announced and self._starts is not None and _read_setting("START_AGENTS", "true") == "true":
+        if not self._announced and self._starts is not None and _read_setting("START_AGENTS") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
         self._announced = True
@@ -153,7 +153,7 @@ class Supervisor:
             terminal.write(code_lines(terminal, where, code_of(self._offer)))
             terminal.flush()
         else:
-            words = f"causticmill token pair --data {_read_setting('DATA', '')}"
+            words = f"causticmill token pair --data {_read_setting('DATA')}"
             print(f"open {where} in a browser; on a terminal, this prints a code for it: {words}", flush=True)
 
     def _stop(self, code: int) -> None:
@@ -178,14 +178,12 @@ def main() -> int:
     nothing.
     """
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
-    modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL", "false") == "true" else {})
+    modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
     try:
         with (
-            lock_folder(Path(_read_setting("DATA", "causticmill-data"))),
-            contextlib.closing(
-                bind_address(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
-            ) as listener,
+            lock_folder(Path(_read_setting("DATA"))),
+            contextlib.closing(bind_address(_read_setting("HOST"), int(_read_setting("PORT")))) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}
             return Supervisor(listener, wanted, offer=new_offer() if _terminal() else "", began=began).run()
@@ -198,9 +196,9 @@ def _terminal() -> TextIO | None:
     return next((stream for stream in (sys.stdout, sys.stderr) if stream is not None and stream.isatty()), None)
 
 
-def _read_setting(name: str, default: str) -> str:
-    """Read a setting; the command has checked them all and put them into the environment."""
-    return os.environ.get(f"{_PREFIX}{name}", default)
+def _read_setting(name: str) -> str:
+    """Read a setting; the command has checked them all and put them into the environment, defaults too."""
+    return os.environ[f"{_PREFIX}{name}"]
 
 
 def _watch(name: str, module: str, listener: socket.socket, offer: str) -> SupervisedChild:
@@ -209,9 +207,7 @@ def _watch(name: str, module: str, listener: socket.socket, offer: str) -> Super
     if name == "API":
         passed = (listener.fileno(),)
         environment |= {lifeline.LISTEN_FD: str(listener.fileno()), lifeline.PAIRING_OFFER: offer}
-    return SupervisedChild(
-        name, module, environment, lease_s=float(_read_setting("LEASE_S", "30")), passed=passed, say=_say
-    )
+    return SupervisedChild(name, module, environment, lease_s=float(_read_setting("LEASE_S")), passed=passed, say=_say)
 
 
 @contextlib.contextmanager

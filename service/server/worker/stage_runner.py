@@ -110,7 +110,7 @@ class StageRunner:
             inputs=self._files,
             report=self._so_far.report,
             notes=self._so_far.notes,
-            limits=PictureLimits(max_pixels=int(self._context.settings.max_megapixels * 1e6)),
+            limits=PictureLimits(max_pixels=self._context.settings.max_pixels),
         )
 
         def on_progress(share: float) -> None:

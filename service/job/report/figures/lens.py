@@ -12,7 +12,7 @@ from matplotlib.colors import LightSource
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up
+from service.job.report.figures.base import COLOURS, Array, new_figure, panel_height, png_bytes, round_up
 
 _LINES_SHOWN = 48
 _CONTOURED = 400  # vertices along a side for contour lines: about a pixel and a half each
@@ -47,7 +47,7 @@ def heightfield_png(
     depth_mm, middle_mm = float(np.ptp(z_mm)), float(z_mm.max() + z_mm.min()) / 2
     half_mm = max(depth_mm, _LEAST_SCALE_MM) / 2  # the rounding errors of a flat lens are not worth a colour
     image = heights.imshow(
-        z_mm, extent=extent, origin="lower", cmap="viridis", vmin=middle_mm - half_mm, vmax=middle_mm + half_mm
+        z_mm, extent=extent, origin="lower", cmap=COLOURS, vmin=middle_mm - half_mm, vmax=middle_mm + half_mm
     )
     step_mm = round_up(depth_mm / 25)
     title = f"Height z: relief {depth_mm:.2f} mm"

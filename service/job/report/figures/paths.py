@@ -18,13 +18,13 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes
+from service.job.report.figures.base import COLOURS, Array, new_figure, panel_height, png_bytes
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.path_sample import PathSample
 
 __all__ = ["PathSample", "toolpath_png"]
 
-_CMAP = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.87, 256)))  # its yellow end is lost on white
+_CMAP = ListedColormap(colormaps[COLOURS](np.linspace(0.0, 0.87, 256)))  # its yellow end is lost on white
 _ORDER = ListedColormap(colormaps["turbo"](np.linspace(0.03, 0.97, 256)))
 _RAPID = "crimson"
 _SIDE_BY_SIDE = 3  # passes

@@ -45,7 +45,7 @@ async def post_estimate(
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
-    limit = int(settings.max_upload_mb * 1e6)
+    limit = settings.max_upload_bytes
     async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
         wanted = await asyncio.to_thread(job_request, form)
         async with services.accepting:
@@ -53,7 +53,7 @@ async def post_estimate(
         asked = {
             "path": str(form.path),
             "name": form.image_name,
-            "max_pixels": int(settings.max_megapixels * 1e6),
+            "max_pixels": settings.max_pixels,
             "spec": wanted.spec,
             "figures": wanted.figures,
             "exactly": exactly,
@@ -74,4 +74,4 @@ async def post_estimate(
 
 
 def _check_picture(services: Services, form: JobForm) -> None:
-    services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))
+    services.pictures.check(form.path, form.image_name, services.settings.max_pixels)

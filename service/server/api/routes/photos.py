@@ -142,7 +142,7 @@ async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
-    limit, most = int(settings.max_upload_mb * 1e6), int(settings.max_megapixels * 1e6)
+    limit, most = settings.max_upload_bytes, settings.max_pixels
     uploads = settings.data / "uploads"
     async with receive_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
         try:

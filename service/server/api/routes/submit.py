@@ -87,7 +87,7 @@ async def submit(
     key = idempotency_key(idempotency_key_header, principal)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
-    limit = int(settings.max_upload_mb * 1e6)
+    limit = settings.max_upload_bytes
     async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
         wanted = await asyncio.to_thread(job_request, form)
         await asyncio.to_thread(space.require_for_programs, wanted.spec)
@@ -99,7 +99,7 @@ async def submit(
 
 def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None) -> JobView:
     """Check, store, write down, hand to the engine: in this order, so that no answer tells of a job that is not."""
-    services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))
+    services.pictures.check(form.path, form.image_name, services.settings.max_pixels)
     stored = services.store.put_file(form.path)
     if stored.sha256 != form.image_sha256:
         raise Problem(503, "the picture changed on its way into the artifact store; send it again")

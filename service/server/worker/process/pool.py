@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import FailedError
+from service.server.worker.lease import SAFE_SHARE
 from service.server.worker.process.forkserver_client import Child, ForkServerError, ForkServerLink
 from service.server.worker.process.log import StageLog
 from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
@@ -80,7 +81,7 @@ class StageProcesses:
                 while not server.ready.wait(_TICK_S):
                     if reason := stop():
                         return Stopped(reason)
-                return self._link.start_child(server, files.given, silence_s=0.6 * self._settings.lease_s)
+                return self._link.start_child(server, files.given, silence_s=SAFE_SHARE * self._settings.lease_s)
             except ForkServerError as error:
                 words = str(error)
         return Crashed(f"the stage could not be started: {words}")

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from service.server.pairing_code import frame_rows
+from service.settings import ServerSettings
 from tests.service.server.supervisor.processes import CODE, HERE, STAND_INS
 from tests.waiting import PATIENCE_S, until
 
@@ -53,9 +54,9 @@ def test_a_log_that_a_person_reads_is_a_short_line(form: str, terminal: bool) ->
 def test_on_a_terminal_address_and_code_stand_in_a_frame(tmp_path: Path) -> None:
     """The supervisor with stand-ins for API and worker, which never answer with words of their own."""
     ours, its = os.openpty()
-    given = {"CAUSTICMILL_PORT": "0", "CAUSTICMILL_START_AGENTS": "false", "CAUSTICMILL_DATA": str(tmp_path)}
+    settings = ServerSettings(data=tmp_path, port=0, start_agents=False)
     command = [sys.executable, "-m", "service.server.supervisor.supervisor", *STAND_INS]
-    environment = os.environ | given | {"PYTHONPATH": str(HERE), "PYTHONUTF8": "1"}
+    environment = settings.environment() | {"PYTHONPATH": str(HERE), "PYTHONUTF8": "1"}
     serving = subprocess.Popen(command, stdout=its, stderr=subprocess.PIPE, env=environment)
     os.close(its)
     os.set_blocking(ours, False)
