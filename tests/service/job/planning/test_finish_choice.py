@@ -25,9 +25,9 @@ def target_of(pixels: int) -> Array:
     return target_irradiance(np.clip(picture, 0, 1), viewed_from="lens")
 
 
-def planned(*overrides: str, whole: Array | None = None) -> Planned:
+def planned(*overrides: str, whole: Array | None = None, target: Array | None = None) -> Planned:
     job = resolve_job(preset="recommended", overrides=[*SIZE, *overrides])
-    return plan_for_picture(job, target_of(64), whole=whole)
+    return plan_for_picture(job, target_of(64) if target is None else target, whole=whole)
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +40,12 @@ def test_a_rough_mill_gets_a_finish_that_shows_more(best_on_a_rough_mill: Planne
     assert best_on_a_rough_mill.finishing is not None
     assert best_on_a_rough_mill.unfinished is not None
     assert best_on_a_rough_mill.chosen.psnr_db > best_on_a_rough_mill.unfinished.chosen.psnr_db + 1.0
+
+
+def test_rows_run_where_their_stripes_are_seen_less(best_on_a_rough_mill: Planned) -> None:
+    """Light that is drawn together across its lines shows stripes across them more: a turned picture turns the rows."""
+    turned = planned("finish.process=best", *ROUGH, target=np.ascontiguousarray(target_of(64).T))
+    assert {plan.chosen.finish.direction for plan in (best_on_a_rough_mill, turned)} == {"x", "y"}
 
 
 def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
