@@ -19,7 +19,7 @@ from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
-from cam.planning.written_time import rows_s
+from cam.planning.written_time import first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2
@@ -206,6 +206,27 @@ def _time_again(one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop
     seconds[len(one.before)] += rows_s(settled, one.finish, shop.mill, shop.digits)
     seconds[len(one.before)] -= rows_s(guessed, one.finish, shop.mill, shop.digits)
     return replace(one, seconds=tuple(seconds))
+
+
+def time_by_lens(plan: Plan, lens: LensForm, goal: Goal, *, guessed: LensForm, shop: Shop) -> Plan:
+    """Return a plan that takes as long as its lens does: what else that ball would take in proportion.
+
+    lens    : of the choice, as fine as the job's: fine detail has shorter chords and walls of its own
+    guessed : the coarse one that the plan was made with
+    """
+    chosen = plan.chosen
+    timed = _time_again(chosen, guessed, lens, shop)
+    first_s = first_pass_s(lens, chosen.passes[0], shop.mill, shop.digits, safe_z_mm=shop.safe_z_mm)
+    timed = replace(timed, seconds=(first_s, *timed.seconds[1:]))
+    longer = timed.hours / chosen.hours
+    front = [
+        replace(one, seconds=tuple(longer * part_s for part_s in one.seconds))
+        if one.finish.radius_mm == chosen.finish.radius_mm
+        else one
+        for one in plan.front
+        if one is not chosen
+    ]
+    return plan_by_score([*front, timed], plan.left_out, goal)
 
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:

@@ -3,8 +3,8 @@
 What a move takes off is measured across its row. There the stock of the moment is the lower envelope of balls standing
 at the tips of the rows about it: as deep as their last cut where they have been cut, as the layer above left them where
 they have not. Between it and the ball lies the section of the cut; section times feed is stock a minute. A feed holds
-for a stretch as long as the ball's radius at least, is the least that its places and those half a radius beside them
-allow, and is rounded down to one of a few.
+for a stretch as long as the ball's radius at least, is the least that its places and those near beside them allow, and
+is rounded down to one of a few.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ SLOT_SIDES, SLOT_DEPTH_SHARE = 0.4, 0.3
 """Of a slot's section, on both sides alike, and of the step-down: from there on a cut counts as a slot."""
 
 _STEP = 1.1  # from one feed to the next
+_BESIDE = 0.7  # radii on which a feed holds before and after: walls aslant to a row begin earlier than across it
 _WHOLE_FROM = 10.0  # mm/min
 _POINTS = 24  # across the ball
 _LEFT, _RIGHT, _DEEP = range(3)
@@ -121,5 +122,5 @@ def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) 
     most = most_feed_mm_per_min(spec)
     feed = round_feed(most * _STEP ** -np.ceil(np.log(most / feed) / log(_STEP) - 1e-9))
     stretch = ceil(spec.radius_mm / step_mm) | 1
-    least = minimum_filter1d(feed, stretch + 2 * (stretch // 2), mode="nearest")
+    least = minimum_filter1d(feed, stretch + 2 * ceil(_BESIDE * stretch), mode="nearest")
     return np.asarray(maximum_filter1d(least, stretch, mode="nearest"))

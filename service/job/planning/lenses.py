@@ -125,12 +125,21 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
 
+    @cache
     def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
         aim, wanted = (target, whole) if fine else (_coarser(target), quick)
         made = compute_passes(aim, replace(wanted, finish=finish, min_radius_mm=radius_mm))
         return made.best.lens, aim
 
     return design
+
+
+def design_whole(light: PictureLight, marks: Marks, settings: LensSettings, *, as_given: bool) -> Heightfield:
+    """Return the lens as fine as the target, for those rows and no finish."""
+    whole = replace(simplify(settings), corrections=settings.corrections)
+    if not as_given:
+        whole = replace(whole, min_radius_mm=marks.smallest_mm)
+    return compute_passes(light.aim(marks), whole).best.lens
 
 
 def compute_passes(

@@ -8,7 +8,8 @@ from dataclasses import replace
 from math import ceil, inf
 
 from cam.materials import MATERIALS
-from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
+from cam.planning.pass_time import LensForm
+from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score, time_by_lens
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
@@ -16,13 +17,14 @@ from optics.heightfield import Array, Heightfield
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
+    Finishing,
     is_surely_worth_it,
     is_worth_it,
     list_finishings,
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import design_for_finishes, predict_designs, predict_lens
+from service.job.planning.lenses import design_for_finishes, design_whole, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import digits_of, kinematics_of
@@ -32,6 +34,7 @@ from service.job.spec.resolved import ResolvedJob
 from service.wording import duration
 
 Progress = Callable[[float], None]
+OwnLens = Callable[[Plan, PictureLight, Finishing | None], Heightfield]
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
 
@@ -54,7 +57,17 @@ def plan_for_picture(
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    return _choose_plan(job, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
+    design = design_for_finishes(target, settings)
+
+    def own_lens(plan: Plan, light: PictureLight, finishing: Finishing | None) -> Heightfield:
+        marks = plan.chosen.marks
+        if finishing is None:
+            return design_whole(light, marks, settings, as_given=not shapes)
+        return design(finishing.finish, marks.radius_mm, True)[0]
+
+    return _choose_plan(
+        job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens if whole is None else None
+    )
 
 
 def plan_for_lens(
@@ -114,7 +127,14 @@ def _radii(shop: Shop) -> list[float]:
 
 
 def _choose_plan(
-    job: ResolvedJob, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
+    job: ResolvedJob,
+    shop: Shop,
+    light: PictureLight,
+    design: Design,
+    *,
+    shapes_lens: bool,
+    whole: Array | None = None,
+    own_lens: OwnLens | None = None,
 ) -> Planned:
     goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
     finished: FinishedPlan | None = None
@@ -138,13 +158,23 @@ def _choose_plan(
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
         ) from None
+    finishing = None
+    if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
+        plan, light, finishing = finished.plan, finished.light, finished.finishing
+    if own_lens is not None:
+        coarse = light.forms[plan.chosen.finish.radius_mm]
+        plan = time_by_lens(plan, LensForm.of(own_lens(plan, light, finishing)), goal, guessed=coarse, shop=shop)
     if goal.hours is not None and not plan.met:
         least = ceil(10 * plan.quickest.hours) / 10
         words = f"no plan takes {goal.hours:g} h or less; the quickest: {duration(3600 * plan.quickest.hours)}"
         raise SpecError([("plan.hours", words)], {"plan.hours": least})
-    planned = Planned(
-        plan=plan, light=light, machine=mill_of(job), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
+    return Planned(
+        plan=plan,
+        light=light,
+        machine=mill_of(job),
+        goal=goal,
+        shapes_lens=shapes_lens,
+        tools=shop.tools,
+        finishing=finishing,
+        unfinished=None if finishing is None else milled,
     )
-    if finished is None or not (given or is_worth_it(finished.plan, milled, goal)):
-        return planned
-    return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=milled)

@@ -170,7 +170,7 @@ class PictureLight:
             return
         wanted = [marks for marks in several if any(self.foreseen_blur_mm(marks))]
         with ThreadPoolExecutor(thread_count()) as pool:
-            designs = list(pool.map(self._redesign, wanted, map(self._aim, wanted)))
+            designs = list(pool.map(self._redesign, wanted, map(self.aim, wanted)))
         for marks, put in zip(wanted, designs, strict=True):
             before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
             put(self)
@@ -275,10 +275,10 @@ class PictureLight:
         """Return the picture of the lens for that ball, made sharper and then milled, without grain."""
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
-            waves = waves + waves_of(self._aim(marks) - self.target)
+            waves = waves + waves_of(self.aim(marks) - self.target)
         return self._milled(marks, waves)
 
-    def _aim(self, marks: Marks) -> Array:
+    def aim(self, marks: Marks) -> Array:
         """Return the target, sharper by what those rows will blur."""
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
         return sharpen(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))

@@ -17,7 +17,7 @@ from cam.duration import DurationModel, Kinematics
 from cam.materials import PMMA
 from cam.passes import PAPER_PASSES, PassSpec, Stock, ball_pass
 from cam.planning.pass_time import LensForm
-from cam.planning.planner import TOLERATED_DB, Goal, Marks, NoPlanError, Plan, choose, make_plan
+from cam.planning.planner import TOLERATED_DB, Goal, Marks, NoPlanError, Plan, choose, make_plan, time_by_lens
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop
@@ -95,6 +95,23 @@ def test_the_choice_is_nearly_the_best_and_nothing_quicker_is(plan: Plan) -> Non
     best = max(one.psnr_db for one in plan.front)
     assert plan.chosen.psnr_db >= best - TOLERATED_DB
     assert all(one.psnr_db < best - TOLERATED_DB for one in plan.front if one.hours < plan.chosen.hours)
+
+
+def test_hours_are_those_of_the_lens_itself_and_the_choice_moves_with_them(plan: Plan) -> None:
+    """A lens with fine detail that the coarse one lacks takes longer, and what fitted in the hours no longer does."""
+    coarse, fine = LensForm.of(bumps()), LensForm.of(bumps(1.0))
+    shop_of_all = shop(*(tool(radius) for radius in (0.5, 1.5, 3.0, 4.0)))
+    timed = time_by_lens(plan, fine, Goal(), guessed=coarse, shop=shop_of_all)
+    assert (timed.chosen.passes, timed.chosen.marks) == (plan.chosen.passes, plan.chosen.marks)
+    rough, finish = timed.chosen.passes[0], timed.chosen.finish
+    assert timed.chosen.seconds[0] == first_pass_s(fine, rough, MILL)
+    more_s = rows_s(fine, finish, MILL) - rows_s(coarse, finish, MILL)
+    assert timed.chosen.seconds[-1] == pytest.approx(plan.chosen.seconds[-1] + more_s)
+    goal = Goal(hours=1.001 * plan.chosen.hours)
+    kept = replace(plan, chosen=choose(plan.front, goal)[0])
+    moved = time_by_lens(kept, fine, goal, guessed=coarse, shop=shop_of_all)
+    assert moved.met and moved.chosen.hours <= goal.hours < timed.chosen.hours
+    assert moved.chosen.finish != kept.chosen.finish
 
 
 @settings(max_examples=60)
