@@ -35,7 +35,7 @@ class OpticsSpec(Section):
 
     width_mm: Annotated[Length, shown("Width", card="main", filled=True)] = 100.0
     height_mm: Annotated[Length, shown("Height", card="main", filled=True)] = 100.0
-    throw_mm: Annotated[Distance, shown("Distance to the wall", card="lens", filled=True)] = 100.0
+    throw_mm: Annotated[Distance, shown("Distance to the wall", card="main", filled=True)] = 100.0
     refractive_index: Annotated[
         float,
         Field(ge=1.05, le=3.0),

@@ -152,8 +152,7 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
     yield (
         "the mill's steps in height will blur the picture; finer positions or a larger ball show more (steps of "
-        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm ({1000 * slope:.0f} mrad) from row "
-        f"to row: about {49 * slope:.2g} mm on a screen 100 mm away, in acrylic with its refractive index of 1.49)"
+        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm from row to row)"
     )
 
 

@@ -22,8 +22,9 @@ export function progressPart() {
   const bar = h("progress", { max: 1, "aria-label": t("Progress of the job") });
   const words = h("span", { class: "progress-words" });
   const list = h("ol", { class: "stages" });
+  const meanwhile = h("p", { hidden: true }, h("a", { href: "#/machines" }, t("Get the mill ready meanwhile")));
   const details = h("details", {}, h("summary", {}, words), list);
-  const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details);
+  const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details, meanwhile);
   let shown = null, before = null;
 
   function update(job, live, link) {
@@ -31,6 +32,7 @@ export function progressPart() {
     const share = busy && live ? Math.max(job.progress, live.progress) : job.progress;
     bar.hidden = job.state === "succeeded" || job.state === "queued";
     bar.value = share;
+    meanwhile.hidden = !busy;
     write(words, sentence(job, share, live, link));
     if (before !== job.state) details.open = busy || job.state === "failed";
     before = job.state;

@@ -29,13 +29,14 @@ function form(scope, close) {
     spellcheck: false,
     placeholder: "XXXX-XXXX-XXXX",
     "aria-describedby": `${hint} ${fault}`,
+    oninput: () => (key.value = spelled(key.value)),
   });
   const name = h("input", {
     type: "text",
     required: true,
     maxLength: 40,
     autocomplete: "name",
-    value: api.who.anonymous ? "" : api.who.name,
+    value: api.who.anonymous ? usualName() : api.who.name,
   });
   const wrong = h("p", { class: "fault", id: fault, role: "alert" });
   const submit = h("button", { type: "submit", class: "primary" }, t("Enter"));
@@ -77,8 +78,24 @@ function form(scope, close) {
   );
 }
 
+/** What others see of a page whose user tells no name. */
+function usualName() {
+  return matchMedia("(pointer: coarse)").matches ? t("Phone") : t("Computer");
+}
+
+/** A code as it is printed, while it is typed; a token as it is. */
+function spelled(text) {
+  const code = bare(text);
+  if (text.startsWith("cm_") || !/^[0-9A-Z]{5,12}$/.test(code)) return text;
+  return code.match(/.{1,4}/g).join("-");
+}
+
+function bare(text) {
+  return text.replace(/[\s-]/g, "").toUpperCase();
+}
+
 async function exchange(text, name) {
-  const code = text.replace(/[\s-]/g, "").toUpperCase();
+  const code = bare(text);
   if (CODE.test(code)) return api.pair(code, name);
   if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
   throw new Error(t("A code is twelve letters and digits, like XXXX-XXXX-XXXX."));

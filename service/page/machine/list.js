@@ -81,7 +81,7 @@ function card(name) {
 }
 
 function leftWords({ run, simulated }) {
-  return run?.share > 0 && Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(", simulated") : ""}` : "";
+  return run?.share > 0 && Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
 
 /** What is wrong, in a line, or what brings it back; its own screen has the rest. */

@@ -29,7 +29,7 @@ export function loadCard(link, chosen) {
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
   none.hidden = form.hidden = true;
-  const facts = { ready: false, jobs: 0, atWork: false, get preset() { return findPreset(); } };
+  const facts = { ready: false, jobs: 0, atWork: "", get preset() { return findPreset(); } };
   let [timer, followed, listed] = [0, "", ""]; // listed: the job whose programs are offered
 
   const again = () => words.run(list);
@@ -42,7 +42,7 @@ export function loadCard(link, chosen) {
     if (meant && mayBeMilled(meant)) found.push(meant); // older than those that are listed
     replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === findWanted().job, dataset: { name: job.name } }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     waitFor(meant ?? (found.length ? null : all[0]));
-    Object.assign(facts, { ready: true, jobs: found.length, atWork: !later.hidden });
+    Object.assign(facts, { ready: true, jobs: found.length });
     none.hidden = found.length > 0 || !later.hidden;
     form.hidden = found.length === 0;
     if (found.length) await choose(jobs.value);
@@ -83,6 +83,7 @@ export function loadCard(link, chosen) {
   function waitFor(job) {
     clearTimeout(timer);
     later.hidden = !job || !["queued", "running"].includes(job.state);
+    facts.atWork = later.hidden ? "" : percent(job.progress);
     if (later.hidden) return;
     write(later.lastChild, t`${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded once all of them have been checked.`);
     timer = setTimeout(again, AGAIN_MS);
@@ -109,7 +110,7 @@ export function loadCard(link, chosen) {
     button: load,
     follow,
     close: () => clearTimeout(timer),
-    /** What the next step is told by: {ready, jobs, atWork, preset}. */
+    /** What the next step is told by: {ready, jobs, atWork: the share that is done of the job waited for, preset}. */
     facts,
     update(nextStep) {
       const why = whyNot(link, STANDS, { besideRun: true });

@@ -10,6 +10,7 @@ import { enable } from "./refusal_line.js";
 import { refusalOf } from "./words.js";
 
 const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
+const SHOWN_MS = 2000; // that a card that is shown is framed
 const SHORT = 60; // letters of a refusal that the line has room for
 const NONE = { brief: "", whole: "" };
 
@@ -89,6 +90,7 @@ export function next(link, cards, presses) {
 function reveal(found) {
   const card = found?.querySelector(".checklist") ?? found; // what is to be ticked
   card?.scrollIntoView({ block: "start" });
+  card?.animate([{ outline: "3px solid var(--accent)" }, { outline: "3px solid transparent" }], SHOWN_MS);
   const first = card?.querySelector(".pad button:enabled") ?? card?.querySelector("button:enabled, select:enabled, input:enabled");
   first?.focus({ preventScroll: true });
 }

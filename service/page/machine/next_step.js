@@ -138,19 +138,23 @@ function findZeroStep(machine, setup, foreign) {
 function findCornerStep(machine, setup) {
   const margin = setup.stock?.margin_mm;
   const mount = setup.tool?.radius_mm ? t`clamp the block, put in ${ball(setup.tool.radius_mm)}; ` : "";
-  if (isAtHome(machine, "XY")) return makeStep("corner", t`${mount}jog over the lens's front left corner.`, { go: "jog" });
+  if (isAtHome(machine, "XY")) return makeStep("corner", t`${mount}jog over the lens's front left corner${anyPlace(machine)}.`, { go: "jog" });
   const where = Number.isFinite(margin) ? t` (${margin} mm inside the block)` : "";
   return makeStep("zero", t`jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
 }
 
+function anyPlace({ simulated }) {
+  return simulated ? t(" (simulated: any place will do)") : "";
+}
+
 function findTopStep(machine, before) {
-  if (isAtHome(machine, "Z")) return makeStep("top", t`${before}lower the tool onto the block's top.`, { go: "jog" });
+  if (isAtHome(machine, "Z")) return makeStep("top", t`${before}lower the tool onto the block's top${anyPlace(machine)}.`, { go: "jog" });
   return makeStep("zero", t`${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
 function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
-  if (none && atWork) return makeStep("wait", t("wait for the job at work, then load its program here. Clamp the block meanwhile."), { kind: "busy" });
+  if (none && atWork) return makeStep("wait", t`wait for the job at work, of which ${atWork} is done; its program is loaded here then. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
   if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });
