@@ -23,7 +23,7 @@ FRAME_MM = 1.0
 
 
 class FaceSpec(Section):
-    """The raw top taken down to Z0 before the first pass. Speeds, feeds and steps left out follow from the cutter.
+    """The raw top taken down to Z0 before the first pass. Pitch, speeds and feeds left out follow from `cam.cutters`.
 
     above_mm        : the most that the raw top stands above Z0
     shank_radius_mm : of what the collet holds; left out: as thick as the cutter

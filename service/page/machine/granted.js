@@ -8,7 +8,7 @@ import { t } from "../lib/language.js";
 
 const WITHIN_MS = 2000;
 const HEADER = "Causticmill-Grant";
-const LATE = t("Not sent: the mill did not answer within 2 s. Look at it, then press again.");
+const LATE = t`Not sent: the mill did not answer within ${WITHIN_MS / 1000} s. Look at it, then press again.`;
 
 /** The order was not sent. */
 export class NotSentError extends Error {}

@@ -1,4 +1,4 @@
-"""The way of one claimed job through its stages."""
+"""The way of one claimed job through its stages; one that crashes is tried again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from service.server.worker.monitor import Watched
 from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.store.base import MissingObjectError
 
-TRIES = 3
+STAGE_TRIES = 3  # of a stage whose process ends without a result
 log = structlog.get_logger()
 
 
@@ -72,7 +72,7 @@ class StageRunner:
             match end:
                 case Done(plain):
                     return self._commit(begun, StageResult.from_plain(plain), record)
-                case Crashed(words) if self._count_crashes(stage) < TRIES - 1:
+                case Crashed(words) if self._count_crashes(stage) < STAGE_TRIES - 1:
                     self._close(begun, StageState.INTERRUPTED, words, record)
                 case Stopped(reason):
                     self._end_stopped(reason, begun, record)
@@ -150,7 +150,7 @@ class StageRunner:
             case Failed(lines):
                 words = "\n".join(lines)
             case Crashed(crash):
-                words = f"it ended {TRIES} times without a result: {crash}"
+                words = f"it ended {STAGE_TRIES} times without a result: {crash}"
             case _:
                 words = f"it ended as {end}"
         self._close(begun, StageState.FAILED, words, record)
