@@ -4,6 +4,8 @@ import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { capital, hours, percent, percentUnderWay } from "../lib/words.js";
+import { mills } from "../machine/mills.js";
+import { addressOf } from "../machine/words.js";
 import { stageWords } from "./figures.js";
 import { leftWords, secondsLeft } from "./left.js";
 
@@ -22,7 +24,8 @@ export function progressPart() {
   const bar = h("progress", { max: 1, "aria-label": t("Progress of the job") });
   const words = h("span", { class: "progress-words" });
   const list = h("ol", { class: "stages" });
-  const meanwhile = h("p", { hidden: true }, h("a", { href: "#/machines" }, t("Get the mill ready meanwhile")));
+  const mill = h("a", {}, t("Get the mill ready meanwhile"));
+  const meanwhile = h("p", { hidden: true }, mill);
   const details = h("details", {}, h("summary", {}, words), list);
   const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details, meanwhile);
   let shown = null, before = null;
@@ -32,7 +35,9 @@ export function progressPart() {
     const share = busy && live ? Math.max(job.progress, live.progress) : job.progress;
     bar.hidden = job.state === "succeeded" || job.state === "queued";
     bar.value = share;
-    meanwhile.hidden = !busy;
+    const { machines } = mills.seen;
+    meanwhile.hidden = !busy || machines.length === 0;
+    mill.href = machines.length === 1 ? addressOf(machines[0].name) : "#/machines";
     write(words, sentence(job, share, live, link));
     if (before !== job.state) details.open = busy || job.state === "failed";
     before = job.state;

@@ -144,7 +144,7 @@ function findCornerStep(machine, setup) {
 }
 
 function anyPlace({ simulated }) {
-  return simulated ? t(" (simulated: any place will do)") : "";
+  return simulated ? t(" (simulated: any place)") : "";
 }
 
 function findTopStep(machine, before) {

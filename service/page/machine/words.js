@@ -141,7 +141,7 @@ export function coordinate(value, places = 3) {
 
 /** Every program switches it on; what has a switch of its own does not hear that. */
 function spindleWords(rpm) {
-  return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; one with a switch of its own is switched on by hand` : "";
+  return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
 }
 
 /** What a person looked at before the mill moves; `setup` of the run says what is right. */

@@ -34,7 +34,9 @@ export function specForm({ profiles, onChange, planned }) {
   function keepShape(changedKey) {
     const [wide, high] = [width, height].map((one) => safely(one.read));
     if (changedKey === height.key) shape.byHand = high !== undefined;
-    if (changedKey === width.key && wide > 0 && !shape.byHand) height.show(+(wide * shape.ratio).toFixed(3));
+    if (changedKey !== width.key || !(wide > 0) || shape.byHand) return;
+    height.show(+(wide * shape.ratio).toFixed(3));
+    height.blame("");
   }
 
   /** Rows are there only where they mean something, or those that everybody chooses greyed; one that appears empty and needs a value gets a start. */

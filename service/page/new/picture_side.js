@@ -101,7 +101,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   function show(estimate, first) {
     now.estimate = estimate;
     seen.wall.classList.add("known");
-    write(told, !first && Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
+    write(told, first ? t("A first look: exact figures follow.") : Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
     seen.draw();
   }
 

@@ -77,8 +77,15 @@ function numberInput(field, { described, onChange }, more) {
     title: field.limits || null,
     "aria-describedby": described,
     oninput: onChange,
+    onfocus: selectAll,
     ...more,
   });
+}
+
+/** What is typed takes the place of the number that stands there, also where a press, let go, would set the cursor. */
+function selectAll({ target }) {
+  target.select();
+  target.addEventListener("mouseup", (event) => event.preventDefault(), { once: true });
 }
 
 function withUnit(input, unit) {
