@@ -154,7 +154,7 @@ function findTopStep(machine, before) {
 
 function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
-  if (none && atWork) return makeStep("wait", t`wait for the job at work, of which ${atWork} is done; its program is loaded here then. Clamp the block meanwhile.`, { kind: "busy" });
+  if (none && atWork) return makeStep("wait", t`wait for the job at work, of which ${atWork} is done; load its program here then. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
   if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });
