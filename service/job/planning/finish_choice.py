@@ -19,6 +19,7 @@ from service.job.spec.resolved import ResolvedJob
 _NEAR = 6  # of such steps, within which a lens is as good a sample
 _FINER = 1.12  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
+_FINER_LACKS = 1.6  # times as much as a lens of 96 pixels, of the light of one as fine as the picture
 _WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _GUESS_DB = 1.0  # that sharpening may bring: 0.9 at most on six pictures and four mills and sizes
@@ -91,22 +92,26 @@ def plan_finish(
 ) -> FinishedPlan:
     """Return the best plan of all finishings, its guesses corrected by a lens designed for one of the best of them.
 
-    exactly    : and by one as fine as the picture for the best: creases cost more there than on a coarse one
+    exactly    : and by one as fine as the picture for each of the two best: creases cost more there than on a coarse
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
     rows = _quickest_alike(candidates)
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
-    first = _best(rows, left_out, ways[::_NEAR], goal)
-    first.light.calibrate(first.plan.chosen.marks, design)
+    first = _find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+    first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
     for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
-    best = _best(rows, left_out, ways, goal)
+    plans = _plan_all(rows, left_out, ways, goal)
+    best = _find_best(plans, goal)
     if not exactly:
         return best
-    best.light.calibrate(best.plan.chosen.marks, design, fine=True)
-    return _best(rows, left_out, [(best.finishing, best.light)], goal)
+    others = [one for one in plans if one is not best]
+    tried = [best, *sorted(others, key=lambda one: merit(one.plan, goal))[-1:]]  # some lenses turn out badly
+    for one in tried:
+        one.light.calibrate(one.plan.chosen.marks, design, fine=True)
+    return _find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in tried], goal), goal)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
@@ -119,22 +124,27 @@ def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
     return list(found.values())
 
 
-def _best(
+def _plan_all(
     candidates: list[Candidate],
     left_out: tuple[tuple[str, str], ...],
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
-) -> FinishedPlan:
+) -> list[FinishedPlan]:
+    return [
+        FinishedPlan(
+            plan=plan_by_score(_score_better(candidates, light), left_out, goal), finishing=finishing, light=light
+        )
+        for finishing, light in ways
+    ]
+
+
+def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
-    found: list[FinishedPlan] = []
-    for finishing, light in ways:
-        plan = plan_by_score(_score_better(candidates, light), left_out, goal)
-        found.append(FinishedPlan(plan=plan, finishing=finishing, light=light))
-    best = max(found, key=lambda one: merit(one.plan, goal))
+    best = max(plans, key=lambda one: merit(one.plan, goal))
     if goal.psnr_db is not None or goal.blur_mm is not None:
         return best
     least = (best.plan.met, best.plan.chosen.psnr_db - _ALIKE_DB)
-    alike = [one for one in found if merit(one.plan, goal) >= least]
+    alike = [one for one in plans if merit(one.plan, goal) >= least]
     return best if len(alike) == 1 else max(alike, key=_ssim)
 
 

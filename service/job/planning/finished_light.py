@@ -128,8 +128,11 @@ class FinishedLight(PictureLight):
         lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot, 0.0))
 
-    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False) -> None:
-        """Correct both guesses by a lens that is designed, milled in rows, finished and lit."""
+    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
+        """Correct both guesses by a lens that is designed, milled in rows, finished and lit.
+
+        finer_lacks : how many times as much one as fine as the picture misses
+        """
         lens, target = design(self.finish, marks.radius_mm, fine)
         finished = finish_surface(lens, self.finish)
         whole = self.target.shape  # half of the stripes are finer than a coarse pixel
@@ -137,7 +140,7 @@ class FinishedLight(PictureLight):
         seen = plain if target.shape == whole else self._light_of(finished, target.shape)
         if fine and target.shape == whole:
             self._lit[marks.radius_mm] = plain
-        off_free = float(np.square(seen - target).mean())
+        off_free = finer_lacks * float(np.square(seen - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves that the lens has no part in

@@ -152,7 +152,8 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
     yield (
         "the mill's steps in height will blur the picture; finer positions or a larger ball show more (steps of "
-        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm from row to row)"
+        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm ({1000 * slope:.0f} mrad) from row "
+        "to row)"
     )
 
 

@@ -24,7 +24,7 @@ export function progressPart() {
   const bar = h("progress", { max: 1, "aria-label": t("Progress of the job") });
   const words = h("span", { class: "progress-words" });
   const list = h("ol", { class: "stages" });
-  const mill = h("a", {}, t("Get the mill ready meanwhile"));
+  const mill = h("a", { class: "button" }, t("Get the mill ready meanwhile"));
   const meanwhile = h("p", { hidden: true }, mill);
   const details = h("details", {}, h("summary", {}, words), list);
   const node = h("section", { class: "card job-progress", "aria-label": t("Progress") }, bar, details, meanwhile);
