@@ -125,7 +125,6 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
 
-    @cache
     def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
         aim, wanted = (target, whole) if fine else (_coarser(target), quick)
         made = compute_passes(aim, replace(wanted, finish=finish, min_radius_mm=radius_mm))

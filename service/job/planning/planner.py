@@ -9,7 +9,16 @@ from math import ceil, inf
 
 from cam.materials import MATERIALS
 from cam.planning.pass_time import LensForm
-from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score, time_by_lens
+from cam.planning.planner import (
+    Goal,
+    Marks,
+    NoPlanError,
+    Plan,
+    find_candidates,
+    plan_among,
+    plan_by_score,
+    time_by_lens,
+)
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
@@ -17,7 +26,6 @@ from optics.heightfield import Array, Heightfield
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
-    Finishing,
     is_surely_worth_it,
     is_worth_it,
     list_finishings,
@@ -34,7 +42,7 @@ from service.job.spec.resolved import ResolvedJob
 from service.wording import duration
 
 Progress = Callable[[float], None]
-OwnLens = Callable[[Plan, PictureLight, Finishing | None], Heightfield]
+OwnLens = Callable[[Marks], Heightfield]
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
 
@@ -59,11 +67,8 @@ def plan_for_picture(
     light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
     design = design_for_finishes(target, settings)
 
-    def own_lens(plan: Plan, light: PictureLight, finishing: Finishing | None) -> Heightfield:
-        marks = plan.chosen.marks
-        if finishing is None:
-            return design_whole(light, marks, settings, as_given=not shapes)
-        return design(finishing.finish, marks.radius_mm, True)[0]
+    def own_lens(marks: Marks) -> Heightfield:
+        return design_whole(light, marks, settings, as_given=not shapes)
 
     return _choose_plan(
         job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens if whole is None else None
@@ -161,9 +166,11 @@ def _choose_plan(
     finishing = None
     if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
         plan, light, finishing = finished.plan, finished.light, finished.finishing
-    if own_lens is not None:
+    elif (
+        own_lens is not None
+    ):  # a lens for a finish is polished, which the plan's is not: no better than the coarse one
         coarse = light.forms[plan.chosen.finish.radius_mm]
-        plan = time_by_lens(plan, LensForm.of(own_lens(plan, light, finishing)), goal, guessed=coarse, shop=shop)
+        plan = time_by_lens(plan, LensForm.of(own_lens(plan.chosen.marks)), goal, guessed=coarse, shop=shop)
     if goal.hours is not None and not plan.met:
         least = ceil(10 * plan.quickest.hours) / 10
         words = f"no plan takes {goal.hours:g} h or less; the quickest: {duration(3600 * plan.quickest.hours)}"
