@@ -93,12 +93,13 @@ class Supervisor:
 
     def _handle_signal(self) -> None:
         """Ask the children to end well at the first signal, end them at the second."""
-        if self._signals > self._heeded:
+        heard = self._signals  # another may come while this one is obeyed
+        if heard > self._heeded:
             if self._code is None:
                 self._stop(0)
-            elif self._signals > 1:
+            elif heard > 1:
                 self._kill_at = 0.0
-            self._heeded = self._signals
+            self._heeded = heard
 
     def _look(self) -> None:
         for child in self._children:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from service.processes import lifeline
+from service.server.supervisor.supervisor import Supervisor
 from tests.service.server.supervisor.processes import CODE, Serving, is_alive, supervised
 from tests.waiting import PATIENCE_S, until
 
@@ -154,6 +156,34 @@ def test_the_second_word_ends_what_does_not_listen(tmp_path: Path) -> None:
         serving.kill(serving.pid, signal.SIGTERM)
         assert serving.ended(within_s=15) == 0
         until(lambda: not any(map(is_alive, ours)), what="the end of all")
+
+
+def test_a_second_word_that_comes_while_the_first_is_obeyed_is_heard() -> None:
+    class Deaf:
+        running, due_at, told = True, None, 0
+
+        def start(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        def signal(self, number: int) -> None:
+            self.told += 1
+            if self.told == 1:
+                os.kill(os.getpid(), signal.SIGTERM)
+            self.running = number != signal.SIGKILL
+
+        def look(self, *, wanted: bool) -> None:
+            assert not wanted
+
+    kinds = (signal.SIGCHLD, *lifeline.STOPPING)
+    before = [signal.getsignal(kind) for kind in kinds]
+    with socket.socket() as listener:
+        supervisor = Supervisor(listener, {}, offer="", began=0.0)
+        supervisor._children = [Deaf()]
+        began = time.monotonic()
+        assert supervisor.run() == 0
+    for kind, handler in zip(kinds, before, strict=True):
+        signal.signal(kind, handler)
+    assert time.monotonic() - began < 15.0  # not only after the 20 s that children are given
 
 
 def test_a_stopped_child_ends_well_too(tmp_path: Path) -> None:
