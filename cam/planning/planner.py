@@ -37,6 +37,11 @@ class Goal:
     blur_mm: float | None = None
     psnr_db: float | None = None
 
+    @property
+    def is_quality(self) -> bool:
+        """Whether a picture as good as that is wanted, in the least time."""
+        return self.psnr_db is not None or self.blur_mm is not None
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marks:

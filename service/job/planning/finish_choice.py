@@ -107,11 +107,10 @@ def plan_finish(
     best = _find_best(plans, goal)
     if not exactly:
         return best
-    others = [one for one in plans if one is not best]
-    tried = [best, *sorted(others, key=lambda one: merit(one.plan, goal))[-1:]]  # some lenses turn out badly
-    for one in tried:
+    two = sorted(plans, key=lambda one: (one is best, merit(one.plan, goal)))[-2:]  # some lenses turn out badly
+    for one in two:
         one.light.calibrate(one.plan.chosen.marks, design, fine=True)
-    return _find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in tried], goal), goal)
+    return _find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in two], goal), goal)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
@@ -141,7 +140,7 @@ def _plan_all(
 def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
     best = max(plans, key=lambda one: merit(one.plan, goal))
-    if goal.psnr_db is not None or goal.blur_mm is not None:
+    if goal.is_quality:
         return best
     least = (best.plan.met, best.plan.chosen.psnr_db - _ALIKE_DB)
     alike = [one for one in plans if merit(one.plan, goal) >= least]
@@ -166,7 +165,7 @@ def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
     """Return the merit, larger is better: a goal that is met, then less time where a quality was asked for, else the
     picture.
     """
-    if goal.psnr_db is not None or goal.blur_mm is not None:
+    if goal.is_quality:
         return plan.met, -plan.chosen.hours if plan.met else plan.chosen.psnr_db
     return plan.met, plan.chosen.psnr_db
 
@@ -175,14 +174,14 @@ def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
     """Return whether finishing makes the picture better, or the same goal quicker to reach."""
     met, gain = merit(finished, goal)
     met_without, without = merit(milled, goal)
-    if goal.psnr_db is not None or goal.blur_mm is not None:
+    if goal.is_quality:
         return (met, gain) > (met_without, without)
     return (met, min(gain, _CLOSE_DB)) > (met_without, min(without, _CLOSE_DB) + _WORTH_DB)
 
 
 def is_surely_worth_it(finished: Plan, guessed: Plan, goal: Goal) -> bool:
     """Return whether passes guessed without a finish stay the choice: lenses sharpened for them might choose others."""
-    if goal.psnr_db is not None or goal.blur_mm is not None:
+    if goal.is_quality:
         return False
     guess_db = guessed.chosen.psnr_db + _GUESS_DB
     return is_worth_it(finished, replace(guessed, chosen=replace(guessed.chosen, psnr_db=guess_db)), goal)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from math import ceil, inf
 
 from cam.materials import MATERIALS
@@ -43,6 +44,7 @@ from service.wording import duration
 
 Progress = Callable[[float], None]
 OwnLens = Callable[[Marks], Heightfield]
+"""Designs the lens that those rows are cut into, as fine as the job's."""
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
 
@@ -66,13 +68,8 @@ def plan_for_picture(
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
     design = design_for_finishes(target, settings)
-
-    def own_lens(marks: Marks) -> Heightfield:
-        return design_whole(light, marks, settings, as_given=not shapes)
-
-    return _choose_plan(
-        job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens if whole is None else None
-    )
+    own_lens = None if whole is not None else partial(design_whole, light, settings=settings, as_given=not shapes)
+    return _choose_plan(job, shop, light, design, shapes_lens=shapes, whole=whole, own_lens=own_lens)
 
 
 def plan_for_lens(

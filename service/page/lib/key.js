@@ -29,7 +29,7 @@ function form(scope, close) {
     spellcheck: false,
     placeholder: "XXXX-XXXX-XXXX",
     "aria-describedby": `${hint} ${fault}`,
-    oninput: () => (key.value = spelled(key.value)),
+    oninput: () => key.selectionStart === key.value.length && (key.value = spelled(key.value)), // not amid the code
   });
   const name = h("input", {
     type: "text",

@@ -3,10 +3,10 @@
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
-import { hours, percentUnderWay, sentence } from "../lib/words.js";
+import { percentUnderWay, sentence } from "../lib/words.js";
 import { isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
-import { addressOf, millWords, outOfReach, standingInShop } from "./words.js";
+import { addressOf, leftWords, millWords, outOfReach, standingInShop } from "./words.js";
 
 export default async function view(root, _params, app) {
   await sheet("/page/machine/machine.css");
@@ -74,14 +74,10 @@ function card(name) {
     write(share, cut ? percentUnderWay(run.share) : "");
     meter.style.visibility = cut ? "visible" : "hidden";
     bar.value = run?.share ?? 0;
-    write(words, [run?.program, whyWords(machine) || leftWords(machine)].filter(Boolean).join(": "));
+    write(words, [run?.program, whyWords(machine) || (cut && leftWords(run, simulated))].filter(Boolean).join(": "));
     write(about, [simulated ? t("Simulated: no real mill moves") : profile?.description, control && t`${control.operator} has control`].filter(Boolean).join(" · "));
   }
   return { node, update };
-}
-
-function leftWords({ run, simulated }) {
-  return run?.share > 0 && Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
 
 /** What is wrong, in a line, or what brings it back; its own screen has the rest. */

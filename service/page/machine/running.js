@@ -3,14 +3,14 @@
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
-import { ball, hours, percent, sentence, thousands } from "../lib/words.js";
+import { ball, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
 import { refusalLine } from "./refusal_line.js";
 import { RUN_STATES, tell } from "./sentences.js";
 import { isZeroSet } from "./place.js";
-import { programWords, runStanding, whyNot } from "./words.js";
+import { leftWords, programWords, runStanding, whyNot } from "./words.js";
 
 export function runCard(link) {
   const words = refusalLine();
@@ -88,8 +88,7 @@ function meter() {
       write(share, percent(run.share));
       bar.value = run.share;
       write(line, run.lines ? t`line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
-      const over = !Number.isFinite(run.time_left_s) || run.state === "finished" || run.state === "aborted";
-      write(left, over ? "" : t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}`);
+      write(left, ["finished", "aborted"].includes(run.state) ? "" : leftWords(run, simulated));
     },
   };
 }

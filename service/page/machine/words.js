@@ -1,7 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
 import { t } from "../lib/language.js";
-import { ball, jobName, sentence, thousands } from "../lib/words.js";
+import { ball, hours, jobName, sentence, thousands } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 import { RUN_STATES, STATES, tell } from "./sentences.js";
 
@@ -51,6 +51,11 @@ export function standing(machine) {
 /** A program with its job: those of two jobs have the same names. */
 export function programWords(program, job) {
   return job ? t`${program} of ${jobName({ name: job })}` : program;
+}
+
+/** How long a run goes on; "" where nobody knows. */
+export function leftWords(run, simulated) {
+  return Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
 
 /** Of a mill's own screen. */

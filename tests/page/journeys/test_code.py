@@ -29,6 +29,7 @@ def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(open
     dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(dialog.get_by_role("alert")).to_contain_text("This is not the code")
     dialog.get_by_role("textbox", name="Code", exact=True).fill(shop.code.lower().replace("-", " "))
+    expect(dialog.get_by_role("textbox", name="Code", exact=True)).to_have_value(shop.code)
     dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(page.get_by_role("button", name="Grace")).to_be_visible()
     token = page.evaluate("import('/page/lib/api.js').then(({api}) => api.token)")

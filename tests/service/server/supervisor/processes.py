@@ -16,7 +16,7 @@ from service.server.database.pairing import PairingBook
 from service.server.database.schema import open_database
 from service.server.database.tokens import TokenBook
 from service.server.pairing_code import ALPHABET, code_of, new_offer
-from service.settings import PREFIX, ServerSettings
+from service.settings import ServerSettings
 from tests.waiting import PATIENCE_S, until
 
 HERE = Path(__file__).parent
@@ -121,9 +121,7 @@ def supervised(data: Path, *arguments: str, **environment: str) -> Iterator[Serv
     """The supervisor with stand-ins as its children."""
     command = [sys.executable, "-m", "service.server.supervisor.supervisor", *STAND_INS, *arguments]
     settings = ServerSettings(data=data, port=0, start_agents=False).environment()
-    given = {name: value for name, value in settings.items() if name.startswith(PREFIX)}
-    given |= {"PYTHONPATH": str(HERE), **environment}
-    with running(command, data, given) as serving:
+    with running(command, data, settings | {"PYTHONPATH": str(HERE)} | environment) as serving:
         yield serving
 
 
