@@ -31,10 +31,14 @@ $(READY): $(INSTALLED)
 	$(COMPILE)
 	touch $@
 
-# One picture through everything, and the first program streamed to a simulated mill $(SPEEDUP) times as fast as a real one.
+# One picture through everything: planned for the usual mill and to be finished by hand, and beside it what the paper's
+# three passes leave on that mill; then the first program to a simulated mill $(SPEEDUP) times as fast as a real one.
 SPEEDUP ?= 2000
 demo: $(INSTALLED)
-	$(BIN)/causticmill make $(PICTURE) --output out/demo --force
+	@$(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet & beside=$$!; \
+	$(BIN)/causticmill make $(PICTURE) --output out/demo --force || { kill $$beside; exit 1; }; \
+	echo "the paper's three passes, made beside it: out/demo-paper"; wait $$beside
+	@$(BIN)/python docs/draw_result.py out/demo out/demo-paper out/demo.png; echo "both on the wall: out/demo.png"
 	@rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & \
 	mill=$$!; trap 'kill $$mill; wait $$mill; tail -n 1 $(MILL)' EXIT; \
 	until port=$$(grep -o -s 'socket://[^ ]*' $(MILL)); do kill -0 $$mill || exit 1; sleep 0.1; done; \

@@ -1,33 +1,52 @@
-"""Draws docs/result.jpg, the README's picture, from a finished job:  python docs/draw_result.py out/demo"""
+"""Draws what finished jobs of one picture show on the wall, each with its cost, and the first one's lens.
+
+python docs/draw_result.py out/demo out/demo-paper docs/result.jpg
+"""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from service.job.arrays import load_heightfield
 from service.job.report.figures.lens import shade_by_raking_light
+from service.wording import duration
 
-SIDE = 420
-GAP = 12
+SIDE, GAP, CAPTION, FONT = 420, 12, 60, 19
+PRESETS = {"recommended": "planned for this mill", "paper": "the paper's three passes", "draft": "draft"}
 
 
-def main(job: Path) -> None:
-    lens = load_heightfield(job / "heightfield.npz")
+def main(jobs: list[Path], output: Path) -> None:
+    lens = load_heightfield(jobs[0] / "heightfield.npz")
     relief = np.clip(shade_by_raking_light(lens.x_mm, lens.y_mm, lens.z_mm), 0, 1)
     tiles = [
-        Image.open(job / "target.png").convert("L"),
-        Image.open(job / "caustic.png").convert("L"),
-        Image.fromarray(np.rint(255 * relief[::-1]).astype(np.uint8)),
+        (Image.open(jobs[0] / "target.png"), "the picture asked for"),
+        *map(show_wall, jobs),
+        (Image.fromarray(np.rint(255 * relief[::-1]).astype(np.uint8)), "the lens, lit from the side"),
     ]
-    strip = Image.new("L", (3 * SIDE + 2 * GAP, SIDE), 255)
-    for number, tile in enumerate(tiles):
-        strip.paste(tile.resize((SIDE, SIDE), Image.Resampling.LANCZOS), (number * (SIDE + GAP), 0))
-    strip.save(Path(__file__).with_name("result.jpg"), quality=88)
+    strip = Image.new("L", (len(tiles) * (SIDE + GAP) - GAP, SIDE + CAPTION), 255)
+    draw = ImageDraw.Draw(strip)
+    for number, (tile, caption) in enumerate(tiles):
+        left = number * (SIDE + GAP)
+        strip.paste(tile.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS), (left, 0))
+        draw.multiline_text((left, SIDE + 6), caption, fill=0, font=ImageFont.load_default(FONT))
+    strip.save(output, quality=88)
+
+
+def show_wall(job: Path) -> tuple[Image.Image, str]:
+    """Return the light of a job as it will be seen, and what it costs."""
+    report, spec = (json.loads((job / name).read_text()) for name in ("report.json", "spec.json"))
+    seen = "as_finished" if report.get("as_finished") else "as_milled"
+    hours = f"{duration(sum(row['time_s'] for row in report['passes']))} of milling"
+    by_hand = report.get("plan", {}).get("finish", {}).get("minutes") if seen == "as_finished" else None
+    done = f"{hours}, {duration(60 * by_hand)} by hand" if by_hand else f"{hours}, not finished"
+    caption = f"{PRESETS[spec['preset']]}: {report[seen]['psnr_db']:.1f} dB\n{done}"
+    return Image.open(job / f"caustic-{seen.replace('_', '-')}.png"), caption
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main([Path(name) for name in sys.argv[1:-1]], Path(sys.argv[-1]))

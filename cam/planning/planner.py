@@ -22,7 +22,8 @@ from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
 from cam.planning.written_time import first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
-TOLERATED_DB = 0.2
+TOLERATED_DB = 0.5
+"""Less than an eye sees; `camera` finished by hand: 26.0 dB in 10.6 h, 25.7 in 4.0 h."""
 _WORTH_DB = 0.03
 _GUESS_DB, _GOOD_DB = 0.25, 2.0
 LEAST_FIT = 0.95

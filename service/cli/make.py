@@ -58,14 +58,18 @@ def make(
     force: ForceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Picture to lens, checked programs, previews and setup sheet."""
+    """Picture to lens, checked programs, previews and setup sheet.
+
+    Without a preset, a spec or passes: planned for picture and mill, to be finished by hand.
+    """
     from service.server.worker import warmup
 
     with warmup.compile_beside(JOBS):
         from service.job import pipeline
-        from service.job.spec.loading import resolve_job
+        from service.job.spec.loading import resolve_job, wishes_where_untold
 
-        resolved = resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        said: dict[str, Any] = {"file": spec, "preset": preset, "overrides": set_ or ()}
+        resolved = resolve_job(**said, base=wishes_where_untold(**said), light_picture=light_picture)
         with _open_reporter(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _print_summary(output, report, quiet)

@@ -13,7 +13,7 @@ from typing import Any
 from service.client.follow import LeftError
 from service.client.server import ServerClient, make_mismatch_error
 from service.errors import InputError, sentence_of_os_error
-from service.job.spec.loading import spec_data
+from service.job.spec.loading import spec_data, wishes_where_untold
 
 PRIORITIES = ("low", "normal", "high")
 _TIMEOUT_S = 60.0
@@ -65,14 +65,13 @@ def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, A
 
 def spec_text(
     *, file: Path | None, preset: str | None, overrides: Sequence[str], light_picture: Path | None = None
-) -> str | None:
-    """Return JSON of file, preset, overrides and the picture of the light; None where nothing was given.
+) -> str:
+    """Return JSON of file, preset, overrides and the picture of the light, as `make` takes them.
 
     Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
     """
-    if file is None and preset is None and light_picture is None and not overrides:
-        return None
-    data = spec_data(file=file, preset=preset, overrides=overrides, light_picture=light_picture)
+    said: dict[str, Any] = {"file": file, "preset": preset, "overrides": overrides}
+    data = spec_data(**said, base=wishes_where_untold(**said), light_picture=light_picture)
     return json.dumps(_plain(data), default=str)
 
 

@@ -15,6 +15,7 @@ from machines.profile import load_profile
 from service.errors import SpecError, sentence_of_os_error
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
+from service.job.spec.finish import BEST
 from service.job.spec.model import PRESETS, JobSpec
 from service.job.spec.resolve import complete_job, preset_rows, without_derived
 from service.job.spec.resolved import Figures, LoadProfile, ResolvedJob, look_up
@@ -40,6 +41,20 @@ def resolve_job(
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
     return complete_job(look_up(validate_spec(data), load))
+
+
+def wishes_where_untold(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the lowest layer of a command line's spec: where it says nothing of passes, the best that the mill can do,
+    finished by hand; nothing where it does, or names a file.
+
+    Measured for the mills in `machines/profiles`, `camera`, 100 mm: docs/passes.md.
+    """
+    told = {text.partition("=")[0].strip() for text in overrides}
+    sections = {key.partition(".")[0] for key in told}
+    if file is not None or preset is not None or sections & {"preset", "passes"}:
+        return {}
+    polished = "optics.polish" in told  # which a finish takes off again
+    return {"preset": "recommended", **({} if polished or "finish" in sections else {"finish": {"process": BEST}})}
 
 
 def resolve_spec(**given: Any) -> JobSpec:

@@ -6,6 +6,7 @@ import json
 from itertools import pairwise
 from math import cos, pi, sin
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,6 +20,7 @@ from service.job.spec.loading import (
     resolve_job,
     resolve_spec,
     validate_spec,
+    wishes_where_untold,
 )
 from service.job.spec.model import JobSpec
 
@@ -213,6 +215,29 @@ def test_a_slower_spindle_takes_the_feed_down_with_it() -> None:
     assert fast.feed_mm_per_min is not None
     assert fast.spindle_rpm is not None
     assert slow.feed_mm_per_min == pytest.approx(fast.feed_mm_per_min * 10_000 / fast.spindle_rpm, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "preset", "process"),
+    [
+        ([], "recommended", "best"),
+        (["optics.width_mm=40", "plan.hours=3"], "recommended", "best"),
+        (["finish.process=felt"], "recommended", "felt"),
+        (["finish.process=none"], "recommended", "none"),
+        (["optics.polish=true"], "recommended", "none"),
+        (["preset=draft"], "draft", "none"),
+        (["passes.2.pitch_mm=0.1"], "paper", "none"),
+    ],
+)
+def test_who_says_nothing_of_passes_gets_the_best_of_the_mill(
+    overrides: list[str], preset: str, process: str, tmp_path: Path
+) -> None:
+    said: dict[str, Any] = {"file": None, "preset": None, "overrides": overrides}
+    spec = resolve_spec(**said, base=wishes_where_untold(**said))
+    assert (spec.preset, spec.finish.process) == (preset, process)
+    (tmp_path / "job.toml").write_text("")
+    for told in ({"file": tmp_path / "job.toml"}, {"preset": "draft"}):
+        assert wishes_where_untold(**{**said, **told}) == {}
 
 
 def test_order_of_precedence_is_file_preset_set(tmp_path: Path) -> None:
