@@ -142,7 +142,8 @@ def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     best = max(plans, key=lambda one: merit(one.plan, goal))
     if goal.is_quality:
         return best
-    least = (best.plan.met, best.plan.chosen.psnr_db - _ALIKE_DB)
+    met, most_db = merit(best.plan, goal)
+    least = (met, most_db - _ALIKE_DB)
     alike = [one for one in plans if merit(one.plan, goal) >= least]
     return best if len(alike) == 1 else max(alike, key=_ssim)
 
@@ -162,21 +163,21 @@ def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Can
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
-    """Return the merit, larger is better: a goal that is met, then less time where a quality was asked for, else the
-    picture.
+    """Return the merit, larger is better: a goal that is met, then less time where a quality was asked for, the picture
+    where a time was, else what of both is worth more.
     """
+    chosen = plan.chosen
     if goal.is_quality:
-        return plan.met, -plan.chosen.hours if plan.met else plan.chosen.psnr_db
-    return plan.met, plan.chosen.psnr_db
+        return plan.met, -chosen.hours if plan.met else chosen.psnr_db
+    return plan.met, chosen.value_db if goal.hours is None else chosen.psnr_db
 
 
 def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
     """Return whether finishing makes the picture better, or the same goal quicker to reach."""
-    met, gain = merit(finished, goal)
-    met_without, without = merit(milled, goal)
     if goal.is_quality:
-        return (met, gain) > (met_without, without)
-    return (met, min(gain, _CLOSE_DB)) > (met_without, min(without, _CLOSE_DB) + _WORTH_DB)
+        return merit(finished, goal) > merit(milled, goal)
+    with_db, without_db = (min(plan.chosen.psnr_db, _CLOSE_DB) for plan in (finished, milled))
+    return (finished.met, with_db) > (milled.met, without_db + _WORTH_DB)
 
 
 def is_surely_worth_it(finished: Plan, guessed: Plan, goal: Goal) -> bool:

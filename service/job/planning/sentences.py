@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cam.passes import PassSpec
-from cam.planning.planner import TOLERATED_DB, Candidate
+from cam.planning.planner import DOUBLING_DB, Candidate
 from cam.planning.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
 from optics.metrics import blurred_psnr_db
@@ -110,7 +110,7 @@ def _aim(planned: Planned) -> str:
         return f"{shown}: the quickest plan that blurs by no more than {goal.blur_mm:g} mm. {best_possible(planned)}"
     if goal.psnr_db is not None:
         return f"{shown}: the quickest plan that reaches {goal.psnr_db:g} dB. {best_possible(planned)}"
-    return f"{shown}: the quickest plan within {TOLERATED_DB:g} dB of the best. {best_possible(planned)}"
+    return f"{shown}: twice the time would not gain {DOUBLING_DB:g} dB. {best_possible(planned)}"
 
 
 def _by_hand(planned: Planned) -> str:
