@@ -1,12 +1,18 @@
 """Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
 
 The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
-A shape says where stock is taken off; the passes of the lens are milled with balls alone (`cam.surface.contact`).
+A shape says where stock is taken off. What is flat only roughs the block (`cam.surface.rough_surface`): a lens is made
+by balls (`cam.surface.contact`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cam.moves import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +45,31 @@ class CutterShape:
         corner_mm, gap_mm = self.corner_mm(radius_mm), pitch_mm - 2 * self.flat_mm(radius_mm)
         return 0.0 if gap_mm <= 0 else corner_mm - (corner_mm**2 - gap_mm**2 / 4) ** 0.5
 
+    def rise_mm(self, radius_mm: float, away_mm: ArrayLike) -> Array:
+        """Return how high the underside stands above the tip, so far from the axis; at the rim from there on."""
+        corner_mm = self.corner_mm(radius_mm)
+        beyond = np.clip(np.asarray(away_mm) - self.flat_mm(radius_mm), 0.0, corner_mm)
+        return np.asarray(corner_mm - np.sqrt(corner_mm**2 - beyond**2))
 
-CUTTERS: dict[str, CutterShape] = {
-    shape.name: shape
-    for shape in (
-        CutterShape(name="flat", corner_share=0.0, pitch_share=1.2),  # 60 % of the diameter
-        CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6),  # cusps of R / 288
-    )
-}
+    def slot_section_mm2(self, radius_mm: float, depth_mm: ArrayLike) -> Array:
+        """Return the section of a slot in a plane, its walls upright above the corner."""
+        corner_mm, depth = self.corner_mm(radius_mm), np.asarray(depth_mm)
+        rise = np.clip(corner_mm - depth, 0.0, corner_mm)
+        segment = corner_mm**2 * np.arccos(rise / max(corner_mm, 1e-12)) - rise * np.sqrt(corner_mm**2 - rise**2)
+        return np.asarray(
+            segment + 2 * corner_mm * np.maximum(depth - corner_mm, 0.0) + 2 * self.flat_mm(radius_mm) * depth
+        )
+
+
+BALL = CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6)  # cusps of R / 288
+FLAT_STEP = 1.2
+"""Of the radius, 60 % of the diameter: rows of what is flat stand no farther apart."""
+
+
+def end_mill(corner_share: float) -> CutterShape:
+    """Return a flat end mill (0), or one with a rounded corner."""
+    return CutterShape(name="bull-nose" if corner_share else "flat", corner_share=corner_share, pitch_share=FLAT_STEP)
+
+
+CUTTERS: dict[str, CutterShape] = {shape.name: shape for shape in (end_mill(0.0), BALL)}
 """Every shape that a job can name."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from cam.cutters import BALL, CutterShape, end_mill
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
 
@@ -26,8 +27,9 @@ def _require(name: str, value: float, *, above: float | None = None, at_least: f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassSpec:
-    """One pass with one ball end mill.
+    """One pass with one end mill: a ball, or a first pass before it with one that is flat.
 
+    corner_radius_mm  : 0 of a flat end mill, less than radius_mm of a bull-nose; None: a ball
     stock_to_leave_mm : measured along the surface normal
     step_down_mm      : the most stock one move may take off, measured along Z
     strategy          : rows, or one connected path along the contour lines of the lens
@@ -54,6 +56,7 @@ class PassSpec:
     spindle_rpm: float
     flute_length_mm: float | None = None
     shank_radius_mm: float | None = None
+    corner_radius_mm: float | None = None
     max_rate_mm_per_min: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
     @property
@@ -83,6 +86,25 @@ class PassSpec:
         if self.pitch_mm > self.radius_mm:
             allowed = f"at most the ball's radius, {self.radius_mm:g} mm"
             raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=allowed)
+
+        if self.corner_radius_mm is not None:
+            _require("corner_radius_mm", self.corner_radius_mm, at_least=0)
+            if self.corner_radius_mm > self.radius_mm:
+                allowed = f"at most radius_mm = {self.radius_mm:g}"
+                raise PassValueError(name="corner_radius_mm", value=self.corner_radius_mm, allowed=allowed)
+            if not self.is_ball and (self.finishes or self.strategy != "raster" or self.where != "everywhere"):
+                raise PassValueError(
+                    name="corner_radius_mm", value=self.corner_radius_mm, allowed="rows everywhere that leave stock"
+                )
+
+    @property
+    def is_ball(self) -> bool:
+        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
+
+    @property
+    def shape(self) -> CutterShape:
+        """Of the cutter."""
+        return BALL if self.is_ball else end_mill((self.corner_radius_mm or 0.0) / self.radius_mm)
 
     @property
     def finishes(self) -> bool:

@@ -19,9 +19,9 @@ from cam.posts.dialects import Dialect
 from cam.posts.post import number
 from cam.posts.setup import ProgramSetup
 from cam.rows.entries import enter, enter_onward, leave
-from cam.rows.layers import Field, Layer, LayerPlan, layer_paths, plan_layers
+from cam.rows.layers import CUSP_MM, Field, Layer, LayerPlan, layer_paths, plan_layers
 from cam.rows.loads import most_feed_mm_per_min
-from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows
+from cam.rows.raster import Rows, climbs_rightward, continuous_rows, sampled_rows, separate_rows
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.turned import turn_block, turn_lens, turn_paths, turn_stock
@@ -29,6 +29,7 @@ from cam.rows.turns import first_row, row_cuts
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
 from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
+from cam.surface.rough_surface import RoughSurface, Surface, surface_under
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
@@ -42,9 +43,6 @@ SHAPED_SLOPE_ERROR_RAD = 8e-3
 
 SAFE_Z_MM = 5.0  # where a caller names none; jobs name their mill's, in machines/profiles
 CHUNK_BYTES = 1_000_000
-CUSP_MM = 0.05
-"""More than the layers' tolerance and cusps can leave above their tips."""
-
 LEAST_REACHED = 0.9
 """A finishing ball that touches less of the surface than this makes no lens."""
 
@@ -156,11 +154,17 @@ def remarks(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
     n = number
     block = f"{n(stock.width_mm + 2 * stock.margin_mm)} x {n(stock.height_mm + 2 * stock.margin_mm)}"
     return (
-        f"pass {spec.name}: ball end mill radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
+        f"pass {spec.name}: {name_cutter(spec)} radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
         f"leaves {n(spec.stock_to_leave_mm)} mm, step-down {n(spec.step_down_mm)} mm",
         f"block {block} x {n(stock.thickness_mm)} mm, margin {n(stock.margin_mm)} mm",
         "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm",
     )
+
+
+def name_cutter(spec: PassSpec) -> str:
+    """Return what the cutter is called, with the radius of its corner where that says more than its shape."""
+    corner_mm = spec.shape.corner_mm(spec.radius_mm)
+    return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {number(corner_mm)} mm")
 
 
 def pass_paths(
@@ -193,10 +197,10 @@ def _paths_along_x(
     slope_error_rad: float,
     on_progress: Progress | None,
 ) -> Iterator[Path]:
-    surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    surface = surface_under(heightfield, spec)
     _check_job(heightfield, spec, stock, surface, safe_z_mm, slope_error_rad)
     rows = Rows.over(stock, spec)
-    met = StockTouch.of(stock_top, spec.radius_mm)
+    met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
     if spec.where == "rest" and met.flat:
         raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
     field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
@@ -211,6 +215,7 @@ def _paths_along_x(
     del field
     rule = _vertex_rule(heightfield, spec, slope_error_rad)
     if spec.where == "rest":
+        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec asks
         most_mm = above.offset_mm + CUSP_MM if above else inf
         yield from rest_paths(
             *(RestAreas.of(stock_top, heightfield, spec), surface, met, rows, rule, spec),
@@ -223,7 +228,7 @@ def _paths_along_x(
             steepest = float(np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm)).max())
             spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, steepest)))
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
-        yield from _polyline_paths(polylines, met, above, spec, safe_z_mm=safe_z_mm)
+        yield from _polyline_paths(polylines, met, above, CUSP_MM + plan.stair_mm, spec, safe_z_mm=safe_z_mm)
     report(1.0)
 
 
@@ -238,7 +243,7 @@ def _check_job(
     heightfield: Heightfield,
     spec: PassSpec,
     stock: Stock,
-    surface: ToolSurface,
+    surface: Surface,
     safe_z_mm: float,
     slope_error_rad: float,
 ) -> None:
@@ -275,7 +280,7 @@ def _layer_share(field: Field, rows: Rows, plan: LayerPlan) -> float:
 
 def _all_layers(
     field: Field,
-    surface: ToolSurface,
+    surface: Surface,
     met: StockTouch,
     plan: LayerPlan,
     spec: PassSpec,
@@ -288,18 +293,26 @@ def _all_layers(
         def on_progress(part: float, done: int = index) -> None:
             report((done + part) / len(plan.layers))
 
-        yield from layer_paths(field, surface, met, layer, above, spec, safe_z_mm=safe_z_mm, on_progress=on_progress)
+        yield from layer_paths(
+            *(field, surface, met, layer, above, spec),
+            stair_mm=plan.stair_mm,
+            safe_z_mm=safe_z_mm,
+            on_progress=on_progress,
+        )
         above = layer
 
 
 def _polylines(
-    heightfield: Heightfield, surface: ToolSurface, rows: Rows, rule: VertexRule, spec: PassSpec, report: Progress
+    heightfield: Heightfield, surface: Surface, rows: Rows, rule: VertexRule, spec: PassSpec, report: Progress
 ) -> Iterator[Array]:
     """Yield the exact surface: pieces of one path, or rows each by itself."""
     if spec.strategy == "contour":
+        assert isinstance(surface, ToolSurface)  # a ball's, as PassSpec asks
         yield from contour_path(heightfield, surface, spec, rule, on_progress=report)
         return
-    if spec.link == "u-turn":
+    if isinstance(surface, RoughSurface):
+        polylines = sampled_rows(surface, rows, rule.sag_mm)
+    elif spec.link == "u-turn":
         polylines = continuous_rows(surface, rows, rule)
     else:
         polylines = separate_rows(surface, rows, rule, rightward=climbs_rightward(spec))
@@ -310,13 +323,19 @@ def _polylines(
 
 
 def _polyline_paths(
-    polylines: Iterator[Array], met: StockTouch, above: Layer | None, spec: PassSpec, *, safe_z_mm: float
+    polylines: Iterator[Array],
+    met: StockTouch,
+    above: Layer | None,
+    cusp_mm: float,
+    spec: PassSpec,
+    *,
+    safe_z_mm: float,
 ) -> Iterator[Path]:
     """Yield one unbroken path, or rows each entered and left by itself."""
 
     def meets(tips_mm: Array) -> Array:
         heights = met.under(tips_mm) + met.slack_mm
-        return heights if above is None else np.minimum(heights, above.tips_mm(tips_mm[:, 2]) + CUSP_MM)
+        return heights if above is None else np.minimum(heights, above.tips_mm(tips_mm[:, 2]) + cusp_mm)
 
     lifts = spec.strategy == "raster" and spec.link == "retract"
     onward = spec.strategy == "contour"

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cam.around.flat_removal import FlatRemoval
 from cam.around.outline import segment_distances
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.checking.clamps import Clamps
 from cam.checking.findings import Finding
-from cam.checking.removal import RemovalGrid
+from cam.checking.flat_removal import removal_of
 from cam.cutters import CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
@@ -163,13 +162,7 @@ class _FlatRun:
         self.nearest_mm = np.inf
         self._spec, self._mill, self._lens_mm, self._before = spec, mill, lens_mm, stock_top
         self._lowest_mm, self._highest_mm = lowest_mm, float(stock_top.top_mm.max())
-        self._ball = RemovalGrid(stock_top, radius_mm=spec.radius_mm) if cutter.corner_share == 1.0 else None
-        self._flat = FlatRemoval(
-            stock_top,
-            radius_mm=spec.radius_mm,
-            corner_mm=cutter.corner_mm(spec.radius_mm),
-            rim_mm=2 * mill.xy_digit_mm,
-        )
+        self._removal = removal_of(cutter, stock_top, radius_mm=spec.radius_mm, rim_mm=2 * mill.xy_digit_mm)
         self._low = np.array([-reach_mm, -reach_mm])
         self._high = np.array([stock.width_mm, stock.height_mm]) + reach_mm
         self._duration = DurationModel(mill.kinematics)
@@ -235,18 +228,13 @@ class _FlatRun:
         self._kinds["lens"].note_moves(into > _GOUGE_ALLOWED_MM, into, line, end)
 
     def _cut(self, batch: MoveBatch) -> tuple[Array, np.ndarray]:
-        if self._ball is None:
-            return self._flat.cut(batch.points_mm)
-        drops = self._ball.cut(batch)
+        drops = self._removal.cut(batch)
         return drops.depth_mm[1:], drops.cell[1:]
 
     def stock(self) -> StockGrid:
         """Return what is left after all moves."""
-        if self._ball is not None:
-            self._ball.cut_at_rest()
-            return self._ball.stock()
-        grid = self._before
-        return StockGrid(x0_mm=grid.x0_mm, y0_mm=grid.y0_mm, cell_mm=grid.cell_mm, top_mm=self._flat.top_mm)
+        self._removal.cut_at_rest()
+        return self._removal.stock()
 
     def _places_mm(self, cells: np.ndarray) -> tuple[Array, Array]:
         rows, columns = np.divmod(cells, self._before.top_mm.shape[1])

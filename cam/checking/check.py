@@ -18,13 +18,14 @@ from itertools import chain
 import numpy as np
 
 from cam.checking.clamps import Clamps
-from cam.checking.clearance import Overlaps, SurfaceWitness
+from cam.checking.clearance import Overlaps, witness_of
 from cam.checking.collision import Collisions, shank_of
 from cam.checking.coverage import Coverage
 from cam.checking.engagement import Engagement
+from cam.checking.flat_removal import removal_of
 from cam.checking.move_rules import MoveRules
 from cam.checking.path_quality import PathMeasures, PathQuality
-from cam.checking.removal import Drops, RemovalGrid, deepest
+from cam.checking.removal import Drops, deepest
 from cam.checking.windows import Window, place_windows
 from cam.duration import DurationModel, Kinematics
 from cam.passes import PassSpec, Stock
@@ -204,7 +205,8 @@ class _Run:
     ) -> None:
         self.digit_mm = digit_mm
         self.heightfield, self.spec, self.stock, self.before = heightfield, spec, stock, before
-        self.whole = RemovalGrid(
+        self.whole = removal_of(
+            spec.shape,
             before,
             radius_mm=spec.radius_mm,
             rapid_clearance_mm=RAPID_CLEARANCE_MM,
@@ -215,10 +217,10 @@ class _Run:
         self.clamps = Clamps(stock.clamps, radius_mm=spec.radius_mm, shank_radius_mm=spec.shank_radius_mm)
         self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
-        self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
+        self.windows = [removal_of(spec.shape, place.stock, radius_mm=spec.radius_mm) for place in self.places]
         # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
-        self.witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=self._near_mm)
+        self.witness = witness_of(heightfield, spec, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
         self.quality = PathQuality(heightfield, spec) if spec.strategy == "contour" else None
         self.duration = DurationModel(kinematics)

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield, spline_jet
 
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
 _CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
 _TRIES = 12
+_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # of places on the underside of what is flat; the rim, just inside
 _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, when the usual one is clear
 
 
@@ -131,6 +133,35 @@ def _overlaps(  # type: ignore[no-untyped-def]
                 offset[1] = trial[1]
 
 
+@njit(cache=True, nogil=True)
+def _flat_overlaps(  # type: ignore[no-untyped-def]
+    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, places, step, depth, place, touch, rest
+):
+    """Compute the same of every move, for an underside known at places (m, 3) beside and above its tip."""
+    for k in range(depth.size):
+        depth[k] = touch[k] = rest[k] = -math.inf
+        if rapid[k] or pause[k] >= 0.0:
+            continue
+        dx = points[k + 1, 0] - points[k, 0]
+        dy = points[k + 1, 1] - points[k, 1]
+        dz = points[k + 1, 2] - points[k, 2]
+        pieces = max(1, int(math.ceil(math.hypot(dx, dy) / step)))
+        for j in range(1, pieces + 1):
+            t = j / pieces
+            rest[k] = -math.inf
+            for m in range(places.shape[0]):
+                x = points[k, 0] + t * dx + places[m, 0]
+                y = points[k, 1] + t * dy + places[m, 1]
+                h = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)[0]
+                over = h - points[k, 2] - t * dz - places[m, 2]
+                rest[k] = max(rest[k], over)
+                if over > depth[k] and 0.0 <= x <= width and 0.0 <= y <= height:
+                    depth[k] = over
+                    place[k, 0] = x
+                    place[k, 1] = y
+            touch[k] = max(touch[k], rest[k])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlaps:
     """Per move: greatest height of the surface above the ball's underside; > 0 gouges, < 0 is clear by that much.
@@ -167,3 +198,34 @@ class SurfaceWitness:
             *(self._radius_mm, self._near_mm, self._offset, depth, place, touch, rest),
         )
         return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch, end_touch_mm=rest)
+
+
+class FlatWitness:
+    """Watches one pass of what is flat: its underside is tried at some places, at every stretch of a move."""
+
+    def __init__(self, heightfield: Heightfield, spec: PassSpec) -> None:
+        radius_mm, shape = spec.radius_mm, spec.shape
+        self._surface = heightfield.spline_with_run_out(2 * radius_mm)
+        self._size = heightfield.width_mm, heightfield.height_mm
+        shares = np.concatenate([np.arange(1, _RINGS) / _RINGS, [_RIM_SHARE]])
+        away = np.unique(np.concatenate([shape.flat_mm(radius_mm) * shares[shares < 1], radius_mm * shares]))
+        turns = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+        x, y = (np.concatenate([[0.0], np.outer(away, trace(turns)).ravel()]) for trace in (np.cos, np.sin))
+        self._places = np.column_stack([x, y, shape.rise_mm(radius_mm, np.hypot(x, y))])
+        self._step_mm = radius_mm / _RINGS
+
+    def overlaps(self, batch: MoveBatch) -> Overlaps:
+        depth, touch, rest = np.empty(len(batch)), np.empty(len(batch)), np.empty(len(batch))
+        place = np.full((len(batch), 2), np.nan)
+        _flat_overlaps(
+            *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
+            *(self._places, self._step_mm, depth, place, touch, rest),
+        )
+        return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch, end_touch_mm=rest)
+
+
+def witness_of(heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> SurfaceWitness | FlatWitness:
+    """Return who watches the pass's cutter. near_mm: see `SurfaceWitness`."""
+    if spec.is_ball:
+        return SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=near_mm)
+    return FlatWitness(heightfield, spec)

@@ -8,18 +8,15 @@ simulation has it (cam.checking.sweep); only what is stated of a cutter can be c
 
 from __future__ import annotations
 
-from math import floor, sqrt
-
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from cam.checking.findings import Finding
 from cam.checking.removal import Drops, RemovalGrid
 from cam.checking.sweep import STRIKE, STRIKE_CELL
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
-from cam.surface.tool_surface import ToolSurface
-from optics.heightfield import Array, Heightfield
+from cam.surface.rough_surface import find_highest, surface_under
+from optics.heightfield import Heightfield
 
 RUB_MM = 0.01
 """A wall that the flutes have cut stands just beside the shank: rubbing this much is no collision."""
@@ -74,22 +71,9 @@ def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
     x_mm, y_mm = (np.arange(0.0, size + step_mm / 2, step_mm) for size in (heightfield.width_mm, heightfield.height_mm))
     x_mm, y_mm = np.minimum(x_mm, heightfield.width_mm), np.minimum(y_mm, heightfield.height_mm)
     heights_mm = heightfield.spline().heights_mm(x_mm[None, :], y_mm[:, None])
-    highest_mm = _within(heights_mm, reach_mm / step_mm)
+    highest_mm = find_highest(heights_mm, reach_mm / step_mm)
     at_most_mm = float((highest_mm - heights_mm).max()) - flutes_mm  # no tip is below the lens
     if at_most_mm <= 0:
         return at_most_mm
-    surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    surface = surface_under(heightfield, spec)
     return float((highest_mm - surface.tip_rows_mm(x_mm, y_mm)).max()) - flutes_mm
-
-
-def _within(heights: Array, cells: float) -> Array:
-    """Return the highest within so many cells of each: a disc is as many runs along x as it has rows."""
-    n = floor(cells)
-    padded, rows = np.pad(heights, ((n, n), (0, 0)), mode="edge"), heights.shape[0]
-    highest = np.full_like(heights, -np.inf)
-    for down in range(n + 1):
-        half = floor(sqrt(cells * cells - down * down))
-        run = maximum_filter1d(padded, 2 * half + 1, axis=1, mode="nearest")
-        for first in (n - down, n + down):
-            np.maximum(highest, run[first : first + rows], out=highest)
-    return highest

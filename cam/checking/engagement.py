@@ -44,16 +44,19 @@ _SLOT_LENGTH, _SLOT_DEPTH, _FAST_LENGTH, _FAST_FEED, _FAST_LINE, _FAST_X, _FAST_
 
 
 @njit(cache=True, nogil=True)
-def _slot_section(depth, radius):  # type: ignore[no-untyped-def]
-    """Return the section of a full-width cut this deep: the segment of the ball's circle, walls above its middle."""
-    if depth >= radius:
-        return 0.5 * math.pi * radius**2 + 2.0 * radius * (depth - radius)
-    rise = radius - depth
-    return radius**2 * math.acos(rise / radius) - rise * math.sqrt(radius**2 - rise**2)
+def _slot_section(depth, radius, corner):  # type: ignore[no-untyped-def]
+    """Return the section of a full-width cut this deep: segments of the corner's circle beside what is flat, walls
+    above.
+    """
+    flat = 2.0 * (radius - corner) * depth
+    if depth >= corner:
+        return flat + 0.5 * math.pi * corner**2 + 2.0 * corner * (depth - corner)
+    rise = corner - depth
+    return flat + corner**2 * math.acos(rise / corner) - rise * math.sqrt(corner**2 - rise**2)
 
 
 @njit(cache=True, nogil=True)
-def _gather(points, idle, feed, line, depth, left, right, radius, group, least, deep, fast, state, found):  # type: ignore[no-untyped-def] # fmt: skip
+def _gather(points, idle, feed, line, depth, left, right, radius, corner, group, least, deep, fast, state, found):  # type: ignore[no-untyped-def] # fmt: skip
     """Judge the path by stretches `group` long; what is left over waits in `state` for the next batch."""
     for k in range(line.size):
         length = math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
@@ -69,7 +72,7 @@ def _gather(points, idle, feed, line, depth, left, right, radius, group, least, 
         if state[_LENGTH] < group:
             continue
         section = 2.0 * min(state[_LEFT], state[_RIGHT]) / state[_LENGTH]
-        at_work = section / max(_slot_section(state[_DEEPEST], radius), 1e-12)
+        at_work = section / max(_slot_section(state[_DEEPEST], radius, corner), 1e-12)
         if state[_DEEPEST] > least and at_work > SLOT_SHARE:
             found[_SLOT_LENGTH] += state[_LENGTH]
             found[_SLOT_DEPTH] = max(found[_SLOT_DEPTH], state[_DEEPEST])
@@ -99,7 +102,7 @@ class Engagement:
         self._plunge = Finding(
             says=lambda v: (
                 f"goes straight down {v:.3f} mm deep into stock (allowed: {self._plunge_allowed_mm:g} mm; a ball's "
-                "dead centre does not cut, so it enters on a ramp or a helix)"
+                "dead centre does not cut, nor do all flat mills', so it enters on a ramp or a helix)"
             )
         )
 
@@ -113,7 +116,14 @@ class Engagement:
         self.flute_need_mm = max(self.flute_need_mm, float(tally[:, REACH].max()))
         _gather(
             *(batch.points_mm, batch.is_rapid | (batch.pause_s >= 0), batch.feed_mm_per_min, batch.line),
-            *(drops.depth_mm[1:], left_mm3, right_mm3, spec.radius_mm, self._group_mm),
+            *(
+                drops.depth_mm[1:],
+                left_mm3,
+                right_mm3,
+                spec.radius_mm,
+                spec.shape.corner_mm(spec.radius_mm),
+                self._group_mm,
+            ),
             *(SLOT_DEPTH * spec.step_down_mm, SLOW_DEPTH * spec.step_down_mm, SLOW_FEED * spec.feed_mm_per_min),
             *(self._state, self._found),
         )
@@ -151,8 +161,8 @@ class Engagement:
             return self._plunge.sentences
         return [
             *self._plunge.sentences,
-            f"line {int(found[_FAST_LINE])} at X{found[_FAST_X]:.3f} Y{found[_FAST_Y]:.3f} cuts at the ball's full "
-            f"width at {found[_FAST_FEED]:.0f} mm/min, and so do {found[_FAST_LENGTH]:.1f} mm in all (allowed: "
+            f"line {int(found[_FAST_LINE])} at X{found[_FAST_X]:.3f} Y{found[_FAST_Y]:.3f} cuts at its full width "
+            f"at {found[_FAST_FEED]:.0f} mm/min, and so do {found[_FAST_LENGTH]:.1f} mm in all (allowed: "
             f"{allowed_mm:g} mm; deeper than {SLOW_DEPTH * spec.step_down_mm:.3g} mm at most "
             f"{SLOW_FEED * spec.feed_mm_per_min:.0f} mm/min)",
         ]

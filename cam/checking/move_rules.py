@@ -34,11 +34,11 @@ def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-de
 
 def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
     """Return what a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5
-    %.
+    %. What is flat leaves stairs, and its moves between them keep off as much.
 
     steepest : greatest slope |grad h| of the lens
     """
-    cusp_mm = spec.pitch_mm**2 / (8 * spec.radius_mm) * math.sqrt(1 + steepest**2) ** 3
+    cusp_mm = spec.pitch_mm**2 / (8 * spec.radius_mm) * math.sqrt(1 + steepest**2) ** 3 if spec.is_ball else 0.0
     return 2 * cusp_mm + 0.05 * spec.step_down_mm
 
 

@@ -66,6 +66,7 @@ class RemovalGrid:
         self.shares = shares
         self._keep_off_mm = rapid_clearance_mm
         self._tile_cells = max(1, round(radius_mm / 2 / stock.cell_mm))
+        self._tile_mm = self._tile_cells * self.cell_mm
         self._corners = np.zeros((shares, 5))
         self._crowns = [crowns_of(self.top_mm, share, shares) for share in range(shares)]
         self._owner_line = 0
@@ -94,7 +95,7 @@ class RemovalGrid:
         tally = np.zeros((len(batch) + 1, TALLIES))
         sweep(
             *(self.top_mm, self.cut_by_line, self.x0_mm, self.y0_mm, self.cell_mm),
-            *(self._ceiling, self._tile_cells * self.cell_mm, self._crowns[share]),
+            *(self._ceiling, self._tile_mm, self._crowns[share]),
             *(batch.points_mm, batch.is_rapid, batch.line, self._owner_line, self.radius_mm, self._keep_off_mm),
             *((self._shank_reach_mm, self._flutes_mm, self._shank_ceiling),),
             *(share, self.shares, self._corners[share], drops, cells, tally),

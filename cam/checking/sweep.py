@@ -65,7 +65,7 @@ def cap(top, by_line, x0, y0, cell, high, cx, cy, cz, radius, first_row, row_ste
 
 
 @njit(cache=True, nogil=True)
-def _highest(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+def find_highest_near(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Return an upper bound of the stock within the ball's radius of the segment; see RemovalGrid._ceiling."""
     nty, ntx = ceiling.shape
     steps = int(math.hypot(bx - ax, by - ay) / tile) + 1
@@ -79,7 +79,7 @@ def _highest(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # type: ignore[no-untyped-def]
+def find_strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # type: ignore[no-untyped-def]
     """Return how far stock stands above the flutes within `reach` of the axis on its way from a to b: (height, flat
     cell).
     """
@@ -268,8 +268,8 @@ def sweep(  # type: ignore[no-untyped-def]
         turn_cos = ex * corner[_EX] + ey * corner[_EY]
         smooth = kind == _ALONG and corner[_KIND] == _ALONG and is_rapid == corner[_WAS_RAPID]
         smooth = smooth and turn_cos > _SMOOTH_COS
-        if reach > 0.0 and _highest(shank_ceiling, tile, x0, y0, ax, ay, bx, by) > min(az, bz) + flutes:
-            over, place = _strike(top, x0, y0, cell, points[k], points[k + 1], reach, flutes, first_row, row_step)
+        if reach > 0.0 and find_highest_near(shank_ceiling, tile, x0, y0, ax, ay, bx, by) > min(az, bz) + flutes:
+            over, place = find_strike(top, x0, y0, cell, points[k], points[k + 1], reach, flutes, first_row, row_step)
             if over > tally[k + 1, STRIKE]:
                 tally[k + 1, STRIKE] = over
                 tally[k + 1, STRIKE_CELL] = place
@@ -280,7 +280,7 @@ def sweep(  # type: ignore[no-untyped-def]
             and max(ay, by) + radius > y0
         )
         if near:
-            peak = _highest(ceiling, tile, x0, y0, ax, ay, bx, by)
+            peak = find_highest_near(ceiling, tile, x0, y0, ax, ay, bx, by)
             if not smooth:
                 mine = k if corner[_KIND] == _NONE else owner
                 number = line[mine] if mine >= 0 else owner_line

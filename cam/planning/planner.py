@@ -22,8 +22,9 @@ from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
 from cam.planning.written_time import first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
-DOUBLING_DB = 0.5
-"""That a picture must gain to be worth twice the time; half of what an eye sees."""
+DOUBLING_DB = 0.75
+"""That a picture must gain to be worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um:
+27.6 dB in 4 h, where 28.6 take 15."""
 
 _WORTH_DB = 0.03
 _GUESS_DB, _GOOD_DB = 0.25, 2.0

@@ -16,18 +16,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
+from cam.cutters import FLAT_STEP
 from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, slot_section_mm2
+from cam.rows.loads import choose_feeds, feed_at_load, measure_cut
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
+from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
-from cam.surface.tool_surface import ToolSurface
 
 SKIM_MM = 0.05
 """What layers keep back for the exact rows when a finishing pass meets an uncut block."""
+
+CUSP_MM = 0.05
+"""More than the layers' tolerance and cusps of a ball can leave above their tips."""
 
 TOUCH_MM = 1e-6
 """Stock less than this above a tip is not worth a cut."""
@@ -35,6 +39,9 @@ TOUCH_MM = 1e-6
 LAYER_CUSP_SHARE, PLANE_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.03, 0.01
 """Of the step-down: a layer's cusps, those of planes, and its chords. Those of two layers may add up, and the check
 allows 5 % for them, and the cusps of the pass's own pitch besides."""
+
+STAIR_SHARE = 0.8
+"""Of the step-down: stairs at most, which the rows between those of the layers take off at once."""
 
 _HERE_AND_THERE = 0.1
 """Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
@@ -62,13 +69,13 @@ class Field:
     stock_mm: Array
 
     @classmethod
-    def along(cls, rows: Rows, surface: ToolSurface, stock: StockTouch) -> Field:
+    def along(cls, rows: Rows, surface: Surface, stock: StockTouch) -> Field:
         """Sample as finely as the lens and at least eight times per radius, over all that turns may touch.
 
         So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
         """
         left, right = rows.left_mm - rows.turn_mm, rows.right_mm + rows.turn_mm
-        count = ceil((right - left) / surface.kernel.node_step) + 1
+        count = ceil((right - left) / surface.node_step_mm) + 1
         x = on_ticks(np.linspace(left, right, count))
         target = np.empty((rows.y_mm.size, x.size))
         blocks = np.array_split(np.arange(rows.y_mm.size), max(1, rows.y_mm.size // 64))
@@ -109,12 +116,15 @@ class Field:
 class LayerPlan:
     """Layers from the top down, on every stride-th row, and whether exact rows follow over everything: all of them, or
     only those between the rows of the layers.
+
+    stair_mm : height of the stairs that layers of what is flat leave between their rows on a slope
     """
 
     layers: tuple[Layer, ...]
     exact_rows: bool
     stride: int = 1
     only_between: bool = False
+    stair_mm: float = 0.0
 
 
 def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
@@ -130,18 +140,35 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0
     top = float(stock.height_mm.max())
     lowest = float(field.target_mm[field.stock_mm > field.target_mm].min()) + keep
+    stride = field.rows.stride_within(plane_row_distance_mm(spec))
+    stair_mm = 0.0
+    if not spec.is_ball:
+        stride, stair_mm = _limit_stairs(field, stride, STAIR_SHARE * spec.step_down_mm)
     count = ceil((top - lowest) / spec.step_down_mm)
     planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
     if exact:
         return LayerPlan(layers=tuple(planes), exact_rows=True, stride=_stride_before_exact_rows(field, spec))
-    stride = field.rows.stride_within(plane_row_distance_mm(spec))
     between = field.rows.between(stride).y_mm.size > 0
-    return LayerPlan(layers=tuple(planes), exact_rows=between, stride=stride, only_between=between)
+    return LayerPlan(layers=tuple(planes), exact_rows=between, stride=stride, only_between=between, stair_mm=stair_mm)
 
 
 def plane_row_distance_mm(spec: PassSpec) -> float:
     """Return how far apart rows of planes may lie at most: what they leave is for rows between them to take off."""
-    return sqrt(8 * spec.radius_mm * PLANE_CUSP_SHARE * spec.step_down_mm)
+    shape, radius_mm = spec.shape, spec.radius_mm
+    cusped_mm = sqrt(8 * shape.corner_mm(radius_mm) * PLANE_CUSP_SHARE * spec.step_down_mm)
+    return min(FLAT_STEP * radius_mm, 2 * shape.flat_mm(radius_mm) + cusped_mm)
+
+
+def _limit_stairs(field: Field, most: int, most_mm: float) -> tuple[int, float]:
+    """Return the widest stride of rows between which what is flat leaves no higher stairs on a slope, and their
+    height.
+    """
+    target = field.target_mm
+    for stride in range(min(most, len(target) - 1), 0, -1):
+        stair_mm = float(np.abs(target[stride:] - target[:-stride]).max()) / 2
+        if stair_mm <= most_mm or stride == 1:
+            return stride, stair_mm
+    return 1, 0.0
 
 
 def _stride_before_exact_rows(field: Field, spec: PassSpec) -> int:
@@ -208,19 +235,21 @@ def chain_spans(
 
 def layer_paths(
     field: Field,
-    surface: ToolSurface,
+    surface: Surface,
     stock: StockTouch,
     layer: Layer,
     above: Layer | None,
     spec: PassSpec,
     *,
+    stair_mm: float = 0.0,
     safe_z_mm: float,
     on_progress: Callable[[float], None],
 ) -> Iterator[Path]:
     """Yield one layer, cut only where stock stands above it; starts and ends at safe height.
 
     A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
-    while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two.
+    while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two. Between
+    rows stairs of stair_mm may stand besides: what goes there stays as much higher.
     """
     left, tips = _stock_and_tips(field, layer, above)
     per_radius = surface.radius_mm / field.step_mm
@@ -243,12 +272,12 @@ def layer_paths(
             [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
         )
         along = tips[run.row, samples]
-        bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, radius_mm=surface.radius_mm, top_mm=top_mm)
+        bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, spec, top_mm)
         feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
         if not run.upward:
             points, feeds = points[::-1], feeds[::-1]
         if run.joined and before is not None:
-            turns.append(_link(field, surface, layer, before, run, sag))
+            turns.append(_link(field, surface, layer, before, run, sag, stair_mm))
             yield cut(turns[-1], _choose_link_feed(now, tips, before, run, pad, spec))
         else:
             if before is not None:
@@ -261,7 +290,8 @@ def layer_paths(
         on_progress(done / len(runs))
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
-        yield from _end_walls(field, surface, stock, layer, above, turns, spec, safe_z_mm=safe_z_mm)
+        walls = replace(layer, offset_mm=layer.offset_mm + stair_mm)
+        yield from _end_walls(field, surface, stock, walls, above, turns, spec, safe_z_mm=safe_z_mm)
 
 
 def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
@@ -271,7 +301,7 @@ def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, 
     first, last = sorted((before.end, run.start))
     about = (slice(before.row, run.row + 1), slice(max(0, first - pad), last + pad + 1))
     depth_mm = max(0.0, float((now[about] - tips[about]).max()))
-    section = slot_section_mm2(depth_mm, spec.radius_mm) / 2 + depth_mm * spec.radius_mm
+    section = float(spec.shape.slot_section_mm2(spec.radius_mm, depth_mm)) / 2 + depth_mm * spec.radius_mm
     return min(float(feed_at_load(section, spec)), SLOT_FEED * spec.feed_mm_per_min)
 
 
@@ -282,14 +312,14 @@ def _cuts(points: Array, feeds: Array, sag_mm: float) -> Iterator[Path]:
         yield cut(thin_points(points[first:end], sag_mm), float(feeds[first]))
 
 
-def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:
+def _sag_mm(surface: Surface, layer: Layer, spec: PassSpec) -> float:
     """Return how far a layer's chords may be off: a little of what it leaves, and of what the next one may then
     meet.
     """
     return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
 
 
-def _pocket(field: Field, surface: ToolSurface, layer: Layer) -> Pocket:
+def _pocket(field: Field, surface: Surface, layer: Layer) -> Pocket:
     """Return the layer's own surface, over all that its rows and turns may touch."""
     rows = field.rows
     return Pocket(
@@ -332,7 +362,7 @@ def _leave_out_idle(runs: Iterable[Run], standing: npt.NDArray[np.bool_]) -> lis
 
 def _end_walls(
     field: Field,
-    surface: ToolSurface,
+    surface: Surface,
     stock: StockTouch,
     layer: Layer,
     above: Layer | None,
@@ -383,7 +413,9 @@ def _between(y_mm: Array, step_mm: float) -> Array:
     return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))
 
 
-def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run, tolerance_mm: float) -> Array:
+def _link(
+    field: Field, surface: Surface, layer: Layer, before: Run, run: Run, tolerance_mm: float, stair_mm: float
+) -> Array:
     """Return half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool
     went as far as the run-out allows.
 
@@ -397,5 +429,7 @@ def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Ru
     bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
     x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
     y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
-    points = np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])
+    tips = layer.tips_mm(surface.tip_heights_mm(x, y))
+    tips[1:-1] = np.maximum(tips[1:-1], layer.tips_mm(surface.tip_heights_mm(x, y) + stair_mm)[1:-1])
+    points = np.column_stack([x, y, tips])
     return thin_points(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

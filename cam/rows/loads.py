@@ -38,16 +38,9 @@ _POINTS = 24  # across the ball
 _LEFT, _RIGHT, _DEEP = range(3)
 
 
-def slot_section_mm2(depth_mm: ArrayLike, radius_mm: float) -> Array:
-    """Return the section of a ball's slot in a plane, its walls upright above the ball's middle."""
-    above = np.maximum(np.asarray(depth_mm) - radius_mm, 0.0)
-    rise = np.clip(radius_mm - np.asarray(depth_mm), 0.0, radius_mm)
-    return radius_mm**2 * np.arccos(rise / radius_mm) - rise * np.sqrt(radius_mm**2 - rise**2) + 2 * radius_mm * above
-
-
 def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
     """Return the feed at which cuts take off as much a minute as the pass may. steep: slope of the way."""
-    allowed = LOAD_SHARE * slot_section_mm2(spec.step_down_mm, spec.radius_mm) * spec.feed_mm_per_min
+    allowed = LOAD_SHARE * spec.shape.slot_section_mm2(spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
     wanted = np.maximum(allowed / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
     return round_feed(np.minimum(wanted, most_feed_mm_per_min(spec, steep)))
 
@@ -66,20 +59,22 @@ def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _measure(now, tips, y, row, others, first, radius, top, out):  # type: ignore[no-untyped-def]
+def _measure(now, tips, y, row, others, first, radius, corner, top, out):  # type: ignore[no-untyped-def]
     """Measure the cut along tips (n,), which begin at sample `first` of a row: out (n, 3) left, right, deepest.
 
-    now (n rows, n samples) : tips at which the ball would meet stock; others: the rows that are looked at
+    now (n rows, n samples) : tips at which the cutter would meet stock; corner: its corner's radius; others: rows that
+                              are looked at
     """
     width = 2.0 * radius / _POINTS
     rise, own = np.full((_POINTS, others.size), inf), np.empty(_POINTS)
     for k in range(_POINTS):
         w = (k + 0.5) * width - radius
-        own[k] = radius - sqrt(radius * radius - w * w)
+        beyond = max(0.0, abs(w) - radius + corner)
+        own[k] = corner - sqrt(corner * corner - beyond * beyond)
         for m in range(others.size):
-            square = radius * radius - (w - y[others[m]] + y[row]) ** 2
-            if square > 0.0:
-                rise[k, m] = radius - sqrt(square)
+            beyond = max(0.0, abs(w - y[others[m]] + y[row]) - radius + corner)
+            if beyond < corner or beyond == 0.0:
+                rise[k, m] = corner - sqrt(corner * corner - beyond * beyond)
     met = np.empty(others.size)
     for i in range(tips.size):
         out[i] = 0.0
@@ -95,19 +90,18 @@ def _measure(now, tips, y, row, others, first, radius, top, out):  # type: ignor
                 out[i, _DEEP] = max(out[i, _DEEP], depth)
 
 
-def measure_cut(
-    now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, radius_mm: float, top_mm: float
-) -> Array:
+def measure_cut(now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, spec: PassSpec, top_mm: float) -> Array:
     """Return (n, 3) sections beside a row towards greater and smaller Y [mm2] and the deepest cut, sample by sample.
 
     now (n rows, n samples) : tips at which the ball would meet stock, of rows at y_mm; top_mm: none stands higher
     tips_mm (n,)            : of the row, from its sample `first` on
     """
-    near = np.flatnonzero(np.abs(y_mm - y_mm[row]) < 2 * radius_mm)
+    near = np.flatnonzero(np.abs(y_mm - y_mm[row]) < 2 * spec.radius_mm)
     stride = ceil(near.size / _POINTS)
     others = near[((near - row) % stride == 0) | (np.abs(near - row) == 1)]
     out = np.empty((tips_mm.size, 3))
-    _measure(now, tips_mm, y_mm, row, others, first, radius_mm, top_mm, out)
+    corner_mm = spec.shape.corner_mm(spec.radius_mm)
+    _measure(now, tips_mm, y_mm, row, others, first, spec.radius_mm, corner_mm, top_mm, out)
     return out
 
 
@@ -116,7 +110,7 @@ def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) 
     steep = np.abs(np.diff(tips_mm, append=tips_mm[-1])) / step_mm
     feed = feed_at_load(cut[:, _LEFT] + cut[:, _RIGHT], spec, steep)
     sides = 2 * np.minimum(cut[:, _LEFT], cut[:, _RIGHT])
-    in_slot = sides > SLOT_SIDES * slot_section_mm2(cut[:, _DEEP], spec.radius_mm)
+    in_slot = sides > SLOT_SIDES * spec.shape.slot_section_mm2(spec.radius_mm, cut[:, _DEEP])
     in_slot &= cut[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
     feed[in_slot] = np.minimum(feed[in_slot], SLOT_FEED * spec.feed_mm_per_min)
     most = most_feed_mm_per_min(spec)

@@ -14,8 +14,9 @@ from numba import njit
 
 from cam.moves import Array
 from cam.passes import PassSpec, Stock
-from cam.rows.vertices import TICKS_PER_MM, VertexRule, march_row, most_vertices
+from cam.rows.vertices import TICKS_PER_MM, VertexRule, march_row, most_vertices, thin_points
 from cam.surface.contact import touch
+from cam.surface.rough_surface import RoughSurface
 from cam.surface.tool_surface import ToolSurface
 
 THREADS = 2
@@ -143,6 +144,22 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
         return out[: march_row(surface.kernel, rule, rows.y_mm[index], start, end, out, 0)].copy()
 
     yield from map_in_order(row, range(rows.y_mm.size))
+
+
+def sampled_rows(surface: RoughSurface, rows: Rows, sag_mm: float) -> Iterator[Array]:
+    """Yield all rows of what is flat there and back on one unbroken path, row by row, each with the turn after it."""
+    x = on_ticks(np.linspace(rows.left_mm, rows.right_mm, math.ceil(rows.length_mm / surface.node_step_mm) + 1))
+    angle = np.pi * np.arange(1, turn_parts(rows.turn_mm)) / turn_parts(rows.turn_mm)
+    for j, y in enumerate(rows.y_mm):
+        way = 1 if j % 2 == 0 else -1
+        line = np.column_stack([x, np.full_like(x, y), surface.tip_heights_mm(x, y)])
+        row = thin_points(line, sag_mm)[::way]
+        if j + 1 == rows.y_mm.size:
+            yield row
+            return
+        turn_x = on_ticks(row[-1, 0] + way * rows.turn_mm * np.sin(angle))
+        turn_y = on_ticks((y + rows.y_mm[j + 1] - (rows.y_mm[j + 1] - y) * np.cos(angle)) / 2)
+        yield np.concatenate([row, np.column_stack([turn_x, turn_y, surface.tip_heights_mm(turn_x, turn_y)])])
 
 
 def map_in_order(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def]

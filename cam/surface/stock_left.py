@@ -24,12 +24,13 @@ be a whole pitch away instead of half of one; that a row is missing is for `cam.
 
 
 @njit(cache=True, nogil=True)
-def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, over, lens, cusp):  # type: ignore[no-untyped-def] # fmt: skip
-    """Compare. lens: stock above the lens; over: above that and what the pass leaves; cusp: what the theory allows of
-    it.
+def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, ball, out):  # type: ignore[no-untyped-def] # fmt: skip
+    """Compare. out: stock above the lens and what the pass leaves; stock above the lens; what the theory allows of the
+    first.
 
     All along Z; NaN off the aperture.
     """
+    over, lens, cusp = out
     ny, nx = top.shape
     for j in range(ny):
         y = y0 + (j + 0.5) * cell
@@ -48,6 +49,9 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
             bend = 0.5 * (hxx + hyy) + math.hypot(0.5 * (hxx - hyy), hxy)  # most hollow direction; an upper bound
             if bend < 0.0:
                 bend /= steep * q
+            if not ball:  # stairs from row to row, in a hollow besides what no flat end reaches
+                cusp[j, i] = pitch * math.sqrt(steep - 1.0) + 0.25 * radius * radius * max(0.0, bend)
+                continue
             # Tips p apart in plan are up to p q apart on the slope; the ridge, p^2 / 8R, stands on the slope (q), and
             # in a hollow the contacts spread to p / (1 - R k). Near 1 - R k = 0 the ball hardly fits: not a cusp.
             cusp[j, i] = pitch * pitch * steep * q / (8.0 * radius * max(0.25, 1.0 - (radius + leave) * bend))
@@ -134,7 +138,7 @@ class StockLeft:
         _compare(
             *(grid.top_mm, grid.x0_mm, grid.y0_mm, grid.cell_mm, *heightfield.spline().kernel_arguments),
             *(heightfield.width_mm, heightfield.height_mm, spec.stock_to_leave_mm, spec.pitch_mm, spec.radius_mm),
-            *(over, lens, cusp),
+            *(spec.is_ball, (over, lens, cusp)),
         )
         return cls(over_mm=over, over_lens_mm=lens, cusp_mm=cusp, grid=grid)
 
@@ -195,12 +199,18 @@ class ExcessFound:
 def find_excess(
     left: StockLeft, heightfield: Heightfield, spec: PassSpec, among: np.ndarray | None = None
 ) -> ExcessFound:
-    """Tell stock that was forgotten from stock the ball cannot get at. among (ny, nx): the cells that are judged."""
+    """Tell stock that was forgotten from stock the ball cannot get at. among (ny, nx): the cells that are judged.
+
+    What is flat leaves more than this could tell: there the spacing of its rows is judged, and what the next pass
+    meets.
+    """
     suspects = left.suspicious(spec)
     judged_over_mm = left.over_mm
     if among is not None:
         suspects = suspects & among
         judged_over_mm = np.where(among, left.over_mm, np.nan)
+    if not spec.is_ball:
+        suspects = np.zeros_like(suspects)
     flat = np.flatnonzero(suspects)
     stride = max(1, -(-flat.size // _JUDGED))
     judged = flat[::stride]

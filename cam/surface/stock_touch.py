@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from cam.cutters import BALL, CutterShape
+from cam.errors import PassValueError
 from cam.moves import Array
 from cam.surface.stock_grid import StockGrid
 
 AIR_MM = -1e6
 """Where the whole footprint lies beside the block."""
+
+_FIRST_ALONE = "a ball, after a pass that has left its shape"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +40,8 @@ class StockTouch:
     radius_mm: float
 
     @classmethod
-    def of(cls, stock_top: StockGrid, radius_mm: float) -> StockTouch:
+    def of(cls, stock_top: StockGrid, radius_mm: float, shape: CutterShape = BALL) -> StockTouch:
+        """Dilate; shape: what is not a ball meets flat stock alone."""
         top, cell = stock_top.top_mm, stock_top.cell_mm
         stride = max(1, int(radius_mm / 10 / cell))
         step, pad = stride * cell, math.ceil(radius_mm / (stride * cell)) + 1
@@ -48,9 +53,11 @@ class StockTouch:
         if flat:
             out_x = _outside(x0 + step * np.arange(nx), stock_top.x0_mm, stock_top.x0_mm + top.shape[1] * cell)
             out_y = _outside(y0 + step * np.arange(ny), stock_top.y0_mm, stock_top.y0_mm + top.shape[0] * cell)
-            left = radius_mm**2 - out_x[None, :] ** 2 - out_y[:, None] ** 2
-            met = left > 0
-            height[met] = float(top[0, 0]) - radius_mm + np.sqrt(left[met])
+            away = np.hypot(out_x[None, :], out_y[:, None])
+            met = away < radius_mm
+            height[met] = float(top[0, 0]) - shape.rise_mm(radius_mm, away[met])
+        elif shape != BALL:
+            raise PassValueError(name="corner_radius_mm", value=shape.corner_mm(radius_mm), allowed=_FIRST_ALONE)
         else:
             wide = math.ceil(top.shape[1] / stride) * stride
             by_column = np.full((top.shape[0], wide), AIR_MM)

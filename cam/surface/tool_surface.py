@@ -73,6 +73,11 @@ class ToolSurface:
             kernel=kernel,
         )
 
+    @property
+    def node_step_mm(self) -> float:
+        """Of the lattice."""
+        return float(self.kernel.node_step)
+
     def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
         """Return (n, 3) contact x, contact y and tip height for tips at x (n,), y (n,); quick if neighbours are
         close.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from math import cos, pi, sin
 
 import numpy as np
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
 from cam.around.cut_out import cut_out_paths, highest_along
 from cam.around.facing import make_facing_paths
-from cam.around.flat_removal import FlatRemoval
 from cam.around.outline import aperture_corners, offset_loop, segment_distances
 from cam.around.specs import CutOut, Facing
 from cam.cutters import CUTTERS, CutterShape
@@ -88,40 +86,6 @@ def cut_free(
         written(paths, dialect=dialect, **more), cut_out, stock=STOCK, stock_top=top, mill=mill_of(dialect),
         corners_mm=corners, loop_mm=loop,
     )  # fmt: skip
-
-
-def slow_flat(top: StockGrid, points: np.ndarray, radius_mm: float, corner_mm: float = 0.0) -> np.ndarray:
-    """The end at many places of its way, one after the other."""
-    left = top.top_mm.copy()
-    x, y = top.x_mm[None, :], top.y_mm[:, None]
-    for a, b in pairwise(points):
-        for t in np.linspace(0, 1, 400):
-            p = a + t * (b - a)
-            away = np.hypot(x - p[0], y - p[1])
-            beyond = np.maximum(away - (radius_mm - corner_mm), 0.0)
-            end = p[2] + corner_mm - np.sqrt(np.maximum(corner_mm**2 - beyond**2, 0.0))
-            under = away <= radius_mm
-            left[under] = np.minimum(left, end)[under]
-    return left
-
-
-POINT = st.tuples(st.floats(-3, 9), st.floats(-3, 9), st.floats(-3, 0.5))
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.lists(POINT, min_size=2, max_size=4), st.floats(0.5, 2), st.sampled_from([0.0, 0.5, 1.0]))
-def test_a_flat_or_rounded_end_leaves_what_it_would_at_every_place_of_its_way(points, radius_mm, share) -> None:
-    """The slow one stands still at 400 places of a move, so it takes off less, by a four-hundredth of the slope."""
-    way, corner_mm = np.array(points), share * radius_mm
-    top = StockGrid(x0_mm=0, y0_mm=0, cell_mm=0.25, top_mm=np.zeros((24, 24)))
-    fast = FlatRemoval(top, radius_mm=radius_mm, corner_mm=corner_mm)
-    drops, places = fast.cut(way)
-    slow = slow_flat(top, way, radius_mm, corner_mm)
-    assert (fast.top_mm <= slow + (1e-6 if share else 1e-12)).all()  # the lowest place of a rounded end is searched for
-    sure = slow_flat(top, way, radius_mm + 0.05, corner_mm)  # places touched by the rim between two of the 400
-    assert (fast.top_mm >= sure - 0.05).all()
-    assert drops.max() <= -fast.top_mm.min() + 1e-12 <= drops.sum() + 2e-12
-    assert ((places >= 0) == (drops > 0)).all()
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)

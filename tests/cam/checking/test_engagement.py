@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 
 from cam.checking.engagement import Engagement, _slot_section
 from cam.checking.removal import RemovalGrid
+from cam.cutters import end_mill
 from cam.passes import ball_pass
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
@@ -55,12 +55,13 @@ def row(y, z=-0.5, *, backward=False):
     return points[::-1] if backward else points
 
 
-@given(depth=st.floats(0.05, 0.95), radius=st.sampled_from([0.5, 1.0, 3.0]))
-def test_the_section_of_a_slot_is_the_segment_of_a_circle(depth, radius):
-    half = math.sqrt(radius**2 - (radius - depth * radius) ** 2)
-    w = np.linspace(-half, half, 20_001)
-    height = np.sqrt(radius**2 - w**2) - (radius - depth * radius)
-    assert _slot_section(depth * radius, radius) == pytest.approx(np.trapezoid(height, w), rel=1e-3)
+@given(depth=st.floats(0.05, 1.5), radius=st.sampled_from([0.5, 1.0, 3.0]), corner=st.sampled_from([0.0, 0.3, 1.0]))
+def test_the_section_of_a_slot_is_what_lies_over_the_underside(depth, radius, corner):
+    w = np.linspace(-radius, radius, 40_001)
+    height = np.maximum(0.0, depth * radius - end_mill(corner).rise_mm(radius, np.abs(w)))
+    section = pytest.approx(np.trapezoid(height, w), rel=1e-3)
+    assert _slot_section(depth * radius, radius, corner * radius) == section
+    assert end_mill(corner).slot_section_mm2(radius, depth * radius) == section
 
 
 def test_a_first_row_is_a_slot_and_the_next_is_none():

@@ -13,7 +13,7 @@ from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
-from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, feed_at_load, measure_cut, slot_section_mm2
+from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, feed_at_load, measure_cut
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
 
@@ -29,22 +29,24 @@ def hills():
 
 
 @pytest.mark.parametrize("radius_mm", [0.5, 3.0])
+@pytest.mark.parametrize("corner_share", [1.0, 0.3, 0.0])
 @pytest.mark.parametrize("depth_share", [0.1, 0.5])
-def test_sections_of_slots_and_of_rows_beside_others(radius_mm, depth_share):
+def test_sections_of_slots_and_of_rows_beside_others(radius_mm, corner_share, depth_share):
     """In a plane a slot is a segment of the ball's circle, and a row beside one that is cut takes pitch by depth."""
     pitch, depth = radius_mm / 6, depth_share * radius_mm
+    spec = replace(FINE, radius_mm=radius_mm, corner_radius_mm=corner_share * radius_mm)
     y = pitch * np.arange(30)
     now, tips = np.zeros((30, 4)), np.full(4, -depth)
-    slot = measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0)
+    slot = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
     np.testing.assert_allclose(slot[:, 0], slot[:, 1])
-    np.testing.assert_allclose(slot[:, :2].sum(axis=1), slot_section_mm2(depth, radius_mm), rtol=0.03)
+    np.testing.assert_allclose(slot[:, :2].sum(axis=1), spec.shape.slot_section_mm2(radius_mm, depth), rtol=0.03)
     np.testing.assert_allclose(slot[:, 2], depth, rtol=0.03)
     now[:15] = -depth
-    beside = measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0)
+    beside = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
     np.testing.assert_allclose(beside[:, :2].sum(axis=1), pitch * depth, rtol=0.05)
     assert (beside[:, 0] > 5 * beside[:, 1]).all()  # towards greater Y, where no row has been cut
     now[15:] = -depth
-    assert measure_cut(now, tips, y, 15, 0, radius_mm=radius_mm, top_mm=0.0).max() < 1e-12
+    assert measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0).max() < 1e-12
 
 
 def shorten(batch: MoveBatch, most_mm: float) -> MoveBatch:
@@ -91,7 +93,7 @@ def test_a_rough_pass_takes_off_as_much_a_minute_everywhere(hills, pitch_mm, dir
     spec = replace(FINE, pitch_mm=pitch_mm, direction=direction)
     top = StockGrid.block(STOCK, 0.05)
     volume, load = loads_of(generate_program(hills, spec, STOCK, stock_top=top, post=GRBL), spec, top)
-    allowed = LOAD_SHARE * slot_section_mm2(spec.step_down_mm, spec.radius_mm) * spec.feed_mm_per_min
+    allowed = LOAD_SHARE * spec.shape.slot_section_mm2(spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
     order = np.argsort(load)
     share = np.cumsum(volume[order]) / volume.sum()
     median, nearly_all = (load[order][np.searchsorted(share, part)] for part in (0.5, 0.98))
