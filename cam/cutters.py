@@ -9,11 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from cam.moves import Array
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutterShape:
@@ -44,21 +39,6 @@ class CutterShape:
         """Return the height of the ridge that stays between two rows on a plane."""
         corner_mm, gap_mm = self.corner_mm(radius_mm), pitch_mm - 2 * self.flat_mm(radius_mm)
         return 0.0 if gap_mm <= 0 else corner_mm - (corner_mm**2 - gap_mm**2 / 4) ** 0.5
-
-    def rise_mm(self, radius_mm: float, away_mm: ArrayLike) -> Array:
-        """Return how high the underside stands above the tip, so far from the axis; at the rim from there on."""
-        corner_mm = self.corner_mm(radius_mm)
-        beyond = np.clip(np.asarray(away_mm) - self.flat_mm(radius_mm), 0.0, corner_mm)
-        return np.asarray(corner_mm - np.sqrt(corner_mm**2 - beyond**2))
-
-    def slot_section_mm2(self, radius_mm: float, depth_mm: ArrayLike) -> Array:
-        """Return the section of a slot in a plane, its walls upright above the corner."""
-        corner_mm, depth = self.corner_mm(radius_mm), np.asarray(depth_mm)
-        rise = np.clip(corner_mm - depth, 0.0, corner_mm)
-        segment = corner_mm**2 * np.arccos(rise / max(corner_mm, 1e-12)) - rise * np.sqrt(corner_mm**2 - rise**2)
-        return np.asarray(
-            segment + 2 * corner_mm * np.maximum(depth - corner_mm, 0.0) + 2 * self.flat_mm(radius_mm) * depth
-        )
 
 
 BALL = CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6)  # cusps of R / 288

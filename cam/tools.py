@@ -1,4 +1,4 @@
-"""Ball end mills of a shop, as data: what each is, how fast it runs on a mill, and where it may go."""
+"""End mills of a shop, as data: what each is, how fast it runs on a mill, and where it may go."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from cam.passes import Direction, PassSpec, Strategy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tool:
-    """A ball end mill.
+    """An end mill: a ball, or one that is flat, which roughs alone.
 
     flute_length_mm : how high it cuts, from its tip
     shank_radius_mm : of what is above the flutes
     stick_out_mm    : from its tip to the chuck
     max_rpm         : fastest speed its maker allows
     cost_class      : 1 cheap, 2 usual, 3 dear; of two that do as well the cheaper is taken
+    corner_radius_mm : 0 of a flat end mill, less than radius_mm of a bull-nose; None: a ball
     """
 
     name: str
@@ -28,6 +29,11 @@ class Tool:
     stick_out_mm: float
     max_rpm: float
     cost_class: int
+    corner_radius_mm: float | None = None
+
+    @property
+    def is_ball(self) -> bool:
+        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
 
     def reaches(self, depth_mm: float) -> bool:
         """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
@@ -99,4 +105,5 @@ def tool_pass(
         spindle_rpm=speeds.spindle_rpm,
         flute_length_mm=tool.flute_length_mm,
         shank_radius_mm=tool.shank_radius_mm,
+        corner_radius_mm=tool.corner_radius_mm,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import floor
 from typing import Any
 
@@ -49,6 +50,21 @@ def _round_half_up(value: float) -> int:
 def ball(radius_mm: float) -> str:
     """Return a ball's size: by its radius as in the spec, by its diameter as on its box."""
     return f"R {radius_mm:g} (Ø {2 * radius_mm:g} mm)"
+
+
+def shape_of(row: Mapping[str, Any]) -> str:
+    """Return the shape of a pass's end mill: as the row says it, else by the radius of its corner."""
+    corner_mm = row.get("corner_radius_mm")
+    if (said := row.get("tool")) is not None:
+        return str(said)
+    return "ball" if corner_mm in (None, row.get("radius_mm")) else "bull-nose" if corner_mm else "flat"
+
+
+def cutter(row: Mapping[str, Any]) -> str:
+    """Return a pass's end mill by shape and size."""
+    shape, corner_mm = shape_of(row), row.get("corner_radius_mm")
+    size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
+    return f"{shape} {size}" + (f", corner R {corner_mm:g} mm" if shape == "bull-nose" else "")
 
 
 def size(count: Any) -> str:

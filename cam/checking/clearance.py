@@ -15,6 +15,7 @@ from numba import njit
 
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
+from cam.surface.cutter import rise_mm
 from optics.heightfield import Array, Heightfield, spline_jet
 
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
@@ -211,7 +212,7 @@ class FlatWitness:
         away = np.unique(np.concatenate([shape.flat_mm(radius_mm) * shares[shares < 1], radius_mm * shares]))
         turns = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
         x, y = (np.concatenate([[0.0], np.outer(away, trace(turns)).ravel()]) for trace in (np.cos, np.sin))
-        self._places = np.column_stack([x, y, shape.rise_mm(radius_mm, np.hypot(x, y))])
+        self._places = np.column_stack([x, y, rise_mm(shape, radius_mm, np.hypot(x, y))])
         self._step_mm = radius_mm / _RINGS
 
     def overlaps(self, batch: MoveBatch) -> Overlaps:

@@ -42,6 +42,8 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
     for k in range(drops.size):
         ax, ay, az = points[k, 0], points[k, 1], points[k, 2]
         bx, by, bz = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
+        if ax == bx and ay == by and az == bz:
+            continue
         length = math.hypot(bx - ax, by - ay)
         way[0] += math.hypot(length, bz - az)
         along = length > _STILL_MM

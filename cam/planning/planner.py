@@ -14,7 +14,7 @@ from math import inf, log2
 from typing import Protocol
 
 from cam.passes import Direction, PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s
+from cam.planning.pass_time import LensForm
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
@@ -171,7 +171,7 @@ def find_candidates(
     left_out: list[tuple[str, str]] = []
     candidates: list[Candidate] = []
     rough: Roughing | None = None
-    for tool in shop.tools:
+    for tool in shop.balls:
         form = lenses.get(tool.radius_mm)
         if form is None:
             left_out.append((tool.name, find_unheld(tool, shop) or "no lens was shaped for it"))
@@ -317,7 +317,7 @@ def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPas
     before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
-    own_s = rows_s(form, finish, shop.mill, shop.digits) + finish_layers_s(form, finish, before.depth_mm, shop.mill)
+    own_s = rows_s(form, finish, shop.mill, shop.digits) + before.layers_s(form, finish, shop.mill)
     slopes = shop.slopes(form, finish)
     after = () if rest is None else (rest,)
     marks = Marks(spec=finish, slopes=slopes, rest=None if rest is None else Marks(spec=rest.spec, slopes=rest.slopes))

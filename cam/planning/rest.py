@@ -149,7 +149,7 @@ def _choose_smaller(
         return None
     shares = {
         tool: fillings[tool.radius_mm].share / left.share if tool.radius_mm in fillings else 0.0
-        for tool in shop.tools
+        for tool in shop.balls
         if tool.radius_mm < big.radius_mm and pitches_mm(tool) and find_exclusion(tool, form, shop) is None
     }
     reaching = [tool for tool, share in shares.items() if share <= _REACHES]

@@ -8,10 +8,13 @@ from math import atan, ceil, cos, floor, sqrt
 
 import numpy as np
 
+from cam.duration import Kinematics
+from cam.moves import Array
 from cam.passes import PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s
+from cam.planning.pass_time import LensForm, finish_layers_s, layers_where_s
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.planning.written_time import first_pass_s, planes_s, rows_s
+from cam.surface.rough_surface import left_by_flat
 from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
@@ -23,11 +26,21 @@ _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """Passes before the finish, and the deepest stock that they leave to it, measured along Z."""
+    """Passes before the finish, and the deepest stock that they leave to it, measured along Z.
+
+    stock_mm : (ny, nx) what stands where, after a pass of what is flat: stairs, and hollows that it does not reach
+    """
 
     passes: tuple[PassSpec, ...]
     seconds: tuple[float, ...]
     depth_mm: float
+    stock_mm: Array | None = None
+
+    def layers_s(self, form: LensForm, after: PassSpec, mill: Kinematics) -> float:
+        """Return the seconds that the next pass takes for more of it than one move may take off."""
+        if self.stock_mm is None:
+            return finish_layers_s(form, after, self.depth_mm, mill)
+        return layers_where_s(form, after, self.stock_mm, mill)
 
 
 class Roughing:
@@ -58,7 +71,7 @@ class Roughing:
         ways = [rough, *self._plan_leaving_less(rough, finish), *self._plan_with_second(rough, finish)]
         return min(
             ways,
-            key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
+            key=lambda way: sum(way.seconds) + way.layers_s(self.form, finish, self.shop.mill),
         )
 
     def _plan_rough(self, finish: PassSpec) -> Before | None:
@@ -95,6 +108,8 @@ class Roughing:
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
         spec = rough.passes[0]
+        if not spec.is_ball:
+            return
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
         if _LEAST_LEFT_MM <= left_mm < spec.stock_to_leave_mm:
@@ -102,7 +117,7 @@ class Roughing:
             yield replace(rough, passes=(spec,), depth_mm=self._depth_mm(spec))
 
     def _plan_with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
-        for tool in self.shop.tools:
+        for tool in self.shop.balls:
             if self.shop.holds(tool) and finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
                 pitch_mm = sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM)
                 yield self._make_way((rough,), self._make_spec(tool, pitch_mm, _SEMI_LEAVES_MM))
@@ -114,17 +129,22 @@ class Roughing:
         return tool_pass("rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=step_down_mm)
 
     def _make_way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
+        stock_mm = None if spec.is_ball else self._find_left_mm(spec)
         if after:
-            depth_mm = after[0].depth_mm
             seconds = rows_s(self.form, spec, self.shop.mill)
-            seconds += finish_layers_s(self.form, spec, depth_mm, self.shop.mill)
+            seconds += after[0].layers_s(self.form, spec, self.shop.mill)
         else:
             seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),
-            depth_mm=self._depth_mm(spec),
+            depth_mm=self._depth_mm(spec) if stock_mm is None else float(stock_mm.max()),
+            stock_mm=stock_mm,
         )
+
+    def _find_left_mm(self, spec: PassSpec) -> Array:
+        """Return what a pass of what is flat leaves along Z, over the lens: up to where its end comes, and stairs."""
+        return left_by_flat(self.form.lens, spec) - self.form.lens.z_mm
 
     def _depth_mm(self, spec: PassSpec) -> float:
         """Return the deepest stock after a pass, along Z."""

@@ -53,6 +53,11 @@ class Shop:
     digits: Digits | None = None
     safe_z_mm: float = SAFE_Z_MM
 
+    @property
+    def balls(self) -> tuple[Tool, ...]:
+        """The tools that can finish."""
+        return tuple(tool for tool in self.tools if tool.is_ball)
+
     def speeds(self, tool: Tool) -> Speeds:
         return Speeds.of(
             tool,

@@ -23,7 +23,7 @@ from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
 from cam.posts.digits import Digits
 from cam.program import SAFE_Z_MM, pass_paths
-from cam.rows.layers import plane_row_distance_mm
+from cam.rows.layers import STAIR_SHARE, plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
@@ -189,7 +189,10 @@ def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
-    distance_mm = spec.pitch_mm * max(1, int(plane_row_distance_mm(spec) / spec.pitch_mm))
+    distance_mm = plane_row_distance_mm(spec)
+    if not spec.is_ball:
+        distance_mm = min(distance_mm, 2 * STAIR_SHARE * spec.step_down_mm / max(1e-9, float(form.slopes[-1])))
+    distance_mm = spec.pitch_mm * max(1, int(distance_mm / spec.pitch_mm))
     spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60
     gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))

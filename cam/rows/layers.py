@@ -24,6 +24,7 @@ from cam.rows.entries import Pocket, enter, leave
 from cam.rows.loads import choose_feeds, feed_at_load, measure_cut
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
+from cam.surface.cutter import slot_section_mm2
 from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
 
@@ -301,7 +302,7 @@ def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, 
     first, last = sorted((before.end, run.start))
     about = (slice(before.row, run.row + 1), slice(max(0, first - pad), last + pad + 1))
     depth_mm = max(0.0, float((now[about] - tips[about]).max()))
-    section = float(spec.shape.slot_section_mm2(spec.radius_mm, depth_mm)) / 2 + depth_mm * spec.radius_mm
+    section = float(slot_section_mm2(spec.shape, spec.radius_mm, depth_mm)) / 2 + depth_mm * spec.radius_mm
     return min(float(feed_at_load(section, spec)), SLOT_FEED * spec.feed_mm_per_min)
 
 

@@ -19,6 +19,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from cam.materials import SLOT_FEED
 from cam.moves import Array
 from cam.passes import PassSpec
+from cam.surface.cutter import slot_section_mm2
 
 LOAD_SHARE = 0.42
 """Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it
@@ -40,7 +41,7 @@ _LEFT, _RIGHT, _DEEP = range(3)
 
 def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
     """Return the feed at which cuts take off as much a minute as the pass may. steep: slope of the way."""
-    allowed = LOAD_SHARE * spec.shape.slot_section_mm2(spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
+    allowed = LOAD_SHARE * slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
     wanted = np.maximum(allowed / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
     return round_feed(np.minimum(wanted, most_feed_mm_per_min(spec, steep)))
 
@@ -110,7 +111,7 @@ def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) 
     steep = np.abs(np.diff(tips_mm, append=tips_mm[-1])) / step_mm
     feed = feed_at_load(cut[:, _LEFT] + cut[:, _RIGHT], spec, steep)
     sides = 2 * np.minimum(cut[:, _LEFT], cut[:, _RIGHT])
-    in_slot = sides > SLOT_SIDES * spec.shape.slot_section_mm2(spec.radius_mm, cut[:, _DEEP])
+    in_slot = sides > SLOT_SIDES * slot_section_mm2(spec.shape, spec.radius_mm, cut[:, _DEEP])
     in_slot &= cut[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
     feed[in_slot] = np.minimum(feed[in_slot], SLOT_FEED * spec.feed_mm_per_min)
     most = most_feed_mm_per_min(spec)

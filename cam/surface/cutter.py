@@ -1,4 +1,4 @@
-"""The ball end mill, and the largest one a surface admits."""
+"""Undersides of end mills, and the largest ball that a surface admits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cam.cutters import CutterShape
 from cam.moves import Array
 from optics.heightfield import Heightfield
 
@@ -26,6 +28,23 @@ class BallEndMill:
     def cusp_slope(self, pitch_mm: float) -> float:
         """Return the steepest slope of that ridge: (p/2) / sqrt(R^2 - (p/2)^2)."""
         return pitch_mm / 2 / sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
+
+
+def rise_mm(shape: CutterShape, radius_mm: float, away_mm: ArrayLike) -> Array:
+    """Return how high the underside stands above the tip, so far from the axis; beyond the rim as high as there."""
+    corner_mm = shape.corner_mm(radius_mm)
+    beyond = np.clip(np.asarray(away_mm) - shape.flat_mm(radius_mm), 0.0, corner_mm)
+    return np.asarray(corner_mm - np.sqrt(corner_mm**2 - beyond**2))
+
+
+def slot_section_mm2(shape: CutterShape, radius_mm: float, depth_mm: ArrayLike) -> Array:
+    """Return the section of a slot in a plane, its walls upright above the corner."""
+    corner_mm, depth = shape.corner_mm(radius_mm), np.asarray(depth_mm)
+    rise = np.clip(corner_mm - depth, 0.0, corner_mm)
+    segment = corner_mm**2 * np.arccos(rise / max(corner_mm, 1e-12)) - rise * np.sqrt(corner_mm**2 - rise**2)
+    return np.asarray(
+        segment + 2 * corner_mm * np.maximum(depth - corner_mm, 0.0) + 2 * shape.flat_mm(radius_mm) * depth
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ would be within that disc. Heights are kept on a lattice, from a disc that is gr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor, sqrt
 
 import numpy as np
@@ -89,6 +89,17 @@ def surface_under(heightfield: Heightfield, spec: PassSpec) -> Surface:
     if spec.is_ball:
         return ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
     return RoughSurface.over(heightfield, spec)
+
+
+def left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
+    """Return heights (ny, nx) at the lens's vertices that a pass of what is flat leaves: where its end comes, and on
+    slopes stairs.
+    """
+    surface = RoughSurface.over(lens, spec)
+    lowest = -find_highest(-surface.height_mm, spec.shape.flat_mm(spec.radius_mm) / surface.node_step_mm)
+    slopes = np.gradient(lens.z_mm, lens.dy_mm, lens.dx_mm)
+    ends = replace(surface, height_mm=lowest).tip_rows_mm(lens.x_mm, lens.y_mm)
+    return np.asarray(ends + spec.pitch_mm * np.abs(slopes[0 if spec.direction == "x" else 1]))
 
 
 def find_highest(heights: Array, cells: float) -> Array:

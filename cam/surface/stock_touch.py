@@ -11,6 +11,7 @@ from numba import njit
 from cam.cutters import BALL, CutterShape
 from cam.errors import PassValueError
 from cam.moves import Array
+from cam.surface.cutter import rise_mm
 from cam.surface.stock_grid import StockGrid
 
 AIR_MM = -1e6
@@ -55,7 +56,7 @@ class StockTouch:
             out_y = _outside(y0 + step * np.arange(ny), stock_top.y0_mm, stock_top.y0_mm + top.shape[0] * cell)
             away = np.hypot(out_x[None, :], out_y[:, None])
             met = away < radius_mm
-            height[met] = float(top[0, 0]) - shape.rise_mm(radius_mm, away[met])
+            height[met] = float(top[0, 0]) - rise_mm(shape, radius_mm, away[met])
         elif shape != BALL:
             raise PassValueError(name="corner_radius_mm", value=shape.corner_mm(radius_mm), allowed=_FIRST_ALONE)
         else:

@@ -22,6 +22,7 @@ from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.written_time import first_pass_s, rows_s
 from cam.posts.dialects import POSTS
+from cam.surface.rough_surface import left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
@@ -57,7 +58,7 @@ from service.job.spec.lens_task import (
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
-from service.wording import ball
+from service.wording import ball, cutter
 
 PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
@@ -221,7 +222,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
         else:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
-        yield {"name": spec.name, "tool": f"ball {ball(spec.radius_mm)}", "hours": seconds / 3600}
+        yield {"name": spec.name, "tool": cutter(asdict(spec)), "hours": seconds / 3600}
 
 
 def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -248,6 +249,8 @@ def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
     """Return heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to
     leave.
     """
+    if not spec.is_ball:
+        return left_by_flat(lens, spec)
     spline_z = lens.z_mm
     filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))

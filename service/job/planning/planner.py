@@ -123,8 +123,8 @@ def _radii(shop: Shop) -> list[float]:
     """Return the radii of balls that the spindle takes and the block has room for; of all, where there is none, so that
     each is refused by name.
     """
-    radii = {tool.radius_mm for tool in shop.tools}
-    held = {tool.radius_mm for tool in shop.tools if shop.holds(tool)}
+    radii = {tool.radius_mm for tool in shop.balls}
+    held = {tool.radius_mm for tool in shop.balls if shop.holds(tool)}
     return sorted({r for r in held if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 

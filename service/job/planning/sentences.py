@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cam.tools import contact_speed_m_per_min
 from optics.metrics import blurred_psnr_db
 from service.job.planning.plan import Planned
 from service.job.report.milled import UNSEEN_DB
-from service.wording import ball, duration
+from service.wording import ball, cutter, duration
 
 RUBBING_M_PER_MIN = 10.0
 HOPEFUL_DB = 1.5
@@ -218,7 +218,8 @@ def _steps(planned: Planned) -> Iterator[str]:
 def _rough(planned: Planned) -> Iterator[str]:
     before = planned.chosen.before
     first = before[0]
-    words = f"A ball {ball(first.radius_mm)} roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
+    tool = cutter(asdict(first))
+    words = f"A {tool} roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
     if len(before) > 1:
         words += f"; a second rough with {ball(before[1].radius_mm)} is quicker than layers of the finish"
     else:

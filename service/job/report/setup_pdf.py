@@ -16,7 +16,7 @@ from markupsafe import escape
 from service.job.finite_json import table
 from service.job.report.figures.a4_sheet import HEIGHT, INK, WIDTH, Paper, Word, known, width_of, words_of, wrap
 from service.job.report.setup_sheet import render_block
-from service.wording import MISSING, duration, number, whole
+from service.wording import MISSING, duration, number, shape_of, whole
 
 SHOWN = ("caustic-as-finished.png", "caustic-as-milled.png", "caustic.png", "target.png")
 """What the wall will show: the first that there is."""
@@ -107,7 +107,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     first, last = parts[0], parts[-1]
     files = str(row.get("file") or MISSING)
     radius_mm = row.get("radius_mm")
-    kind = str(row.get("tool") or ("flat" if row["is_around"] else "ball"))
+    kind = shape_of({"tool": "flat", **row} if row["is_around"] else row)
     feeds = f"{whole(row.get('feed_mm_per_min'))}, {whole(row.get('plunge_mm_per_min'))}"
     hashes = [str(one.get("sha256") or MISSING)[:8] for one in ((first,) if first is last else (first, last))]
     return [

@@ -36,7 +36,7 @@ from service.job.report.pictures import PICTURES
 from service.job.spec.lens_task import source_spread_mm
 from service.job.spec.light import SUN_DEG
 from service.job.spec.outline import ellipse_mm
-from service.wording import duration, number, size, whole
+from service.wording import cutter, duration, number, shape_of, size, whole
 
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
 _PLACES_SHOWN = 6
@@ -222,6 +222,7 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
         row = {**own, **table(program.get("settings")), **program, "number": number_, "is_around": is_around}
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
+        row["shape"] = shape_of({"tool": "flat", **row} if is_around else row)
         row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
         rows.append(row)
     return rows
@@ -229,7 +230,7 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
 
 def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
     """Say when Z0 is to be set again: after another tool was put in, and only then."""
-    radii = [row.get("radius_mm") and (row.get("tool", "ball"), row["radius_mm"]) for row in passes]
+    radii = [row.get("radius_mm") and cutter(row) for row in passes]
     changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
     if len(radii) < 2:
         return ""

@@ -205,6 +205,16 @@ class JobSpec(Section):
         return self
 
     @model_validator(mode="after")
+    def _flat_first(self) -> Self:
+        for number, row in enumerate(self.passes[1:], 1):
+            if not row.is_ball:
+                raise ValueError(
+                    f"passes.{number}.corner_radius_mm = {row.corner_radius_mm:g} follows a pass that has left its "
+                    "shape; allowed: in the first pass, a ball after it"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _can_be_cut_out(self) -> Self:
         if self.stock.cut_out is None:
             return self

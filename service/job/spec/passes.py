@@ -11,7 +11,10 @@ from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
 
 
 class PassRow(Section):
-    """One milling pass with a ball end mill; radius_mm is the RADIUS of the ball."""
+    """One milling pass; radius_mm is the RADIUS of its end mill.
+
+    corner_radius_mm : 0 of a flat end mill, less than radius_mm of a bull-nose, for a first pass; left out: a ball
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=24), shown("Name")] = "finish"
     radius_mm: Annotated[Radius, shown("Ball radius")]
@@ -44,6 +47,31 @@ class PassRow(Section):
             raise ValueError(
                 f"pitch_mm = {self.pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
                 f"radius_mm = {self.radius_mm:g}"
+            )
+        return self
+
+    corner_radius_mm: Annotated[
+        Annotated[float, Field(ge=0, le=50)] | None,
+        shown("Corner radius", "0: a flat end mill. Empty: a ball.", usual="ball"),
+    ] = None
+
+    @property
+    def is_ball(self) -> bool:
+        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
+
+    @model_validator(mode="after")
+    def _roughs_where_flat(self) -> Self:
+        corner_mm = self.corner_radius_mm
+        if corner_mm is not None and corner_mm > self.radius_mm:
+            raise ValueError(
+                f"corner_radius_mm = {corner_mm:g} is more than the cutter's; allowed: 0 (flat) to "
+                f"radius_mm = {self.radius_mm:g} (a ball)"
+            )
+        roughs = self.stock_to_leave_mm > 0 and self.strategy == "raster" and self.where == "everywhere"
+        if not self.is_ball and not roughs:
+            raise ValueError(
+                f"corner_radius_mm = {corner_mm:g} is no ball, which alone makes a lens; allowed: with "
+                'stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"'
             )
         return self
 

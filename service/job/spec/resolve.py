@@ -254,7 +254,9 @@ def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str
     shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
     if machine.collet_mm is None or shank_mm <= machine.collet_mm:
         return []
-    cutter, with_flutes = ("ball", " with its flute_length_mm") if isinstance(row, PassRow) else ("cutter", "")
+    cutter, with_flutes = "cutter", ""
+    if isinstance(row, PassRow):
+        cutter, with_flutes = "ball" if row.is_ball else "cutter", " with its flute_length_mm"
     key, remedy = (
         ("shank_radius_mm", "")
         if row.shank_radius_mm is not None

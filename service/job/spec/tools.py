@@ -1,4 +1,4 @@
-"""The tool library: which ball end mills the shop has.
+"""The tool library: which end mills the shop has.
 
 `tools.toml` beside this module holds the usual ones; a person's own tools.toml in their configuration folder, beside
 the folder of their machines, takes its place.
@@ -41,6 +41,7 @@ _VALUES = Rules(
         "stick_out_mm": number(0.5, 300, "mm"),
         "max_rpm": number(100, 200_000, "rpm"),
         "cost_class": whole(1, 3),
+        "corner_radius_mm": number(0, 25, "mm"),
     }
 )
 
@@ -87,7 +88,7 @@ def _own_path() -> Path:
 
 
 def _as_toml(tool: Tool) -> str:
-    values = {field.name: getattr(tool, field.name) for field in fields(Tool)}
+    values = {field.name: value for field in fields(Tool) if (value := getattr(tool, field.name)) is not None}
     return "[[tool]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
@@ -119,6 +120,10 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
         "shank_radius_mm": values["radius_mm"], "stick_out_mm": values["flute_length_mm"], "cost_class": 2,
     }  # fmt: skip
     tool = Tool(**{**left_out, **values})
+    if tool.corner_radius_mm is not None and tool.corner_radius_mm > tool.radius_mm:
+        raise InputError(
+            f"{place}: corner_radius_mm = {tool.corner_radius_mm:g}: allowed: 0 (flat) to {tool.radius_mm:g} mm, a ball"
+        )
     if tool.flute_length_mm < tool.radius_mm:
         raise InputError(
             f"{place}: flute_length_mm = {tool.flute_length_mm:g}: allowed: at least the ball's radius, "
@@ -151,7 +156,7 @@ def read_library(path: Path, what: str) -> dict[str, Any]:
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
     """Return lines that list the library for a person."""
-    head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST")
+    head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -162,4 +167,6 @@ def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
 
 
 def _cell(value: object) -> str:
+    if value is None:
+        return "ball"
     return f"{value:g}" if isinstance(value, float) else str(value)

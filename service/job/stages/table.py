@@ -224,8 +224,8 @@ def _pass(number: int) -> Stage:
     """Return the stage of a pass, which cuts what the pass before has left. The first also judges all balls' fit."""
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
-        cutters = ("radius_mm", "stock_to_leave_mm", "step_down_mm", "flute_length_mm", "shank_radius_mm")
-        fit = (*(f"passes.*.{key}" for key in cutters), "optics.min_radius_mm")
+        tool = ("radius_mm", "corner_radius_mm", "flute_length_mm", "shank_radius_mm")
+        fit = (*(f"passes.*.{key}" for key in (*tool, "stock_to_leave_mm", "step_down_mm")), "optics.min_radius_mm")
         reads = (*_PASS.reads, ".stock-0.npz")
         return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit, "faced", "own_beginning"), reads=reads)
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")

@@ -8,7 +8,7 @@ from typing import Any
 
 from service.job.files import is_program, program_order
 from service.server.database.records import Artifact, Job
-from service.wording import ball
+from service.wording import cutter, shape_of
 
 Json = dict[str, Any]
 
@@ -107,12 +107,11 @@ def _pass(job: Job, number: int) -> Mapping[str, Any]:
 
 
 def _shape(row: Mapping[str, Any]) -> str:
-    return f"{row.get('tool', 'ball')} end mill"
+    return f"{shape_of(row)} end mill"
 
 
 def _tool(row: Mapping[str, Any]) -> str:
-    size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
-    return size if row.get("tool", "ball") == "ball" else f"{_shape(row)} {size}"
+    return cutter(row).removeprefix("ball ")
 
 
 def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:

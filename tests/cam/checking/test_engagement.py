@@ -15,6 +15,7 @@ from cam.checking.removal import RemovalGrid
 from cam.cutters import end_mill
 from cam.passes import ball_pass
 from cam.reading.gcode import MoveBatch
+from cam.surface.cutter import rise_mm, slot_section_mm2
 from cam.surface.stock_grid import StockGrid
 
 CELL = 0.05
@@ -58,10 +59,10 @@ def row(y, z=-0.5, *, backward=False):
 @given(depth=st.floats(0.05, 1.5), radius=st.sampled_from([0.5, 1.0, 3.0]), corner=st.sampled_from([0.0, 0.3, 1.0]))
 def test_the_section_of_a_slot_is_what_lies_over_the_underside(depth, radius, corner):
     w = np.linspace(-radius, radius, 40_001)
-    height = np.maximum(0.0, depth * radius - end_mill(corner).rise_mm(radius, np.abs(w)))
+    height = np.maximum(0.0, depth * radius - rise_mm(end_mill(corner), radius, np.abs(w)))
     section = pytest.approx(np.trapezoid(height, w), rel=1e-3)
     assert _slot_section(depth * radius, radius, corner * radius) == section
-    assert end_mill(corner).slot_section_mm2(radius, depth * radius) == section
+    assert slot_section_mm2(end_mill(corner), radius, depth * radius) == section
 
 
 def test_a_first_row_is_a_slot_and_the_next_is_none():

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from cam.errors import PassValueError
 from cam.passes import Stock, ball_pass
+from cam.surface.cutter import rise_mm
 from cam.surface.rough_surface import RoughSurface
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
@@ -40,7 +41,7 @@ def test_an_end_on_its_surface_leaves_the_allowance_and_touches(seed, share) -> 
     for k in range(tips.size):
         z, p, q, *_ = spline.jets(x[k] + away * np.cos(turn), y[k] + away * np.sin(turn))
         wanted = z + 0.2 * np.sqrt(1 + p * p + q * q) if share == 0 else z
-        over[k] = (tips[k] + spec.shape.rise_mm(2.0, away) - wanted).min()
+        over[k] = (tips[k] + rise_mm(spec.shape, 2.0, away) - wanted).min()
     least, most = (-0.01, 0.2) if share == 0 else (0.15, 0.45)  # by the lattice's nodes, on slopes up to 1
     assert over.min() > least
     assert over.max() < most

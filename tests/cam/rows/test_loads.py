@@ -14,6 +14,7 @@ from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
 from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, feed_at_load, measure_cut
+from cam.surface.cutter import slot_section_mm2
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
 
@@ -39,7 +40,7 @@ def test_sections_of_slots_and_of_rows_beside_others(radius_mm, corner_share, de
     now, tips = np.zeros((30, 4)), np.full(4, -depth)
     slot = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
     np.testing.assert_allclose(slot[:, 0], slot[:, 1])
-    np.testing.assert_allclose(slot[:, :2].sum(axis=1), spec.shape.slot_section_mm2(radius_mm, depth), rtol=0.03)
+    np.testing.assert_allclose(slot[:, :2].sum(axis=1), slot_section_mm2(spec.shape, radius_mm, depth), rtol=0.03)
     np.testing.assert_allclose(slot[:, 2], depth, rtol=0.03)
     now[:15] = -depth
     beside = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
@@ -93,7 +94,7 @@ def test_a_rough_pass_takes_off_as_much_a_minute_everywhere(hills, pitch_mm, dir
     spec = replace(FINE, pitch_mm=pitch_mm, direction=direction)
     top = StockGrid.block(STOCK, 0.05)
     volume, load = loads_of(generate_program(hills, spec, STOCK, stock_top=top, post=GRBL), spec, top)
-    allowed = LOAD_SHARE * spec.shape.slot_section_mm2(spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
+    allowed = LOAD_SHARE * slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
     order = np.argsort(load)
     share = np.cumsum(volume[order]) / volume.sum()
     median, nearly_all = (load[order][np.searchsorted(share, part)] for part in (0.5, 0.98))

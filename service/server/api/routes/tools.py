@@ -1,4 +1,4 @@
-"""The ball end mills that the shop has: plans choose among these."""
+"""The end mills that the shop has: plans choose among these."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _EXAMPLE = {
 @router.get(
     "/v1/tools",
     tags=["machines"],
-    summary="List the ball end mills that plans choose among",
+    summary="List the end mills that plans choose among",
     responses=answers({200: example(_EXAMPLE)}),
 )
 async def get_tools(_: Reader) -> ToolList:
@@ -44,19 +44,19 @@ async def get_tools(_: Reader) -> ToolList:
 @router.put(
     "/v1/tools",
     tags=["machines"],
-    summary="State the ball end mills that the shop has",
+    summary="State the end mills that the shop has",
     responses=answers({200: example(_EXAMPLE | {"own": True})}),
 )
 async def put_tools(_: Writer, body: ToolsBody) -> ToolList:
     """From now on new jobs are planned with these alone; jobs that are there keep what they were planned with."""
-    await asyncio.to_thread(save_tools, [tool.model_dump() for tool in body.tools])
+    await asyncio.to_thread(save_tools, [tool.model_dump(exclude_none=True) for tool in body.tools])
     return await asyncio.to_thread(_read)
 
 
 @router.delete(
     "/v1/tools",
     tags=["machines"],
-    summary="Go back to the usual ball end mills",
+    summary="Go back to the usual end mills",
     responses=answers({200: example(_EXAMPLE)}),
 )
 async def delete_tools(_: Writer) -> ToolList:

@@ -30,7 +30,7 @@ from service.wording import ball
 SIDE, PIXELS = 20.0, 48
 GOOD_MILL = ("machine.step_mm=0.0005", "machine.z_noise_mm=0.0001", "machine.whole_steps=true")
 SIZE = (f"optics.width_mm={SIDE}", f"optics.height_mm={SIDE}", "optics.throw_mm=60", f"image.pixels={PIXELS}")
-SPEC = resolve_spec(preset="recommended", overrides=[*SIZE, *GOOD_MILL])
+SPEC = resolve_spec(preset="recommended", overrides=[*SIZE, *GOOD_MILL, "plan.psnr_db=33"])
 
 
 def lens(valley_mm: float) -> Heightfield:

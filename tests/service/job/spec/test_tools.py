@@ -22,9 +22,10 @@ def library(folder: Path, text: str) -> Path:
     return path
 
 
-def test_the_shipped_library_has_the_usual_balls() -> None:
+def test_the_shipped_library_has_the_usual_balls_and_flat_ones() -> None:
     found = tools.load_tools(tools.BUILT_IN)
-    assert [tool.radius_mm for tool in found] == [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]
+    assert [tool.radius_mm for tool in found if tool.is_ball] == [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0]
+    assert {tool.corner_radius_mm for tool in found if not tool.is_ball} == {0.0, 1.0}
     assert all(tool.stick_out_mm >= tool.flute_length_mm >= tool.radius_mm for tool in found)
 
 
@@ -41,6 +42,7 @@ def test_what_is_left_out_is_the_plainest(tmp_path: Path) -> None:
         (GOOD.replace("flutes = 2", "flutes = 2.5"), ["flutes = 2.5", "whole number from 1 to 8"]),
         (GOOD.replace("max_rpm = 30000\n", ""), ["tool 1", "max_rpm", "missing"]),
         (GOOD.replace("flute_length_mm = 8", "flute_length_mm = 1"), ["flute_length_mm = 1", "radius, 2 mm"]),
+        (GOOD + "corner_radius_mm = 3\n", ["corner_radius_mm = 3", "0 (flat) to 2 mm, a ball"]),
         (GOOD + "stick_out_mm = 5\n", ["stick_out_mm = 5", "flute length, 8 mm"]),
         (GOOD + GOOD, ["name = 'a'", "no other tool"]),
         ("tools = 3\n" + GOOD, ["tools", "[[tool]]"]),
@@ -83,10 +85,11 @@ def test_tools_that_were_saved_are_those_that_are_there(rows: list[tuple[float, 
         patch.setenv("CAUSTICMILL_CONFIG_DIR", str(Path(folder) / "shop"))
         asked = [
             {"name": f"Ø {number} \"own\"", "radius_mm": r, "flutes": 2, "flute_length_mm": r + flute,
-             "shank_radius_mm": shank, "stick_out_mm": r + flute + shank, "max_rpm": 30000.0, "cost_class": 2}
+             "shank_radius_mm": shank, "stick_out_mm": r + flute + shank, "max_rpm": 30000.0, "cost_class": 2,
+             "corner_radius_mm": None if number % 2 else 0.0}
             for number, (r, flute, shank) in enumerate(rows)
         ]  # fmt: skip
-        tools.save_tools(asked)
+        tools.save_tools([{key: value for key, value in row.items() if value is not None} for row in asked])
         assert sorted(map(str, asked)) == sorted(str(asdict(tool)) for tool in tools.load_tools())
         with pytest.raises(InputError, match="tool 1: flute_length_mm"):
             tools.save_tools([asked[0] | {"flute_length_mm": asked[0]["radius_mm"] / 2}])

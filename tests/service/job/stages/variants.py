@@ -86,7 +86,7 @@ OTHER: dict[str, Any] = {
         }.items()
     },
 }  # fmt: skip
-ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
+ONLY_ONE_VALUE = {"stock.material", "passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 CLAMP = {"x_mm": -40.0, "y_mm": 0.0, "width_mm": 5.0, "depth_mm": 5.0, "height_mm": 3.0}
@@ -101,6 +101,7 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "finish.process": ({"finish": FELT}, {"finish": {**FELT, "process": "sanding"}}),
     **{f"finish.{key}": ({"finish": FELT}, {"finish": {**FELT, key: 2.5}}) for key in FELT if key != "process"},
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
+    "passes.0.corner_radius_mm": ({}, {"passes.0.corner_radius_mm": 0.5}),
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
     "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
     "stock.clamps": ({}, {"stock.clamps": [CLAMP]}),
