@@ -33,7 +33,7 @@ POINT = st.tuples(st.floats(-3, 9), st.floats(-3, 9), st.floats(-3, 0.5))
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(POINT, min_size=2, max_size=4), st.floats(0.5, 2), st.sampled_from([0.0, 0.5, 1.0]))
+@given(st.lists(POINT, min_size=2, max_size=4, unique=True), st.floats(0.5, 2), st.sampled_from([0.0, 0.5, 1.0]))
 def test_a_flat_or_rounded_end_leaves_what_it_would_at_every_place_of_its_way(points, radius_mm, share) -> None:
     """The slow one stands still at 400 places of a move, so it takes off less, by a four-hundredth of the slope."""
     way, corner_mm = np.array(points), share * radius_mm
@@ -50,7 +50,7 @@ def test_a_flat_or_rounded_end_leaves_what_it_would_at_every_place_of_its_way(po
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(POINT, min_size=2, max_size=4), st.floats(0.5, 2))
+@given(st.lists(POINT, min_size=2, max_size=4, unique=True), st.floats(0.5, 2))
 def test_an_end_that_is_all_corner_is_a_ball(points, radius_mm) -> None:
     """At its rim digits say whether a cell is touched: an end a little smaller and one a little larger are asked."""
     block = StockGrid(x0_mm=0, y0_mm=0, cell_mm=0.2, top_mm=np.zeros((30, 30)))
