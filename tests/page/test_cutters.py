@@ -1,4 +1,4 @@
-"""The balls that the shop has: by diameter, kept on the server, and the plan is told anew with them."""
+"""The cutters that the shop has: by diameter, kept on the server, and the plan is told anew with them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from playwright.sync_api import Page, Route, expect
 from tests.page.conftest import Opened
 from tests.page.stub import TOOLS
 
-SIZES = [f"Ø {2 * tool['radius_mm']:g}" for tool in TOOLS]
+CORNERS = {None: "", 0.0: " flat", 1.0: " R 1"}
+SIZES = [f"Ø {2 * tool['radius_mm']:g}{CORNERS[tool['corner_radius_mm']]}" for tool in TOOLS]
 
 
 def told(page: Page) -> list[list[dict[str, Any]] | None]:
@@ -32,7 +33,7 @@ def told(page: Page) -> list[list[dict[str, Any]] | None]:
 def test_cutters_are_added_and_taken_away_by_diameter_and_the_plan_is_asked_for_again(opened: Opened) -> None:
     page = opened("#/new")
     lists = told(page)
-    cutters = page.locator("details", has_text="Your ball cutters")
+    cutters = page.locator("details", has_text="Your cutters")
     cutters.locator("summary").click()
     items = cutters.get_by_role("listitem")
     expect(items).to_have_text([f"{size}×" for size in SIZES])
@@ -45,11 +46,16 @@ def test_cutters_are_added_and_taken_away_by_diameter_and_the_plan_is_asked_for_
     expect(items).to_have_text([*(f"{size}×" for size in SIZES[1:]), "Ø 2.5×"])
     assert lists[0] == TOOLS[1:] and lists[1] is not None
     assert lists[1][-1] == {
-        "name": "ball-r1.25", "radius_mm": 1.25, "flute_length_mm": 9, "shank_radius_mm": 1.5875, "stick_out_mm": 30,
+        "name": "ball-r1.25", "radius_mm": 1.25, "corner_radius_mm": None, "flute_length_mm": 9, "shank_radius_mm": 1.5875, "stick_out_mm": 30,
     }  # fmt: skip
+    cutters.get_by_label("Diameter").fill("8")
+    cutters.get_by_label("Corner radius").fill("0")
+    cutters.get_by_role("button", name="Add").click()
+    expect(items.last).to_have_text("Ø 8 flat×")
+    assert lists[2] is not None and lists[2][-1]["corner_radius_mm"] == 0
     cutters.get_by_role("button", name="Back to the usual ones").click()
     expect(items).to_have_text([f"{size}×" for size in SIZES])
-    assert lists[2] is None
+    assert lists[3] is None
 
 
 def test_a_cutter_that_cannot_be_is_said_and_nothing_changes(opened: Opened) -> None:
@@ -61,7 +67,7 @@ def test_a_cutter_that_cannot_be_is_said_and_nothing_changes(opened: Opened) -> 
             route.fallback() if route.request.method == "GET" else route.fulfill(status=422, json={"detail": detail})
         ),
     )
-    cutters = page.locator("details", has_text="Your ball cutters")
+    cutters = page.locator("details", has_text="Your cutters")
     cutters.locator("summary").click()
     cutters.get_by_label("Diameter").fill("2")
     cutters.get_by_label("Cutting length").fill("0.2")

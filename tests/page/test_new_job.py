@@ -377,7 +377,7 @@ def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent
 
 def test_enter_ends_a_field_and_only_the_button_makes_the_job(new_job: Page, sent: list[Any]) -> None:
     """Without a mouse, or with a phone's keyboard, whose Go is Enter."""
-    new_job.get_by_text("Your ball cutters").click()
+    new_job.get_by_text("Your cutters").click()
     for label, value in (("Width", "25"), ("Name of the job", "mine"), ("Diameter", "4")):
         field = new_job.get_by_label(label, exact=True)
         field.fill(value)

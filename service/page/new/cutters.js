@@ -1,14 +1,14 @@
-/** The balls that the shop has, by diameter as catalogues give them: plans choose among these. Kept on the server. */
+/** The end mills that the shop has, by diameter as catalogues give them: plans choose among these. Kept on the server. */
 
 import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 
-const TITLE = t("Your ball cutters");
-const INTRO = t("New jobs are planned with these alone. Sizes are diameters in mm, as on the box.");
+const TITLE = t("Your cutters");
+const INTRO = t("New jobs are planned with these alone. Sizes are diameters in mm, as on the box. Balls make the lens; flat ones only rough.");
 const USUAL = t("usual");
-const FIELDS = [["diameter", t("Diameter"), ""], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
+const FIELDS = [["diameter", t("Diameter"), ""], ["corner", t("Corner radius"), t("ball")], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
 
 /** {element}. onChange(): there are others now. Asked for when it is unfolded. */
 export function cuttersPart({ onChange }) {
@@ -46,7 +46,7 @@ export function cuttersPart({ onChange }) {
     }
   }
   function shown(tool) {
-    const size = `Ø ${round(2 * tool.radius_mm)}`;
+    const size = `Ø ${round(2 * tool.radius_mm)}${cornerWords(tool)}`;
     const drop = () => send("put", tools.filter((one) => one !== tool));
     const button = h("button", { type: "button", "aria-label": t`Take away ${size}`, disabled: tools.length === 1, onclick: drop }, "×");
     return h("li", { title: t`cuts ${round(tool.flute_length_mm)} mm high, shank Ø ${round(2 * tool.shank_radius_mm)}, sticks out ${round(tool.stick_out_mm)} mm` }, h("span", {}, size), button);
@@ -55,12 +55,19 @@ export function cuttersPart({ onChange }) {
   function asTool() {
     const read = (key, usually) => inputs[key].read() ?? usually;
     const diameter = read("diameter", 0), flute = read("flute", 3 * diameter), radius_mm = diameter / 2;
-    const names = new Set(tools.map(({ name }) => name)), plain = `ball-r${round(radius_mm)}`;
+    const corner = read("corner", radius_mm), corner_radius_mm = corner < radius_mm ? corner : null;
+    const shape = corner_radius_mm === null ? "ball" : corner ? "bull" : "flat";
+    const names = new Set(tools.map(({ name }) => name)), plain = `${shape}-r${round(radius_mm)}`;
     const name = [plain, ...tools.map((_, k) => `${plain}-${k + 2}`)].find((one) => !names.has(one)) ?? `${plain}-1`;
     const shank_radius_mm = read("shank", Math.max(diameter, diameter < 3.175 ? 3.175 : 6)) / 2;
-    return { name, radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)) };
+    return { name, radius_mm, corner_radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)) };
   }
   return { element };
+}
+
+function cornerWords({ radius_mm, corner_radius_mm = null }) {
+  if (corner_radius_mm === null || corner_radius_mm === radius_mm) return "";
+  return corner_radius_mm ? ` R ${round(corner_radius_mm)}` : ` ${t("flat")}`;
 }
 
 function numberInput(label, placeholder) {
