@@ -199,13 +199,7 @@ def _paths_along_x(
 ) -> Iterator[Path]:
     surface = surface_under(heightfield, spec)
     _check_job(heightfield, spec, stock, surface, safe_z_mm, slope_error_rad)
-    rows = Rows.over(stock, spec)
-    met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
-    if spec.where == "rest" and met.flat:
-        raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
-    field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
-    plan = plan_layers(field, met, spec)
-    field = field.every(plan.stride)  # only the exact rows need the pitch
+    met, rows, field, plan = _look(surface, stock, stock_top, spec)
     above = plan.layers[-1] if plan.layers else None
     report = on_progress or (lambda fraction: None)
     if plan.only_between:
@@ -230,6 +224,30 @@ def _paths_along_x(
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
         yield from _polyline_paths(polylines, met, above, CUSP_MM + plan.stair_mm, spec, safe_z_mm=safe_z_mm)
     report(1.0)
+
+
+def layer_paths_alone(
+    heightfield: Heightfield, spec: PassSpec, stock: Stock, *, stock_top: StockGrid, safe_z_mm: float
+) -> Iterator[Path]:
+    """Yield the layers of a pass alone, without its exact rows: nothing where no move meets more than its step-down."""
+    if spec.direction == "y":
+        heightfield, stock, stock_top = turn_lens(heightfield), turn_block(stock), turn_stock(stock_top)
+    surface = surface_under(heightfield, spec)
+    met, _, field, plan = _look(surface, stock, stock_top, spec)
+    yield from _all_layers(field, surface, met, plan, spec, safe_z_mm, lambda fraction: None)
+
+
+def _look(
+    surface: Surface, stock: Stock, stock_top: StockGrid, spec: PassSpec
+) -> tuple[StockTouch, Rows, Field, LayerPlan]:
+    """Look at what stands above the surface, and plan layers: their field has their rows alone."""
+    rows = Rows.over(stock, spec)
+    met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
+    if spec.where == "rest" and met.flat:
+        raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
+    field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
+    plan = plan_layers(field, met, spec)
+    return met, rows, field.every(plan.stride), plan  # only the exact rows need the pitch
 
 
 def _vertex_rule(heightfield: Heightfield, spec: PassSpec, slope_error_rad: float) -> VertexRule:

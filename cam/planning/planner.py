@@ -317,7 +317,7 @@ def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPas
     before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
-    own_s = rows_s(form, finish, shop.mill, shop.digits) + before.layers_s(form, finish, shop.mill)
+    own_s = rows_s(form, finish, shop.mill, shop.digits) + before.layers_s(form, finish, shop)
     slopes = shop.slopes(form, finish)
     after = () if rest is None else (rest,)
     marks = Marks(spec=finish, slopes=slopes, rest=None if rest is None else Marks(spec=rest.spec, slopes=rest.slopes))

@@ -8,13 +8,10 @@ from math import atan, ceil, cos, floor, sqrt
 
 import numpy as np
 
-from cam.duration import Kinematics
-from cam.moves import Array
 from cam.passes import PassSpec
-from cam.planning.pass_time import LensForm, finish_layers_s, layers_where_s
+from cam.planning.pass_time import LensForm, finish_layers_s
 from cam.planning.shop import CLEAR_MM, Shop
-from cam.planning.written_time import first_pass_s, planes_s, rows_s
-from cam.surface.rough_surface import left_by_flat
+from cam.planning.written_time import first_pass_s, layers_after_s, planes_s, rows_s
 from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
@@ -28,19 +25,20 @@ _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 class Before:
     """Passes before the finish, and the deepest stock that they leave to it, measured along Z.
 
-    stock_mm : (ny, nx) what stands where, after a pass of what is flat: stairs, and hollows that it does not reach
+    form : that the first was made for
     """
 
     passes: tuple[PassSpec, ...]
     seconds: tuple[float, ...]
     depth_mm: float
-    stock_mm: Array | None = None
+    form: LensForm
 
-    def layers_s(self, form: LensForm, after: PassSpec, mill: Kinematics) -> float:
+    def layers_s(self, form: LensForm, after: PassSpec, shop: Shop) -> float:
         """Return the seconds that the next pass takes for more of it than one move may take off."""
-        if self.stock_mm is None:
-            return finish_layers_s(form, after, self.depth_mm, mill)
-        return layers_where_s(form, after, self.stock_mm, mill)
+        last = self.passes[-1]
+        if last.is_ball:
+            return finish_layers_s(form, after, self.depth_mm, shop.mill)
+        return layers_after_s(self.form, after, last, shop.mill, safe_z_mm=shop.safe_z_mm)
 
 
 class Roughing:
@@ -71,7 +69,7 @@ class Roughing:
         ways = [rough, *self._plan_leaving_less(rough, finish), *self._plan_with_second(rough, finish)]
         return min(
             ways,
-            key=lambda way: sum(way.seconds) + way.layers_s(self.form, finish, self.shop.mill),
+            key=lambda way: sum(way.seconds) + way.layers_s(self.form, finish, self.shop),
         )
 
     def _plan_rough(self, finish: PassSpec) -> Before | None:
@@ -103,7 +101,7 @@ class Roughing:
         return self._guesses_s[tool]
 
     def _first_spec(self, tool: Tool) -> PassSpec:
-        return self._make_spec(tool, _ROUGH_PITCH_SHARE * tool.radius_mm, _rough_leaves(tool))
+        return self._make_spec(tool, _pitch_share(tool) * tool.radius_mm, _rough_leaves(tool))
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
@@ -129,22 +127,17 @@ class Roughing:
         return tool_pass("rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=step_down_mm)
 
     def _make_way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
-        stock_mm = None if spec.is_ball else self._find_left_mm(spec)
         if after:
             seconds = rows_s(self.form, spec, self.shop.mill)
-            seconds += after[0].layers_s(self.form, spec, self.shop.mill)
+            seconds += after[0].layers_s(self.form, spec, self.shop)
         else:
             seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),
-            depth_mm=self._depth_mm(spec) if stock_mm is None else float(stock_mm.max()),
-            stock_mm=stock_mm,
+            depth_mm=self._depth_mm(spec),
+            form=after[0].form if after else self.form,
         )
-
-    def _find_left_mm(self, spec: PassSpec) -> Array:
-        """Return what a pass of what is flat leaves along Z, over the lens: up to where its end comes, and stairs."""
-        return left_by_flat(self.form.lens, spec) - self.form.lens.z_mm
 
     def _depth_mm(self, spec: PassSpec) -> float:
         """Return the deepest stock after a pass, along Z."""
@@ -156,4 +149,10 @@ def _cusp_mm(spec: PassSpec) -> float:
 
 
 def _rough_leaves(tool: Tool) -> float:
-    return min(_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE * tool.radius_mm)
+    """Return what a first pass leaves: a flat end mill leaves stairs besides."""
+    leaves_mm = min(_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE * tool.radius_mm)
+    return leaves_mm / 2 if tool.corner_radius_mm == 0 else leaves_mm
+
+
+def _pitch_share(tool: Tool) -> float:
+    return _ROUGH_PITCH_SHARE / 2 if tool.corner_radius_mm == 0 else _ROUGH_PITCH_SHARE

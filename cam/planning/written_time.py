@@ -11,19 +11,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from math import ceil, inf, log, pi
+from math import ceil, inf, log, pi, sqrt
+from typing import cast
 
 import numpy as np
 from scipy.ndimage import grey_opening
 
+from cam.checking.flat_removal import removal_of
 from cam.duration import DurationModel, Kinematics
 from cam.materials import SLOT_FEED
 from cam.moves import Path, cut, rapid
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
 from cam.posts.digits import Digits
-from cam.program import SAFE_Z_MM, pass_paths
-from cam.rows.layers import STAIR_SHARE, plane_row_distance_mm
+from cam.program import SAFE_Z_MM, layer_paths_alone, pass_paths
+from cam.reading.gcode import MoveBatch
+from cam.rows.layers import LAYER_CUSP_SHARE, STAIR_SHARE, plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
@@ -38,6 +41,7 @@ _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those betwe
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
+_LEFT_CELL_MM = 0.25  # of what a first pass leaves
 _DECIMALS = 5  # as written: points nearer to one another are one
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
 _BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
@@ -81,16 +85,57 @@ def first_pass_s(
     rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(spec) * form.deepest_mm / spec.step_down_mm
     if rows_mm / _MOST_SAMPLES > spec.radius_mm / _LEAST_PLACES:
         return planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
+    return _seconds_of(_first_paths(form, spec, safe_z_mm), np.array([0.0, 0.0, safe_z_mm]), mill)
+
+
+def layers_after_s(
+    form: LensForm, spec: PassSpec, first: PassSpec, mill: Kinematics, *, safe_z_mm: float = SAFE_Z_MM
+) -> float:
+    """Return the seconds of a pass's layers after a first pass of what is flat, which leaves stairs, hollows and a step
+    at the rim.
+    """
+    first = replace(first, max_rate_mm_per_min=mill.max_rate_mm_per_min)
+    distance_mm = sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm)  # at which rows of layers lie
+    pitch_mm = min(spec.radius_mm / 5, distance_mm)
+    spec = replace(spec, pitch_mm=pitch_mm, strategy="raster", max_rate_mm_per_min=mill.max_rate_mm_per_min)
+    return _layers_after_s(form, spec, first, mill, safe_z_mm)
+
+
+@lru_cache(maxsize=64)
+def _layers_after_s(form: LensForm, spec: PassSpec, first: PassSpec, mill: Kinematics, safe_z_mm: float) -> float:
+    lens, block = _coarse_job(form, first)
+    stock_top = _left_by(form, first, safe_z_mm)
+    paths = list(layer_paths_alone(lens, spec, block, stock_top=stock_top, safe_z_mm=safe_z_mm))
+    return _seconds_of(paths, np.array([0.0, 0.0, safe_z_mm]), mill) if paths else 0.0
+
+
+@lru_cache(maxsize=8)
+def _first_paths(form: LensForm, spec: PassSpec, safe_z_mm: float) -> tuple[Path, ...]:
+    lens, block = _coarse_job(form, spec)
+    top = StockGrid.block(block, _BLOCK_CELL_MM)
+    return tuple(pass_paths(lens, spec, block, stock_top=top, safe_z_mm=safe_z_mm))
+
+
+@lru_cache(maxsize=8)
+def _left_by(form: LensForm, spec: PassSpec, safe_z_mm: float) -> StockGrid:
+    _, block = _coarse_job(form, spec)
+    grid = removal_of(spec.shape, StockGrid.block(block, _LEFT_CELL_MM), radius_mm=spec.radius_mm)
+    moves = _Moves(_first_paths(form, spec, safe_z_mm), np.array([0.0, 0.0, safe_z_mm]))
+    grid.cut(cast(MoveBatch, moves))
+    return grid.stock()
+
+
+def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
+    """Return the lens as coarse as its first pass allows, and the least block."""
+    rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(first) * form.deepest_mm / first.step_down_mm
     lens = _coarsen(form.lens, rows_mm / _MOST_SAMPLES)
     block = Stock(
         width_mm=lens.width_mm,
         height_mm=lens.height_mm,
-        thickness_mm=form.deepest_mm + spec.radius_mm + spec.step_down_mm,
-        margin_mm=2 * spec.radius_mm + _BLOCK_CELL_MM,
+        thickness_mm=form.deepest_mm + first.radius_mm + first.step_down_mm,
+        margin_mm=2 * first.radius_mm + _BLOCK_CELL_MM,
     )
-    top = StockGrid.block(block, _BLOCK_CELL_MM)
-    paths = pass_paths(lens, spec, block, stock_top=top, safe_z_mm=safe_z_mm)
-    return _seconds_of(paths, np.array([0.0, 0.0, safe_z_mm]), mill)
+    return lens, block
 
 
 def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:

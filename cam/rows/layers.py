@@ -275,6 +275,9 @@ def layer_paths(
         along = tips[run.row, samples]
         bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, spec, top_mm)
         feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
+        if stair_mm > 0:  # beside its ends stands what the way from row to row has left
+            ends = np.r_[: ceil(per_radius), -ceil(per_radius) : 0] % feeds.size
+            feeds[ends] = np.minimum(feeds[ends], SLOT_FEED * spec.feed_mm_per_min)
         if not run.upward:
             points, feeds = points[::-1], feeds[::-1]
         if run.joined and before is not None:
