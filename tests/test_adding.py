@@ -186,16 +186,9 @@ print(json.dumps({
 
 def test_a_cutter_s_shape_is_added_in_one_file(tmp_path: Path) -> None:
     """A bull-nose faces a block: rows lie apart and leave cusps as its corner has them, and the check cuts with it."""
-    ball = '        CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6),  # cusps of R / 288\n'
-    copy_tree(
-        tmp_path,
-        {
-            "cam/cutters.py": (
-                ball,
-                ball + '        CutterShape(name="bull-nose", corner_share=0.5, pitch_share=4 / 3),\n',
-            )
-        },
-    )
+    known = "in (end_mill(0.0), BALL)}"
+    bull = 'CutterShape(name="bull-nose", corner_share=0.5, pitch_share=4 / 3)'
+    copy_tree(tmp_path, {"cam/cutters.py": (known, f"in (end_mill(0.0), BALL, {bull})}}")})
     program = (
         SCHEMA
         + """

@@ -156,12 +156,18 @@ const TOOLS = { flat: t("flat"), ball: t("ball") };
 export function passWords(row) {
   if ("above_mm" in row) return t`${TOOLS[row.tool] ?? row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
   if ("tabs" in row) return cutOutWords(ball(row.radius_mm), row.tabs);
-  const tool = t`ball ${ball(row.radius_mm)}`;
+  const tool = toolWords(row);
   const rows = t`rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? t("one path along contour lines") : rows;
   const only = row.where === "rest" ? t(", only where stock is left") : "";
   const leave = row.stock_to_leave_mm ? t`, leaves ${mm(row.stock_to_leave_mm)}` : "";
   return t`${tool}, ${ways} every ${mm(row.pitch_mm)} at ${row.feed_mm_per_min} mm/min${only}${leave}`;
+}
+
+function toolWords({ radius_mm, corner_radius_mm = null }) {
+  const size = ball(radius_mm);
+  if (corner_radius_mm === null || corner_radius_mm === radius_mm) return t`ball ${size}`;
+  return corner_radius_mm ? t`bull-nose end mill ${size}` : t`flat end mill ${size}`;
 }
 
 function cutOutWords(size, tabs) {
