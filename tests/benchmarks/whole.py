@@ -24,6 +24,7 @@ def figures() -> Iterator[Figure]:
             str(EXAMPLES / "camera.png"),
             "-o",
             str(out),
+            *("--preset", "paper"),
         ]
         started = time.perf_counter()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
