@@ -35,14 +35,14 @@ $(READY): $(INSTALLED)
 # three passes leave on that mill; then the first program to a simulated mill $(SPEEDUP) times as fast as a real one.
 SPEEDUP ?= 2000
 demo: $(INSTALLED)
-	@$(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet & beside=$$!; \
-	$(BIN)/causticmill make $(PICTURE) --output out/demo --force || { kill $$beside; exit 1; }; \
-	echo "the paper's three passes, made beside it: out/demo-paper"; wait $$beside
-	@$(BIN)/python docs/draw_result.py out/demo out/demo-paper out/demo.png; echo "both on the wall: out/demo.png"
-	@rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & \
-	mill=$$!; trap 'kill $$mill; wait $$mill; tail -n 1 $(MILL)' EXIT; \
+	@nice $(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet & beside=$$!; \
+	rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & mill=$$!; \
+	trap 'kill $$mill $$beside 2>&-; wait $$mill; tail -n 1 $(MILL)' EXIT; \
+	$(BIN)/causticmill make $(PICTURE) --output out/demo --force || exit 1; \
 	until port=$$(grep -o -s 'socket://[^ ]*' $(MILL)); do kill -0 $$mill || exit 1; sleep 0.1; done; \
-	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes
+	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes && \
+	echo "the paper's three passes, made beside it: out/demo-paper" && wait $$beside && \
+	$(BIN)/python docs/draw_result.py out/demo out/demo-paper out/demo.png && echo "both on the wall: out/demo.png"
 
 # The job server with everything in $(DATA), and a simulated mill to try it on; Ctrl-C stops it. make serve DATA=... PORT=...
 DATA ?= out/server

@@ -136,9 +136,12 @@ def _overlaps(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _flat_overlaps(  # type: ignore[no-untyped-def]
-    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, places, step, depth, place, touch, rest
+    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, places, step, most, depth, place, touch, rest
 ):
-    """Compute the same of every move, for an underside known at places (m, 3) beside and above its tip."""
+    """Compute the same of every move, for an underside known at places (m, 3) beside and above its tip.
+
+    most: that the surface may stand above its height under the axis within reach; a tip as high is passed over
+    """
     for k in range(depth.size):
         depth[k] = touch[k] = rest[k] = -math.inf
         if rapid[k] or pause[k] >= 0.0:
@@ -150,6 +153,9 @@ def _flat_overlaps(  # type: ignore[no-untyped-def]
         for j in range(1, pieces + 1):
             t = j / pieces
             rest[k] = -math.inf
+            middle = spline_jet(coefs, x0, y0, inv_dx, inv_dy, points[k, 0] + t * dx, points[k, 1] + t * dy)[0]
+            if points[k, 2] + t * dz > middle + most:
+                continue
             for m in range(places.shape[0]):
                 x = points[k, 0] + t * dx + places[m, 0]
                 y = points[k, 1] + t * dy + places[m, 1]
@@ -204,8 +210,10 @@ class SurfaceWitness:
 class FlatWitness:
     """Watches one pass of what is flat: its underside is tried at some places, at every stretch of a move."""
 
-    def __init__(self, heightfield: Heightfield, spec: PassSpec) -> None:
+    def __init__(self, heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> None:
         radius_mm, shape = spec.radius_mm, spec.shape
+        slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
+        self._most_mm = radius_mm * float(slopes.max()) + near_mm
         self._surface = heightfield.spline_with_run_out(2 * radius_mm)
         self._size = heightfield.width_mm, heightfield.height_mm
         shares = np.concatenate([np.arange(1, _RINGS) / _RINGS, [_RIM_SHARE]])
@@ -220,7 +228,7 @@ class FlatWitness:
         place = np.full((len(batch), 2), np.nan)
         _flat_overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
-            *(self._places, self._step_mm, depth, place, touch, rest),
+            *(self._places, self._step_mm, self._most_mm, depth, place, touch, rest),
         )
         return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch, end_touch_mm=rest)
 
@@ -229,4 +237,4 @@ def witness_of(heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> S
     """Return who watches the pass's cutter. near_mm: see `SurfaceWitness`."""
     if spec.is_ball:
         return SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=near_mm)
-    return FlatWitness(heightfield, spec)
+    return FlatWitness(heightfield, spec, near_mm=near_mm)

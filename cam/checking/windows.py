@@ -12,6 +12,7 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield
 
 _SIZE_MM, _FINEST_MM, _COARSEST_MM = 1.0, 0.0025, 0.01
+_FLAT_MM = 0.05  # after what is flat: its stairs are tenths of a millimetre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +31,8 @@ def place_windows(heightfield: Heightfield, spec: PassSpec, before: StockGrid) -
     """
     width, height = heightfield.width_mm, heightfield.height_mm
     size = min(max(_SIZE_MM, 4 * spec.pitch_mm), width / 3, height / 3)
-    n = max(8, round(size / min(max(spec.pitch_mm / 5, _FINEST_MM), _COARSEST_MM)))
+    cell_mm = min(max(spec.pitch_mm / 5, _FINEST_MM), _COARSEST_MM) if spec.is_ball else _FLAT_MM
+    n = max(8, round(size / cell_mm))
     highest = maximum_filter(before.top_mm, size=3)
     windows = []
     for name, x_mm, y_mm in _places(heightfield):
