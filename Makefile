@@ -11,7 +11,7 @@ MILL := out/demo-mill.txt
 # anew (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-all lint bench soak paper docs format lock clean
+.PHONY: FORCE demo serve test test-all lint bench soak paper docs format lock clean
 
 # The locked environments, made anew whenever a lock or the project file changes: what the product needs, then what its
 # developers need on top. Compiled after pip, on all cores and without the packages' own tests: half of the time
@@ -31,11 +31,12 @@ $(READY): $(INSTALLED)
 	$(COMPILE)
 	touch $@
 
-# One picture through everything: planned for the usual mill and to be finished by hand, and beside it what the paper's
-# three passes leave on that mill; then the first program to a simulated mill $(SPEEDUP) times as fast as a real one.
+# One picture through everything: planned for the usual mill and to be finished by hand; its first program to a simulated
+# mill $(SPEEDUP) times as fast as a real one; and beside it what the paper's three passes leave on that mill, which are
+# made again only when picture or code have changed.
 SPEEDUP ?= 2000
 demo: $(INSTALLED)
-	@nice $(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet & beside=$$!; \
+	@nice $(MAKE) --no-print-directory out/demo-paper/report.json & beside=$$!; \
 	rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & mill=$$!; \
 	trap 'kill $$mill $$beside 2>&-; wait $$mill; tail -n 1 $(MILL)' EXIT; \
 	$(BIN)/causticmill make $(PICTURE) --output out/demo --force || exit 1; \
@@ -43,6 +44,12 @@ demo: $(INSTALLED)
 	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes && \
 	echo "the paper's three passes, made beside it: out/demo-paper" && wait $$beside && \
 	$(BIN)/python docs/draw_result.py out/demo out/demo-paper out/demo.png && echo "both on the wall: out/demo.png"
+
+out/demo-paper/report.json: $(INSTALLED) $(PICTURE) out/demo-paper.of $(shell find cam machines optics service -name '*.py')
+	@$(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet
+
+out/demo-paper.of: FORCE
+	@mkdir -p out; echo $(PICTURE) | cmp -s - $@ || echo $(PICTURE) > $@
 
 # The job server with everything in $(DATA), and a simulated mill to try it on; Ctrl-C stops it. make serve DATA=... PORT=...
 DATA ?= out/server
