@@ -1,4 +1,4 @@
-"""The quickest way from a block to a lens's finish: one rough pass in layers, or two."""
+"""The quickest way from a block to a lens's finish: one rough pass in layers, of a ball or of what is flat, or two."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from cam.tools import Tool, tool_pass
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
 _GUESS_SHARE = 1.25  # of the least guess: first passes of tools beyond it are not made
+_CHANGE_S = 300.0  # that one more tool must spare
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 """What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
 
@@ -52,7 +53,7 @@ class Roughing:
         self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
         self._firsts: dict[Tool, Before] = {} if like is None else like._firsts
         self._guesses_s: dict[Tool, float] = {} if like is None else like._guesses_s
-        self._rough: dict[float, Before | None] = {}
+        self._roughs: dict[float, list[Before]] = {}
         self._known: dict[tuple[float, float], Before | None] = {}
 
     def plan_before(self, finish: PassSpec) -> Before | None:
@@ -63,18 +64,21 @@ class Roughing:
         return self._known[key]
 
     def _choose_quickest(self, finish: PassSpec) -> Before | None:
-        rough = self._plan_rough(finish)
-        if rough is None:
-            return None
-        ways = [rough, *self._plan_leaving_less(rough, finish), *self._plan_with_second(rough, finish)]
-        return min(
-            ways,
-            key=lambda way: sum(way.seconds) + way.layers_s(self.form, finish, self.shop),
-        )
+        ways = self._plan_roughs(finish)
+        for rough in [way for way in ways if way.passes[0].is_ball]:
+            ways += [*self._plan_leaving_less(rough, finish), *self._plan_with_second(rough, finish)]
+        return min(ways, key=lambda way: self._count_s(way, finish), default=None)
 
-    def _plan_rough(self, finish: PassSpec) -> Before | None:
-        """Plan the rough by the quickest ball; beside its walls the shank of the finish must have room."""
-        if finish.radius_mm not in self._rough:
+    def _count_s(self, way: Before, finish: PassSpec) -> float:
+        """Return the seconds by which ways are compared: what is flat does not finish, and so is one tool more."""
+        change_s = 0.0 if way.passes[0].is_ball else _CHANGE_S
+        return sum(way.seconds) + way.layers_s(self.form, finish, self.shop) + change_s
+
+    def _plan_roughs(self, finish: PassSpec) -> list[Before]:
+        """Plan the rough by the quickest ball, and by the quickest of what is flat; beside its walls the shank of the
+        finish must have room.
+        """
+        if finish.radius_mm not in self._roughs:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
             tools = [
                 tool
@@ -85,10 +89,14 @@ class Roughing:
                 and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
                 and tool.reaches(self.form.deepest_mm)
             ]
-            most_s = _GUESS_SHARE * min(map(self._guess_first_s, tools), default=0.0)
-            ways = [self._plan_first(tool) for tool in tools if self._guess_first_s(tool) <= most_s]
-            self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
-        return self._rough[finish.radius_mm]
+            found = (self._find_quickest([one for one in tools if one.is_ball is balls]) for balls in (True, False))
+            self._roughs[finish.radius_mm] = [way for way in found if way is not None]
+        return list(self._roughs[finish.radius_mm])
+
+    def _find_quickest(self, tools: list[Tool]) -> Before | None:
+        most_s = _GUESS_SHARE * min(map(self._guess_first_s, tools), default=0.0)
+        ways = [self._plan_first(tool) for tool in tools if self._guess_first_s(tool) <= most_s]
+        return min(ways, key=lambda way: sum(way.seconds), default=None)
 
     def _plan_first(self, tool: Tool) -> Before:
         if tool not in self._firsts:
@@ -106,8 +114,6 @@ class Roughing:
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
         spec = rough.passes[0]
-        if not spec.is_ball:
-            return
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
         if _LEAST_LEFT_MM <= left_mm < spec.stock_to_leave_mm:
