@@ -21,7 +21,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.loads import choose_feeds, feed_at_load, measure_cut
+from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, measure_sinking
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.cutter import slot_section_mm2
@@ -274,6 +274,8 @@ def layer_paths(
         )
         along = tips[run.row, samples]
         bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, spec, top_mm)
+        if not spec.is_ball:
+            bite[:, :2] += measure_sinking(bite, along if run.upward else -along, spec, step_mm=field.step_mm)[:, None]
         feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
         if stair_mm > 0:  # beside its ends stands what the way from row to row has left
             ends = np.r_[: ceil(per_radius), -ceil(per_radius) : 0] % feeds.size

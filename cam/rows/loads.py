@@ -9,7 +9,7 @@ is rounded down to one of a few.
 
 from __future__ import annotations
 
-from math import ceil, inf, log, sqrt
+from math import ceil, inf, log, pi, sqrt
 
 import numpy as np
 from numba import njit
@@ -104,6 +104,17 @@ def measure_cut(now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, s
     corner_mm = spec.shape.corner_mm(spec.radius_mm)
     _measure(now, tips_mm, y_mm, row, others, first, spec.radius_mm, corner_mm, top_mm, out)
     return out
+
+
+def measure_sinking(cut: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
+    """Return (n,) what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
+
+    heights_mm (n,) : of the tip by X; their negatives where the way goes in -X
+    """
+    sinks = np.maximum(0.0, -np.diff(heights_mm, append=heights_mm[-1])) / step_mm
+    slot = 2 * spec.radius_mm * np.maximum(cut[:, _DEEP], 1e-9)
+    share = np.minimum(1.0, (cut[:, _LEFT] + cut[:, _RIGHT]) / slot)
+    return np.asarray(pi / 2 * spec.shape.flat_mm(spec.radius_mm) ** 2 * share * sinks)
 
 
 def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:

@@ -29,6 +29,7 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from cam.tools import Tool
 from optics.heightfield import Heightfield
+from tests.cam import checks
 from tests.cam.balls import tool
 
 MILL = Kinematics(
@@ -89,6 +90,31 @@ def test_a_first_pass_leaves_less_where_that_spares_the_finish_its_layers() -> N
         assert before.depth_mm <= finish.layer_mm
         assert (before.passes[0].stock_to_leave_mm < 0.2) is spared
         assert len(before.passes) == (2 if step_down_mm == 0.2 else 1)
+
+
+@pytest.mark.thorough
+def test_what_is_flat_roughs_deep_lenses_and_the_hours_after_it_are_true() -> None:
+    """A shallow lens is not worth another tool; after a deep one the finish has stairs to take off."""
+    mill, margin_mm = checks.MILL, 14.0
+    tools = (tool(3.0), replace(tool(3.0), name="flat", corner_radius_mm=0.0))
+    where = replace(shop(*tools, margin_mm=margin_mm), mill=mill)
+    finish = ball_pass("finish", radius_mm=3.0, pitch_mm=0.3, stock_to_leave_mm=0.0, step_down_mm=0.5)
+    axis = np.linspace(0.0, 60.0, 121)
+    z = 6 * np.sin(2 * np.pi * axis / 70.0)[None, :] * np.sin(2 * np.pi * axis / 80.0)[:, None]
+    deep = Heightfield.on_aperture(z - z.max() - 16.0, width_mm=60.0, height_mm=60.0)
+    shallow = Roughing(form=LensForm.of(bumps()), shop=where).plan_before(finish)
+    assert shallow is not None and shallow.passes[0].is_ball
+    form = LensForm.of(deep)
+    before = Roughing(form=form, shop=where).plan_before(finish)
+    assert before is not None and not before.passes[0].is_ball
+    stock = Stock(width_mm=60.0, height_mm=60.0, thickness_mm=40.0, margin_mm=margin_mm)
+    first = checks.checked(
+        deep, replace(before.passes[0], max_rate_mm_per_min=mill.max_rate_mm_per_min), stock, StockGrid.block(stock)
+    )
+    second = checks.checked(deep, finish, stock, first.stock_top)
+    assert first.ok and second.ok
+    told_s = before.seconds[0] + rows_s(form, finish, mill) + before.layers_s(form, finish, where)
+    assert told_s == pytest.approx(first.time_s + second.time_s, rel=0.04)
 
 
 def test_no_doubling_of_the_time_gains_more_than_it_is_worth(plan: Plan) -> None:

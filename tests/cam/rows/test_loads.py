@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.checking.removal import RemovalGrid
+from cam.checking.flat_removal import removal_of
 from cam.checking.sweep import LEFT, RIGHT
 from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.grbl import GRBL
@@ -69,7 +69,7 @@ def shorten(batch: MoveBatch, most_mm: float) -> MoveBatch:
 
 def loads_of(text, spec: PassSpec, top: StockGrid):
     """Volume and stock a minute of each stretch of a written program as long as the ball's radius, by simulation."""
-    grid, found = RemovalGrid(top, radius_mm=spec.radius_mm), []
+    grid, found = removal_of(spec.shape, top, radius_mm=spec.radius_mm), []
     for batch in read_program(text):
         batch = shorten(batch, spec.radius_mm / 4)
         taken = grid.cut(batch).tally[1:, LEFT : RIGHT + 1].sum(axis=1)
@@ -90,8 +90,9 @@ def loads_of(text, spec: PassSpec, top: StockGrid):
 
 @pytest.mark.parametrize("pitch_mm", [0.1, 0.3])
 @pytest.mark.parametrize("direction", ["x", "y"])
-def test_a_rough_pass_takes_off_as_much_a_minute_everywhere(hills, pitch_mm, direction):
-    spec = replace(FINE, pitch_mm=pitch_mm, direction=direction)
+@pytest.mark.parametrize("corner_mm", [None, 0.3, 0.0])
+def test_a_rough_pass_takes_off_as_much_a_minute_everywhere(hills, pitch_mm, direction, corner_mm):
+    spec = replace(FINE, pitch_mm=pitch_mm, direction=direction, corner_radius_mm=corner_mm)
     top = StockGrid.block(STOCK, 0.05)
     volume, load = loads_of(generate_program(hills, spec, STOCK, stock_top=top, post=GRBL), spec, top)
     allowed = LOAD_SHARE * slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
