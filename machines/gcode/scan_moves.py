@@ -14,6 +14,7 @@ from machines.gcode import language, refusals, tally
 
 MOST_CHORDS = 50_000
 ARC_TOLERANCE_MM = 0.002  # $12 as GRBL ships it
+_OVER = 1.05  # of an axis's rate: what is slowed down by less nobody sees
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -111,7 +112,7 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
             totals[tally.MOST_FEED] = feed
         over = False
         for d in range(3):
-            if abs(end[d] - start[d]) * feed > rates[d] * length:
+            if abs(end[d] - start[d]) * feed > _OVER * rates[d] * length:
                 over = True
         if over and length > 0.0:
             note_event(events, tally.OVER_RATE, line)
