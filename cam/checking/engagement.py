@@ -66,7 +66,7 @@ def _gather(points, idle, feed, line, depth, left, right, radius, corner, group,
         state[_LENGTH] += length
         state[_LEFT] += left[k]
         state[_RIGHT] += right[k]
-        state[_FEED] = max(state[_FEED], feed[k])
+        state[_FEED] += (feed[k] - state[_FEED]) * length / state[_LENGTH]  # the mean by way
         if depth[k] >= state[_DEEPEST]:
             state[_DEEPEST], state[_LINE], state[_X], state[_Y] = depth[k], line[k], points[k + 1, 0], points[k + 1, 1]
         if state[_LENGTH] < group:

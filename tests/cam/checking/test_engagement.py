@@ -90,6 +90,12 @@ def test_a_slot_at_full_feed_is_a_fault_and_at_half_feed_none():
     assert watched(row(4.0, z=-0.2)).slot_length_mm > 8
 
 
+def test_a_slow_move_is_not_fast_for_the_end_of_a_fast_one_before_it():
+    points = [(-3.0, 4.0, -0.5), (1.0, 4.0, -0.5), (1.0 + CELL, 4.0, -0.5), (12.0, 4.0, -0.5)]
+    slow = 0.5 * SPEC.feed_mm_per_min
+    assert watched(points, feed=[slow, 2 * slow, slow]).faults == []
+
+
 def test_a_plunge_is_named_and_a_ramp_is_none():
     down = [(6, 4, 1), (6, 4, -0.4), (6, 4, 1)]
     (fault,) = watched(down).faults
