@@ -48,6 +48,9 @@ RAPID_CLEARANCE_MM = 0.5
 
 UNCUT_ALLOWED_MM = 0.005
 """Within reach, above the cusps: whether the ball fits is only sampled, which is good to a few micrometres."""
+SEEN_SHARE, SEEN_UM = 1e-3, 20.0
+"""Of the aperture, and above it: what the ball does not reach and is smaller and lower is not spoken of."""
+
 SCAN_SHARE = 0.15  # of a contour pass's check: the scan for gaps at its end
 Progress = Callable[[float], None]
 Bounds = dict[str, list[float]]
@@ -359,7 +362,7 @@ class _Run:
                 f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "
                 f"Y{excess.y_mm:.3f} where the ball could reach (allowed {1000 * allowed_mm:.1f} µm)"
             )
-        if excess.unreached:
+        if excess.unreached and (excess.unreached_share > SEEN_SHARE or excess.unreached[0].excess_um > SEEN_UM):
             self.rules.notes.append(
                 f"the ball of radius {self.spec.radius_mm:g} mm cannot reach {100 * excess.unreached_share:.2g} % of "
                 f"the aperture; highest at {excess.unreached[0]}"

@@ -32,7 +32,7 @@ from service.job.report.optics import (
     sentences_of_preparation,
     tolerance_sentences,
 )
-from service.job.report.pictures import PICTURES
+from service.job.report.pictures import PICTURES, ReportPicture
 from service.job.spec.lens_task import source_spread_mm
 from service.job.spec.light import SUN_DEG
 from service.job.spec.outline import ellipse_mm
@@ -118,11 +118,17 @@ def describe_setup(
         "rapid_z_mm": rapid_z_mm,
         "tool_changes": _tool_changes(programs),
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
-        "main_pictures": [one for one in PICTURES if one.name in files and one.shown == "wall"],
+        "main_pictures": _list_walls(files),
         "finish_pictures": [name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
         "pictures": [one for one in PICTURES if one.name in files and one.shown != "wall"],
         "files": frozenset(files),
     }
+
+
+def _list_walls(files: Collection[str]) -> list[ReportPicture]:
+    """Return the pictures of the wall that are there: the target, then what will be seen, the ideal last."""
+    found = [one for one in PICTURES if one.name in files and one.shown == "wall"]
+    return [*found[:1], *reversed(found[1:])]
 
 
 def _describe_block(material: Any) -> str:
