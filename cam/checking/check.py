@@ -223,6 +223,9 @@ class _Run:
         self.windows = [removal_of(spec.shape, place.stock, radius_mm=spec.radius_mm) for place in self.places]
         # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
+        if not spec.is_ball:  # it keeps farther off a slope, and its rim touches between the places that are tried
+            slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
+            self._near_mm = max(self._near_mm * float(np.hypot(1.0, slopes.max())), spec.step_down_mm / 2)
         self.witness = witness_of(heightfield, spec, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
         self.quality = PathQuality(heightfield, spec) if spec.strategy == "contour" else None
@@ -335,7 +338,7 @@ class _Run:
         """Return the widest gap between rows where there was stock to take off; note a fault when a row is missing."""
         start = StockLeft.of(self.before, self.heightfield, self.spec)
         with np.errstate(invalid="ignore"):
-            wanted = start.over_mm > 2 * left.cusp_mm + 0.001
+            wanted = start.over_mm > 2 * left.cusp_mm + (0.001 if self.spec.is_ball else self._near_mm)
         if self.rest is not None:
             wanted &= self.rest.core
         gap_mm, x_mm, y_mm = self.coverage.widest_gap_mm(wanted)

@@ -12,11 +12,13 @@ from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.planning.written_time import first_pass_s, layers_after_s, planes_s, rows_s
+from cam.rows.layers import STAIR_SHARE
 from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
 _GUESS_SHARE = 1.25  # of the least guess: first passes of tools beyond it are not made
+_STEEP_SHARE = 0.8  # of the pitch that a coarse lens allows: a fine one is steeper
 _CHANGE_S = 300.0  # that one more tool must spare
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 """What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
@@ -109,7 +111,13 @@ class Roughing:
         return self._guesses_s[tool]
 
     def _first_spec(self, tool: Tool) -> PassSpec:
-        return self._make_spec(tool, _pitch_share(tool) * tool.radius_mm, _rough_leaves(tool))
+        pitch_mm = _pitch_share(tool) * tool.radius_mm
+        if not tool.is_ball:  # stairs of which no move takes more than it may
+            stair_mm = STAIR_SHARE * self.shop.layer_step_down_mm(tool, pitch_mm)
+            pitch_mm = min(
+                pitch_mm, floor(100 * _STEEP_SHARE * stair_mm / max(1e-9, float(self.form.slopes[-1]))) / 100
+            )
+        return self._make_spec(tool, pitch_mm, _rough_leaves(tool))
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""

@@ -236,7 +236,7 @@ def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
     distance_mm = plane_row_distance_mm(spec)
     if not spec.is_ball:
-        distance_mm = min(distance_mm, 2 * STAIR_SHARE * spec.step_down_mm / max(1e-9, float(form.slopes[-1])))
+        distance_mm = min(distance_mm, STAIR_SHARE * spec.step_down_mm / max(1e-9, float(form.slopes[-1])))
     distance_mm = spec.pitch_mm * max(1, int(distance_mm / spec.pitch_mm))
     spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     feed = _FEED_STEPS * float(feed_at_load(distance_mm * spec.step_down_mm, spec)) / 60

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from cam.cutters import FLAT_STEP
+from cam.errors import PassValueError
 from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
@@ -144,7 +145,7 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     stride = field.rows.stride_within(plane_row_distance_mm(spec))
     stair_mm = 0.0
     if not spec.is_ball:
-        stride, stair_mm = _limit_stairs(field, stride, STAIR_SHARE * spec.step_down_mm)
+        stride, stair_mm = _limit_stairs(field, stride, spec.step_down_mm)
     count = ceil((top - lowest) / spec.step_down_mm)
     planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
     if exact:
@@ -160,16 +161,18 @@ def plane_row_distance_mm(spec: PassSpec) -> float:
     return min(FLAT_STEP * radius_mm, 2 * shape.flat_mm(radius_mm) + cusped_mm)
 
 
-def _limit_stairs(field: Field, most: int, most_mm: float) -> tuple[int, float]:
+def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, float]:
     """Return the widest stride of rows between which what is flat leaves no higher stairs on a slope, and their
-    height.
+    height; PassValueError where every row is too far from the next.
     """
     target = field.target_mm
-    for stride in range(min(most, len(target) - 1), 0, -1):
-        stair_mm = float(np.abs(target[stride:] - target[:-stride]).max()) / 2
-        if stair_mm <= most_mm or stride == 1:
+    for stride in range(max(1, min(most, len(target) - 1)), 0, -1):
+        stair_mm = float(np.abs(target[stride:] - target[:-stride]).max())
+        if stair_mm <= (STAIR_SHARE if stride > 1 else 1.0) * step_down_mm:
             return stride, stair_mm
-    return 1, 0.0
+    pitch_mm = float(np.diff(field.rows.y_mm).max())
+    allowed = f"at most {pitch_mm * STAIR_SHARE * step_down_mm / stair_mm:.2g} mm, as a flat end leaves stairs on a lens so steep"
+    raise PassValueError(name="pitch_mm", value=pitch_mm, allowed=allowed)
 
 
 def _stride_before_exact_rows(field: Field, spec: PassSpec) -> int:

@@ -47,12 +47,22 @@ def test_an_end_on_its_surface_leaves_the_allowance_and_touches(seed, share) -> 
     assert over.max() < most
 
 
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, 99), st.sampled_from([1.0, 2.0, 3.5]), SHARES, st.sampled_from("xy"), st.sampled_from([0.3, 1.0]))
+@settings(max_examples=12, deadline=None)
+@given(
+    st.integers(0, 99),
+    st.sampled_from([1.0, 2.0, 3.5, 6.0]),
+    SHARES,
+    st.sampled_from("xy"),
+    st.sampled_from([0.15, 0.3, 1.0]),
+)
 def test_programs_of_flat_ends_pass_the_check_and_a_ball_finishes_after_them(seed, relief, share, way, pitch) -> None:
     lens, block = hills(seed, relief), StockGrid.block(STOCK)
     rough = replace(ROUGH, corner_radius_mm=2.0 * share, direction=way, pitch_mm=pitch, flute_length_mm=6.0)
-    first = checked(lens, rough, STOCK, block)
+    try:
+        first = checked(lens, rough, STOCK, block)
+    except PassValueError as error:
+        assert "pitch_mm" in str(error) and pitch == 1.0 and relief == 6.0  # stairs of more than a step-down
+        return
     assert first.faults == ()
     assert first.gouge_um == 0.0
     assert first.below_leave_um < 50
