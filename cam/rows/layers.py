@@ -171,7 +171,8 @@ def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, fl
         if stair_mm <= (STAIR_SHARE if stride > 1 else 1.0) * step_down_mm:
             return stride, stair_mm
     pitch_mm = float(np.diff(field.rows.y_mm).max())
-    allowed = f"at most {pitch_mm * STAIR_SHARE * step_down_mm / stair_mm:.2g} mm, as a flat end leaves stairs on a lens so steep"
+    most_mm = pitch_mm * STAIR_SHARE * step_down_mm / stair_mm
+    allowed = f"at most {most_mm:.2g} mm, as a flat end leaves stairs on a lens so steep"
     raise PassValueError(name="pitch_mm", value=pitch_mm, allowed=allowed)
 
 
