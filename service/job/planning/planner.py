@@ -47,6 +47,8 @@ OwnLens = Callable[[Marks], Heightfield]
 """Designs the lens that those rows are cut into, as fine as the job's."""
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
+CONTOUR_FROM_MM = 15.0
+"""Of a lens's narrower side: less is half joints, and a path behind a finish left a gap there (R 1.5, 5 mm)."""
 
 
 def plan_for_picture(
@@ -102,6 +104,7 @@ def shop_of(job: ResolvedJob) -> Shop:
     """Return tools, material and mill of a job."""
     machine = mill_of(job)
     digit_mm = POSTS[machine.dialect].digits.z_mm
+    narrowest_mm = min(job.spec.optics.width_mm, job.spec.optics.height_mm)
     return Shop(
         tools=job.figures.tools,
         material=MATERIALS[job.spec.stock.material],
@@ -111,7 +114,7 @@ def shop_of(job: ResolvedJob) -> Shop:
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
         noise_mm=machine.z_noise_mm,
         margin_mm=job.spec.stock.margin_mm,
-        strategies=("raster", "contour"),
+        strategies=("raster", "contour") if narrowest_mm >= CONTOUR_FROM_MM else ("raster",),
         collet_mm=inf if machine.collet_mm is None else machine.collet_mm,
         removal_mm3_per_min=most_removal_mm3_per_min(machine, MATERIALS[job.spec.stock.material]),
         digits=digits_of(machine),
