@@ -91,7 +91,7 @@ class Roughing:
                 and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
                 and tool.reaches(self.form.deepest_mm)
             ]
-            flat = [one for one in tools if not one.is_ball and one.radius_mm <= 2 * finish.radius_mm]  # else: many layers
+            flat = [one for one in tools if not one.is_ball and one.radius_mm <= 2 * finish.radius_mm]
             found = map(self._find_quickest, ([one for one in tools if one.is_ball], flat))
             self._roughs[finish.radius_mm] = [way for way in found if way is not None]
         return list(self._roughs[finish.radius_mm])
