@@ -51,5 +51,12 @@ def end_mill(corner_share: float) -> CutterShape:
     return CutterShape(name="bull-nose" if corner_share else "flat", corner_share=corner_share, pitch_share=FLAT_STEP)
 
 
+def cutter_shape(radius_mm: float, corner_radius_mm: float | None) -> CutterShape:
+    """Return the shape of an end mill by the radius of its corner, None of a ball."""
+    if corner_radius_mm is None or corner_radius_mm == radius_mm:
+        return BALL
+    return end_mill(corner_radius_mm / radius_mm)
+
+
 CUTTERS: dict[str, CutterShape] = {shape.name: shape for shape in (end_mill(0.0), BALL)}
 """Every shape that a job can name."""

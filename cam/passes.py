@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from cam.cutters import BALL, CutterShape, end_mill
+from cam.cutters import BALL, CutterShape, cutter_shape
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
 
@@ -99,12 +99,12 @@ class PassSpec:
 
     @property
     def is_ball(self) -> bool:
-        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
+        return self.shape is BALL
 
     @property
     def shape(self) -> CutterShape:
         """Of the cutter."""
-        return BALL if self.is_ball else end_mill((self.corner_radius_mm or 0.0) / self.radius_mm)
+        return cutter_shape(self.radius_mm, self.corner_radius_mm)
 
     @property
     def finishes(self) -> bool:

@@ -219,8 +219,7 @@ def _paths_along_x(
         )
     elif plan.exact_rows:
         if plan.only_between:  # cusps alone stand there
-            steepest = float(np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm)).max())
-            spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, steepest)))
+            spec = replace(spec, feed_mm_per_min=float(most_feed_mm_per_min(spec, heightfield.steepest)))
         polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
         yield from _polyline_paths(polylines, met, above, CUSP_MM + plan.stair_mm, spec, safe_z_mm=safe_z_mm)
     report(1.0)

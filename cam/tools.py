@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, sqrt
 
+from cam.cutters import BALL, cutter_shape
 from cam.materials import Material
 from cam.passes import Direction, PassSpec, Strategy
 
@@ -33,7 +34,7 @@ class Tool:
 
     @property
     def is_ball(self) -> bool:
-        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
+        return cutter_shape(self.radius_mm, self.corner_radius_mm) is BALL
 
     def reaches(self, depth_mm: float) -> bool:
         """Return whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""

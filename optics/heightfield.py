@@ -70,6 +70,11 @@ class Heightfield:
         """Highest minus lowest vertex."""
         return float(np.ptp(self.z_mm))
 
+    @cached_property
+    def steepest(self) -> float:
+        """The greatest slope |grad h|, by differences of the vertices."""
+        return float(np.hypot(*np.gradient(self.z_mm, self.dy_mm, self.dx_mm)).max())
+
     def spline_with_run_out(self, by_mm: float) -> BicubicSpline:
         """Return the spline and, around the aperture, the surface on which all passes run out: the one definition of
         both.

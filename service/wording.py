@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from math import floor
 from typing import Any
 
+from cam.cutters import cutter_shape
+
 MISSING = "\N{EN DASH}"
 
 
@@ -54,10 +56,9 @@ def ball(radius_mm: float) -> str:
 
 def shape_of(row: Mapping[str, Any]) -> str:
     """Return the shape of a pass's end mill: as the row says it, else by the radius of its corner."""
-    corner_mm = row.get("corner_radius_mm")
     if (said := row.get("tool")) is not None:
         return str(said)
-    return "ball" if corner_mm in (None, row.get("radius_mm")) else "bull-nose" if corner_mm else "flat"
+    return cutter_shape(row.get("radius_mm") or 1.0, row.get("corner_radius_mm")).name
 
 
 def cutter(row: Mapping[str, Any]) -> str:

@@ -224,8 +224,7 @@ class _Run:
         # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
         if not spec.is_ball:  # it keeps farther off a slope, and its rim touches between the places that are tried
-            slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
-            self._near_mm = max(self._near_mm * float(np.hypot(1.0, slopes.max())), spec.step_down_mm / 2)
+            self._near_mm = max(self._near_mm * float(np.hypot(1.0, heightfield.steepest)), spec.step_down_mm / 2)
         self.witness = witness_of(heightfield, spec, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
         self.quality = PathQuality(heightfield, spec) if spec.strategy == "contour" else None

@@ -212,8 +212,7 @@ class FlatWitness:
 
     def __init__(self, heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> None:
         radius_mm, shape = spec.radius_mm, spec.shape
-        slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
-        self._most_mm = radius_mm * float(slopes.max()) + near_mm
+        self._most_mm = radius_mm * heightfield.steepest + near_mm
         self._surface = heightfield.spline_with_run_out(2 * radius_mm)
         self._size = heightfield.width_mm, heightfield.height_mm
         shares = np.concatenate([np.arange(1, _RINGS) / _RINGS, [_RIM_SHARE]])

@@ -9,12 +9,21 @@ import numpy as np
 from numba import njit
 
 from cam.checking.removal import Drops, RemovalGrid
-from cam.checking.sweep import LEFT, REACH, RIGHT, STRIKE, STRIKE_CELL, TALLIES, find_highest_near, find_strike
+from cam.checking.sweep import (
+    LEFT,
+    REACH,
+    RIGHT,
+    STRIKE,
+    STRIKE_CELL,
+    TALLIES,
+    find_highest_near,
+    find_strike,
+    find_way,
+)
 from cam.cutters import BALL, CutterShape
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 
-_STILL_MM = 1e-9
 _SEARCHED = 1e-5  # of the radius: of the way on which the lowest place is searched for; its square of the height
 _SLIVER_MM = 1e-7  # which digits leave where an end goes twice
 _RIM_MM = 1e-3  # inside of the rim of an end: nearer, digits say whether a wall is touched
@@ -44,12 +53,8 @@ def carve(top, by_line, x0, y0, cell, points, rapid, line, cutter, stock, visit,
         bx, by, bz = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
         if ax == bx and ay == by and az == bz:
             continue
-        length = math.hypot(bx - ax, by - ay)
+        along, length, ex, ey, slope = find_way(ax, ay, az, bx, by, bz)
         way[0] += math.hypot(length, bz - az)
-        along = length > _STILL_MM
-        ex = (bx - ax) / length if along else 0.0
-        ey = (by - ay) / length if along else 0.0
-        slope = (bz - az) / length if along else 0.0
         lowest = min(az, bz)
         if rapid[k] and not along and bz < az:
             lowest -= keep_off

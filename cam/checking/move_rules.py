@@ -56,8 +56,7 @@ class MoveRules:
         rapid_clearance_mm: float,
         gouge_allowed_um: float,
     ) -> None:
-        slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
-        self.allowed_drop_mm = spec.step_down_mm + engagement_allowance_mm(spec, float(slopes.max()))
+        self.allowed_drop_mm = spec.step_down_mm + engagement_allowance_mm(spec, heightfield.steepest)
         self._spec, self._stock = spec, stock
         self._highest_mm, self._safe_z_mm = highest_mm, safe_z_mm
         self._gouge_allowed_mm = gouge_allowed_um / 1000

@@ -79,6 +79,15 @@ def find_highest_near(ceiling, tile, x0, y0, ax, ay, bx, by):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True)
+def find_way(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+    """Return whether a move goes along in plan, how far, its direction there and its slope; 0 of one that does not."""
+    length = math.hypot(bx - ax, by - ay)
+    if length <= _STILL_MM:
+        return False, length, 0.0, 0.0, 0.0
+    return True, length, (bx - ax) / length, (by - ay) / length, (bz - az) / length
+
+
+@njit(cache=True, nogil=True)
 def find_strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # type: ignore[no-untyped-def]
     """Return how far stock stands above the flutes within `reach` of the axis on its way from a to b: (height, flat
     cell).
@@ -86,11 +95,7 @@ def find_strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  #
     ny, nx = top.shape
     worst = 0.0
     place = -1
-    length = math.hypot(b[0] - a[0], b[1] - a[1])
-    along = length > _STILL_MM
-    ex = (b[0] - a[0]) / length if along else 0.0
-    ey = (b[1] - a[1]) / length if along else 0.0
-    slope = (b[2] - a[2]) / length if along else 0.0
+    along, length, ex, ey, slope = find_way(a[0], a[1], a[2], b[0], b[1], b[2])
     foot = a[2] if along else min(a[2], b[2])
     j0 = max(0, int(math.ceil((min(a[1], b[1]) - reach - y0) / cell - 0.5)))
     j1 = min(ny - 1, int(math.floor((max(a[1], b[1]) + reach - y0) / cell - 0.5)))
@@ -254,17 +259,11 @@ def sweep(  # type: ignore[no-untyped-def]
         bx, by, bz = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
         if ax == bx and ay == by and az == bz:
             continue
-        length = math.hypot(bx - ax, by - ay)
+        along, length, ex, ey, slope = find_way(ax, ay, az, bx, by, bz)
         is_rapid = 1.0 if rapid[k] else 0.0
-        kind = _ALONG if length > _STILL_MM else _VERTICAL
-        ex = ey = slope = tilt = 0.0
-        q = 1.0
-        if kind == _ALONG:
-            ex = (bx - ax) / length
-            ey = (by - ay) / length
-            slope = (bz - az) / length
-            q = math.sqrt(1.0 + slope * slope)
-            tilt = slope / q
+        kind = _ALONG if along else _VERTICAL
+        q = math.sqrt(1.0 + slope * slope)
+        tilt = slope / q
         turn_cos = ex * corner[_EX] + ey * corner[_EY]
         smooth = kind == _ALONG and corner[_KIND] == _ALONG and is_rapid == corner[_WAS_RAPID]
         smooth = smooth and turn_cos > _SMOOTH_COS

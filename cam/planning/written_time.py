@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from math import ceil, inf, log, pi, sqrt
+from math import ceil, inf, log, pi
 from typing import cast
 
 import numpy as np
@@ -26,7 +26,7 @@ from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
 from cam.posts.digits import Digits
 from cam.program import SAFE_Z_MM, layer_paths_alone, pass_paths
 from cam.reading.gcode import MoveBatch
-from cam.rows.layers import LAYER_CUSP_SHARE, STAIR_SHARE, plane_row_distance_mm
+from cam.rows.layers import STAIR_SHARE, layer_row_distance_mm, plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
@@ -82,8 +82,7 @@ def first_pass_s(
     spec = replace(spec, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     if spec.finishes or spec.strategy == "contour":
         return planes_s(form, spec, mill) + rows_s(form, spec, mill, digits)
-    rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(spec) * form.deepest_mm / spec.step_down_mm
-    if rows_mm / _MOST_SAMPLES > spec.radius_mm / _LEAST_PLACES:
+    if _spacing_mm(form, spec) > spec.radius_mm / _LEAST_PLACES:
         return planes_s(form, spec, mill)  # a small ball's entries and walls are little of its time
     return _seconds_of(_first_paths(form, spec, safe_z_mm), np.array([0.0, 0.0, safe_z_mm]), mill)
 
@@ -95,9 +94,9 @@ def layers_after_s(
     at the rim.
     """
     first = replace(first, max_rate_mm_per_min=mill.max_rate_mm_per_min)
-    distance_mm = sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm)  # at which rows of layers lie
-    pitch_mm = min(spec.radius_mm / 5, distance_mm)
-    spec = replace(spec, pitch_mm=pitch_mm, strategy="raster", max_rate_mm_per_min=mill.max_rate_mm_per_min)
+    spec = replace(
+        spec, pitch_mm=layer_row_distance_mm(spec), strategy="raster", max_rate_mm_per_min=mill.max_rate_mm_per_min
+    )
     return _layers_after_s(form, spec, first, mill, safe_z_mm)
 
 
@@ -127,8 +126,7 @@ def _left_by(form: LensForm, spec: PassSpec, safe_z_mm: float) -> StockGrid:
 
 def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
     """Return the lens as coarse as its first pass allows, and the least block."""
-    rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(first) * form.deepest_mm / first.step_down_mm
-    lens = _coarsen(form.lens, rows_mm / _MOST_SAMPLES)
+    lens = _coarsen(form.lens, _spacing_mm(form, first))
     block = Stock(
         width_mm=lens.width_mm,
         height_mm=lens.height_mm,
@@ -136,6 +134,12 @@ def _coarse_job(form: LensForm, first: PassSpec) -> tuple[Heightfield, Stock]:
         margin_mm=2 * first.radius_mm + _BLOCK_CELL_MM,
     )
     return lens, block
+
+
+def _spacing_mm(form: LensForm, first: PassSpec) -> float:
+    """Return how far apart samples along the rows of all planes lie, if there are to be no more than may be made."""
+    rows_mm = form.width_mm * form.height_mm / plane_row_distance_mm(first) * form.deepest_mm / first.step_down_mm
+    return rows_mm / _MOST_SAMPLES
 
 
 def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:

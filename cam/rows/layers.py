@@ -22,7 +22,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, measure_sinking
+from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, measure_descent
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.cutter import slot_section_mm2
@@ -137,7 +137,9 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     if not stock.flat:
         count = ceil(depth / spec.layer_mm) - 1
         parallel = (Layer(offset_mm=k * spec.layer_mm, level_mm=-inf) for k in range(count, 0, -1))
-        return LayerPlan(layers=tuple(parallel), exact_rows=True, stride=_stride_before_exact_rows(field, spec))
+        return LayerPlan(
+            layers=tuple(parallel), exact_rows=True, stride=field.rows.stride_within(layer_row_distance_mm(spec))
+        )
     exact = spec.finishes or spec.strategy == "contour"
     keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0
     top = float(stock.height_mm.max())
@@ -149,7 +151,9 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     count = ceil((top - lowest) / spec.step_down_mm)
     planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
     if exact:
-        return LayerPlan(layers=tuple(planes), exact_rows=True, stride=_stride_before_exact_rows(field, spec))
+        return LayerPlan(
+            layers=tuple(planes), exact_rows=True, stride=field.rows.stride_within(layer_row_distance_mm(spec))
+        )
     between = field.rows.between(stride).y_mm.size > 0
     return LayerPlan(layers=tuple(planes), exact_rows=between, stride=stride, only_between=between, stair_mm=stair_mm)
 
@@ -176,10 +180,9 @@ def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, fl
     raise PassValueError(name="pitch_mm", value=pitch_mm, allowed=allowed)
 
 
-def _stride_before_exact_rows(field: Field, spec: PassSpec) -> int:
-    """Return the stride of layers that exact rows of the pass's own pitch follow: their cusps are p^2 / 8R."""
-    cusped_mm = sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm)
-    return field.rows.stride_within(min(spec.radius_mm / 5, cusped_mm))
+def layer_row_distance_mm(spec: PassSpec) -> float:
+    """Return how far apart rows of layers may lie that exact rows of the pass's own pitch follow: cusps of p^2 / 8R."""
+    return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +282,7 @@ def layer_paths(
         along = tips[run.row, samples]
         bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, spec, top_mm)
         if not spec.is_ball:
-            bite[:, :2] += measure_sinking(bite, along if run.upward else -along, spec, step_mm=field.step_mm)[:, None]
+            bite[:, :2] += measure_descent(bite, along if run.upward else -along, spec, step_mm=field.step_mm)[:, None]
         feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
         if stair_mm > 0:  # beside its ends stands what the way from row to row has left
             ends = np.r_[: ceil(per_radius), -ceil(per_radius) : 0] % feeds.size

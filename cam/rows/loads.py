@@ -106,7 +106,7 @@ def measure_cut(now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, s
     return out
 
 
-def measure_sinking(cut: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
+def measure_descent(cut: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
     """Return (n,) what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
 
     heights_mm (n,) : of the tip by X; their negatives where the way goes in -X

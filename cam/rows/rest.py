@@ -65,8 +65,7 @@ class RestAreas:
         regular_mm = CUSPS * max(0.0, float(np.nanmedian(left.over_mm)))
         with np.errstate(invalid="ignore"):
             core = np.asarray(left.over_mm > LEAST_MM + np.maximum(regular_mm, 1.5 * left.cusp_mm))
-        slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
-        steepest = float(slopes.max())
+        steepest = heightfield.steepest
         lean_mm = (spec.radius_mm + spec.stock_to_leave_mm) * steepest / np.hypot(1.0, steepest)  # from contact to tip
         grow_mm = lean_mm + spec.pitch_mm + 2 * stock_top.cell_mm
         beyond = np.full(core.shape, np.inf)

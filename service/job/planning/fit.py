@@ -9,6 +9,7 @@ import shutil
 from math import ceil, floor, isfinite
 from pathlib import Path
 
+from cam.checking.check import SEEN_SHARE
 from cam.checking.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
@@ -19,9 +20,6 @@ from service.job.planning.lens_facts import LensFacts
 from service.job.planning.program_size import SURE, pass_bytes
 from service.wording import ball
 
-_SEEN_SHARE = 1e-3
-"""Of the lens, that a ball must not fit to be spoken of."""
-
 
 def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
     """Return a warning when the finishing ball does not fit everywhere; SpecError when it touches too little of the
@@ -31,7 +29,7 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     if radius_mm <= facts.min_concave_radius_mm:
         return None
     share = facts.reached_share(radius_mm)
-    if 1 - share < _SEEN_SHARE:
+    if 1 - share < SEEN_SHARE:
         return None
     fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
     for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):

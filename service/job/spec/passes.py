@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from cam.cutters import BALL, cutter_shape
 from service.job.spec.form import shown
 from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
 
@@ -41,6 +42,15 @@ class PassRow(Section):
         Annotated[float, Field(gt=0, le=50)] | None, shown("Shank radius", usual="not checked")
     ] = None
 
+    corner_radius_mm: Annotated[
+        Annotated[float, Field(ge=0, le=50)] | None,
+        shown("Corner radius", "0: a flat end mill. Empty: a ball.", usual="ball"),
+    ] = None
+
+    @property
+    def is_ball(self) -> bool:
+        return cutter_shape(self.radius_mm, self.corner_radius_mm) is BALL
+
     @model_validator(mode="after")
     def _pitch_fits_the_ball(self) -> Self:
         if self.pitch_mm > self.radius_mm:
@@ -49,15 +59,6 @@ class PassRow(Section):
                 f"radius_mm = {self.radius_mm:g}"
             )
         return self
-
-    corner_radius_mm: Annotated[
-        Annotated[float, Field(ge=0, le=50)] | None,
-        shown("Corner radius", "0: a flat end mill. Empty: a ball.", usual="ball"),
-    ] = None
-
-    @property
-    def is_ball(self) -> bool:
-        return self.corner_radius_mm is None or self.corner_radius_mm == self.radius_mm
 
     @model_validator(mode="after")
     def _roughs_where_flat(self) -> Self:
