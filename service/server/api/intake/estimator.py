@@ -26,8 +26,8 @@ _NOBODY = ""  # no caller's name
 _WEDGE_PIXELS = 1 << 16
 _MODULE, LOOKING = "service.server.api.intake.estimator_child", "service.server.api.intake.photo_child"
 _MOST_WAITING = 8
-_START_S, _ANSWER_S = 60.0, 30.0
-LONG_S = 300.0  # after an update the first one waits for kernels to be compiled
+_START_S, _ANSWER_S = 60.0, 120.0  # a planned one takes 9 s where nothing else runs
+LONG_S = 900.0  # after an update the first one waits for kernels to be compiled
 _RETRY = {"Retry-After": "5"}
 _log = structlog.get_logger("api")
 
@@ -111,7 +111,7 @@ class Estimator:
         """Compile what estimates need, where it was not yet, so that the first person need not wait for it."""
         if not ready_mark(ESTIMATES).exists():
             with suppress(Problem):  # as good as busy with it
-                self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS})
+                self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS}, is_long=True)
 
     @property
     def callers(self) -> set[str]:
