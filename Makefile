@@ -36,7 +36,7 @@ $(READY): $(INSTALLED)
 # made again only when picture or code have changed.
 SPEEDUP ?= 2000
 demo: $(INSTALLED)
-	@nice $(MAKE) --no-print-directory out/demo-paper/report.json & beside=$$!; \
+	@mkdir -p out; nice $(MAKE) --no-print-directory out/demo-paper/report.json & beside=$$!; \
 	rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & mill=$$!; \
 	trap 'kill $$mill $$beside 2>&-; wait $$mill; tail -n 1 $(MILL)' EXIT; \
 	$(BIN)/causticmill make $(PICTURE) --output out/demo --force || exit 1; \
