@@ -1,4 +1,4 @@
-"""Moves of the tool tip: what a pass is made of before a post-processor turns it into blocks."""
+"""Moves of the tool tip: what a pass is made of before a post-processor turns it into blocks; heights of rapids."""
 
 from __future__ import annotations
 
@@ -9,6 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+SAFE_Z_MM = 5.0
+"""Where rapids go across the block, if a caller names nothing else; jobs name their mill's, in machines/profiles."""
+
+RAPID_CLEARANCE_MM = 1.0
+"""Above the stock as it is known, and never under the top of the block, where a rapid straight down ends."""
+
+CLEARANCE_MM = 0.1
+"""Above the stock as it is known, where feeding straight down ends."""
 
 
 class Motion(Enum):

@@ -16,11 +16,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cam.moves import Array, Motion, Path, cut, rapid
+from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Motion, Path, cut, rapid
 from cam.posts.dialects import Dialect
+from cam.posts.remarks import describe_part
 from cam.posts.setup import ProgramSetup
 from cam.posts.writers import create_writer
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
+from cam.rows.entries import RAMP_SLOPE, leave
 
 OVERLAP_MM = 1.0
 """Of the path, cut once more after an entry in its midst."""
@@ -84,7 +85,7 @@ def programs(
 
 def _write_program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
     writer, meter = create_writer(post), _Meter(limits)
-    remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
+    remarks = frame.remarks if part == 1 else (*frame.remarks, describe_part(part))
     setup, trace = (frame.setup, frame.trace) if part == 1 else (frame.setup.without_warm_up(), ())
     number = 100 * frame.number + part
     first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=number, setup=setup, trace=trace)

@@ -12,11 +12,11 @@ import numpy as np
 from cam.contour.path import contour_path
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
 from cam.materials import SLOT_FEED
-from cam.moves import Array, Path, cut
+from cam.moves import SAFE_Z_MM, Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import Dialect
-from cam.posts.post import number
+from cam.posts.remarks import describe_pass
 from cam.posts.setup import ProgramSetup
 from cam.rows.entries import enter, enter_onward, leave
 from cam.rows.layers import CUSP_MM, Field, Layer, LayerPlan, layer_paths, plan_layers
@@ -41,7 +41,6 @@ SHAPED_SLOPE_ERROR_RAD = 8e-3
 """Of a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.92 dB at
 2 mrad and at 8, with five sixths of the lines; a soft photograph in steps of 2 um: 34.21 and 34.19 dB."""
 
-SAFE_Z_MM = 5.0  # where a caller names none; jobs name their mill's, in machines/profiles
 CHUNK_BYTES = 1_000_000
 LEAST_REACHED = 0.9
 """A finishing ball that touches less of the surface than this makes no lens."""
@@ -111,7 +110,7 @@ def generate_parts(
         on_progress=on_progress,
     )
     frame = PassFrame(
-        remarks=remarks(spec, stock),
+        remarks=describe_pass(spec, stock),
         rpm=spec.spindle_rpm,
         plunge_mm_per_min=spec.plunge_mm_per_min,
         safe_z_mm=safe_z_mm,
@@ -147,24 +146,6 @@ def _gather_chunks(pieces: Iterable[bytes]) -> Iterator[bytes]:
             held, size = [], 0
     if held:
         yield b"".join(held)
-
-
-def remarks(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
-    """Return what the operator should see at the top of the file."""
-    n = number
-    block = f"{n(stock.width_mm + 2 * stock.margin_mm)} x {n(stock.height_mm + 2 * stock.margin_mm)}"
-    return (
-        f"pass {spec.name}: {name_cutter(spec)} radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
-        f"leaves {n(spec.stock_to_leave_mm)} mm, step-down {n(spec.step_down_mm)} mm",
-        f"block {block} x {n(stock.thickness_mm)} mm, margin {n(stock.margin_mm)} mm",
-        "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm",
-    )
-
-
-def name_cutter(spec: PassSpec) -> str:
-    """Return what the cutter is called, with the radius of its corner where that says more than its shape."""
-    corner_mm = spec.shape.corner_mm(spec.radius_mm)
-    return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {number(corner_mm)} mm")
 
 
 def pass_paths(

@@ -16,9 +16,9 @@ import numpy as np
 
 from cam.around.specs import FLANK_SLOPE, CutOut
 from cam.errors import PassValueError, SafeHeightError
-from cam.moves import Array, Path, cut, rapid
+from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Path, cut, rapid
 from cam.passes import Stock
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
+from cam.rows.entries import RAMP_SLOPE, leave
 from cam.surface.stock_grid import StockGrid
 
 _ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take

@@ -13,9 +13,9 @@ import numpy as np
 
 from cam.around.specs import BESIDE_MM, Facing
 from cam.errors import SafeHeightError
-from cam.moves import Path, cut, rapid
+from cam.moves import RAPID_CLEARANCE_MM, Path, cut, rapid
 from cam.passes import Stock
-from cam.rows.entries import RAPID_CLEARANCE_MM, leave
+from cam.rows.entries import leave
 
 
 def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:

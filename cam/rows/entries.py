@@ -13,7 +13,7 @@ from math import ceil, pi, radians, tan
 
 import numpy as np
 
-from cam.moves import Array, Path, cut, rapid
+from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Path, cut, rapid
 from cam.passes import PassSpec
 from cam.rows.vertices import TICKS_PER_MM, thin_points
 
@@ -22,12 +22,6 @@ RAMP_SLOPE = tan(radians(RAMP_DEG))
 RAMP_STRETCH_MM = 15.0
 STRAIGHT_MM = 1e-6
 """Points this near to a straight line are not written: a leg of a ramp is one move until it meets the path."""
-
-RAPID_CLEARANCE_MM = 1.0
-"""Above the stock as it is known, and never under the top of the block, where a rapid straight down ends."""
-
-CLEARANCE_MM = 0.1
-"""Above the stock as it is known, where feeding straight down ends."""
 
 MOST_LEGS = 4
 """A ramp that would turn back more often than this becomes a helix, where one may be."""

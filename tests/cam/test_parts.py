@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 
 from cam.checking.check import check_program
 from cam.duration import Kinematics
-from cam.moves import Path, cut, rapid
+from cam.moves import CLEARANCE_MM, Path, cut, rapid
 from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import POSTS
 from cam.posts.grbl import GRBL
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_program
-from cam.rows.entries import CLEARANCE_MM
 from cam.surface.stock_grid import StockGrid
 from machines.preflight.limits import limits_of
 from machines.profile import load_profile

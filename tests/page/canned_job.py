@@ -19,7 +19,7 @@ from optics.heightfield import Heightfield
 from service.job.page_data.light import light_bytes
 from service.job.page_data.surface import surface_bytes
 from service.job.page_data.thumbnail import thumbnail_png
-from service.job.report.figures.base import picture_png
+from service.job.report.figures.wall import picture_png
 from service.job.spec.lens_task import bench_of
 from service.job.spec.model import JobSpec
 from tests.page.paths import SIDE_MM, Thinned, write_path

@@ -230,7 +230,7 @@ def _pixels(per_mm: float) -> tuple[int, int]:
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
-    from service.job.report.figures.base import picture_png  # what it stands on is slow to import
+    from service.job.report.figures.wall import picture_png  # what it stands on is slow to import
 
     seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
     job_files.write_bytes(path, picture_png(seen, white=3.0))

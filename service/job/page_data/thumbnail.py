@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from optics.heightfield import Array
 from service.job.picture.resampling import resize
-from service.job.report.figures.base import picture_png
+from service.job.report.figures.wall import picture_png
 
 MOST_BYTES = 18_000
 SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last one fits even if nothing of it can be packed

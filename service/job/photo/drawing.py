@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up, srgb_levels
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up
+from service.job.report.figures.wall import srgb_levels
 
 _COLUMNS = 180
 _LINE_IN = 0.19

@@ -9,15 +9,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from cam.materials import MATERIALS, PMMA
-from service.job.spec.around import CutOutSpec, FaceSpec, cut_out_fault
 from service.job.spec.finish import FinishSpec
 from service.job.spec.form import shown
 from service.job.spec.light import LightSpec
 from service.job.spec.machine import MachineSpec
 from service.job.spec.optics import OpticsSpec
 from service.job.spec.passes import PassRow
-from service.job.spec.section import Length, OneOf, Section
+from service.job.spec.section import Section
+from service.job.spec.stock import StockSpec, cut_out_fault
 from service.wording import psnr_in_words
 
 __all__ = [
@@ -30,13 +29,11 @@ __all__ = [
     "PassRow",
     "PlanSpec",
     "Section",
-    "StockSpec",
 ]
 
 PRESETS = ("paper", "draft", "recommended")
 MAX_PIXELS = 4096
 MOST_PASSES = 20
-MOST_CLAMPS = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
@@ -110,35 +107,6 @@ class ImageSpec(Section):
         if value is not None and info.data.get("prepare") == "none":
             raise ValueError(f"{value:g} is not allowed with prepare = 'none'; it belongs to 'detail'")
         return value
-
-
-class ClampSpec(Section):
-    """What holds the block, as a box on its top that no program may come near; corner in the work frame."""
-
-    x_mm: Annotated[float, Field(ge=-2000, le=2000)]
-    y_mm: Annotated[float, Field(ge=-2000, le=2000)]
-    width_mm: Length
-    depth_mm: Length
-    height_mm: Annotated[float, Field(gt=0, le=200)]
-
-
-class StockSpec(Section):
-    """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies.
-
-    face, cut_out : what is milled beside the lens; left out: nothing
-    clamps        : where they stand, if the check is to know; where they may stand is on the setup sheet
-    """
-
-    thickness_mm: Annotated[float, Field(gt=0, le=500), shown("Thickness")] = 40.0
-    # The default keeps a ring that can be clamped beside the 6 mm that a 3 mm ball clears.
-    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 14.0
-    skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
-    material: Annotated[
-        str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")
-    ] = PMMA.name
-    face: FaceSpec | None = None
-    cut_out: CutOutSpec | None = None
-    clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
 
 
 class PlanSpec(Section):

@@ -15,10 +15,10 @@ from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, Clamp, PassSpec, Stock
 from machines.profile import MachineProfile
 from service.errors import SpecError
-from service.job.spec.around import CutOutSpec, FaceSpec
 from service.job.spec.finish import FinishSpec, resolve_finish
-from service.job.spec.model import JobSpec, PassRow, StockSpec
+from service.job.spec.model import JobSpec, PassRow
 from service.job.spec.resolved import ResolvedJob
+from service.job.spec.stock import CutOutSpec, FaceSpec, StockSpec
 
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _AROUND = ("face", "cut_out")

@@ -5,7 +5,7 @@ Written, read back and simulated as every pass; the stock goes on from one to th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -19,8 +19,8 @@ from cam.around.facing import make_facing_paths
 from cam.around.specs import CutOut, Facing
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
-from cam.passes import Stock
 from cam.posts.dialects import POSTS
+from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
 from service.errors import FailedError
@@ -109,7 +109,7 @@ def _write(
     stock, machine = cam_stock_of(context.spec), context.machine
     post, setup = POSTS[machine.dialect], setup_of(machine)
     frame = PassFrame(
-        remarks=tuple(_remarks(task, stock)),
+        remarks=describe_around(task, stock),
         rpm=task.spindle_rpm,
         plunge_mm_per_min=task.plunge_mm_per_min,
         safe_z_mm=machine.safe_z_mm,
@@ -121,16 +121,6 @@ def _write(
     with context.watch.stage(f"write {name}"):
         parts = programs(paths, post, frame, part_limits_of(machine))
         return write_parts(context.folder, partial(program_name, number, name, post.suffix), parts)
-
-
-def _remarks(task: Facing | CutOut, stock: Stock) -> Iterator[str]:
-    if isinstance(task, Facing):
-        yield f"face: {task.shape} end mill radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0"
-        yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the faced block, mm"
-        return
-    yield f"cut-out: flat end mill radius {task.radius_mm:g} mm, {task.tabs} tabs {task.tab_height_mm:g} mm high"
-    yield f"down to Z{-stock.thickness_mm - task.through_mm:g}, step-down {task.step_down_mm:g} mm"
-    yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm"
 
 
 def _check(context: StageContext, written: list[WrittenProgram], task: Facing | CutOut, top: StockGrid) -> AroundCheck:

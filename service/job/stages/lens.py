@@ -72,13 +72,13 @@ def run_irradiance(context: StageContext) -> None:
 
 
 def _target_png(seen: Array, white: float) -> bytes:
-    from service.job.report.figures.base import picture_png
+    from service.job.report.figures.wall import picture_png
 
     return picture_png(seen, white=white)
 
 
 def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
-    from service.job.report.figures.base import preparation_png
+    from service.job.report.figures.wall import preparation_png
 
     return preparation_png(given, prepared, detail_mm=detail_mm)
 

@@ -82,11 +82,7 @@ def _shape(target: Array) -> tuple[int, int]:
 
 
 def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
-    from service.job.report.figures.base import (  # what it stands on is slow to import
-        comparison_png,
-        picture_png,
-        through_focus_png,
-    )
+    from service.job.report.figures.wall import comparison_png, picture_png, through_focus_png
 
     white = float(target.max())
     pictures = [_as_seen(context, one.irradiance) for one in seen]
@@ -99,7 +95,7 @@ def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
 
 
 def _draw_tolerances(context: StageContext, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures.light import tolerances_png
+    from service.job.report.figures.tolerances import tolerances_png
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)

@@ -25,8 +25,9 @@ LATER = (
     "service.job.report.solid",
     "service.job.report.figures.base",
     "service.job.report.figures.lens",
-    "service.job.report.figures.light",
     "service.job.report.figures.paths",
+    "service.job.report.figures.tolerances",
+    "service.job.report.figures.wall",
 )
 
 __all__ = ["LATER", "lens", "run"]

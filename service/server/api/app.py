@@ -39,8 +39,7 @@ from service.server.api.routes import (
     tools,
 )
 from service.server.api.services import Services
-from service.server.fleet.delivery import Delivery, ways_out
-from service.server.fleet.notifications import watch_mills
+from service.server.fleet.notifications import Delivery, watch_mills, ways_out
 
 _ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
 

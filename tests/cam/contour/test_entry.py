@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cam.moves import Motion
+from cam.moves import CLEARANCE_MM, Motion
 from cam.passes import ball_pass
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, enter_onward
+from cam.rows.entries import RAMP_SLOPE, enter_onward
 
 SAFE_MM = 5.0
 SPEC = ball_pass("finish", radius_mm=0.5, pitch_mm=0.05, stock_to_leave_mm=0.0, step_down_mm=0.2)

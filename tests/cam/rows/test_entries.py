@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cam.moves import CLEARANCE_MM
 from cam.passes import ball_pass
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, Pocket, enter, make_helix
+from cam.rows.entries import RAMP_SLOPE, Pocket, enter, make_helix
 
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
 WIDE = (-20.0, 20.0, -20.0, 20.0)

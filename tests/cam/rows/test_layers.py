@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from cam.checking.removal import RemovalGrid
 from cam.materials import SLOT_FEED
-from cam.moves import Motion
+from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
-from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, make_ramp
+from cam.rows.entries import RAMP_SLOPE, enter, make_ramp
 from cam.rows.layers import Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid

@@ -1,18 +1,11 @@
-"""PNG pictures of light: the target, the simulated caustic, the two side by side, and the caustic out of focus.
-
-A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top. All pictures of one job share one
-exposure: white is the brightest pixel of the target, brighter light is clipped, so that files can be compared by eye.
-Every function returns the bytes of a PNG and writes nothing.
-"""
+"""What all figures of a report are drawn on: a figure of matplotlib, its size, and its PNG."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -20,72 +13,9 @@ from PIL import Image
 
 Array = NDArray[np.float64]
 
-_LEAST_SCALE_PERCENT = 0.1
 _DPI = 150
-_PACKED = 3  # of 9: a third of the time of the usual 6, files a tenth larger
+COMPRESS_LEVEL = 3  # of 9: a third of the time of the usual 6, files a tenth larger
 COLOURS = "viridis"  # of heights and of times
-_QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
-
-
-def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
-    """Convert linear irradiance (any shape) to 8 bit sRGB; `white` becomes 255, what is brighter is clipped.
-
-    IEC 61966-2-1. Raises ValueError unless white is positive and finite.
-    """
-    if not (np.isfinite(white) and white > 0):
-        raise ValueError(f"white must be a positive irradiance, not {white}")
-    linear = np.clip(np.nan_to_num(np.asarray(picture, dtype=np.float64)) / white, 0.0, 1.0)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255.0 * encoded), dtype=np.uint8)
-
-
-def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
-    """Draw the plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
-    levels = srgb_levels(picture, white=white).repeat(scale, axis=0).repeat(scale, axis=1)
-    buffer = io.BytesIO()
-    Image.fromarray(levels).save(buffer, format="PNG", compress_level=_PACKED)
-    return buffer.getvalue()
-
-
-def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated caustic") -> bytes:
-    """Draw target, caustic and their difference: caustic - target in percent of white, red where too bright."""
-    white = float(target.max())
-    difference = 100.0 * (caustic - target) / white
-    rms = float(np.sqrt(np.mean(difference**2)))
-    limit = round_up(max(float(np.percentile(np.abs(difference), 99.5)), _LEAST_SCALE_PERCENT))
-    figure = new_figure(12.9, 0.55 + panel_height(4.0, *target.shape))
-    panels = figure.subplots(1, 3)
-    for axes, words, picture in zip(panels, ("Target", title), (target, caustic), strict=False):
-        _show_picture(axes, words, picture, white)
-    axes = _without_ticks(panels[2], "Difference: caustic \N{MINUS SIGN} target")
-    image = axes.imshow(difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    bar = figure.colorbar(image, ax=panels, extend="both", fraction=0.03, pad=0.01, shrink=0.86)
-    bar.set_label("% of white (red: too bright)")
-    axes.set_xlabel(f"rms {rms:.2g} % of white; colours end at ±{limit:g} %", **_QUIET)
-    return png_bytes(figure)
-
-
-def preparation_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
-    """Draw the picture as it was given and as the lens aims at it, both with the same amount of light."""
-    white = float(max(np.quantile(given, 0.999), np.quantile(prepared, 0.999)))
-    figure = new_figure(9.0, 0.5 + panel_height(4.4, *given.shape))
-    panels = figure.subplots(1, 2)
-    titles = ("The picture as given", f"Prepared for details from {detail_mm:.2g} mm")
-    for axes, title, picture in zip(panels, titles, (given, prepared), strict=True):
-        _show_picture(axes, title, picture, white)
-    return png_bytes(figure)
-
-
-def through_focus_png(pictures: Sequence[tuple[float, Array]], *, throw_mm: float, white: float) -> bytes:
-    """Draw the caustic on screens at several distances; `pictures` holds (distance / throw, picture) in order."""
-    shape = pictures[0][1].shape
-    figure = new_figure(3.2 * len(pictures) + 0.1, 0.6 + panel_height(3.15, *shape))
-    panels = figure.subplots(1, len(pictures), squeeze=False)[0]
-    for axes, (factor, picture) in zip(panels, pictures, strict=True):
-        focus = ", in focus" if abs(factor - 1.0) < 1e-9 else ""
-        _show_picture(axes, f"{factor:.1f} × throw{focus}", picture, white)
-        axes.set_xlabel(f"screen {factor * throw_mm:g} mm from the stock top", **_QUIET)
-    return png_bytes(figure)
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -108,7 +38,7 @@ def png_bytes(figure: Figure) -> bytes:
     canvas.draw()
     buffer = io.BytesIO()
     opaque = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    opaque.save(buffer, format="PNG", dpi=(_DPI, _DPI), compress_level=_PACKED)
+    opaque.save(buffer, format="PNG", dpi=(_DPI, _DPI), compress_level=COMPRESS_LEVEL)
     return buffer.getvalue()
 
 
@@ -118,13 +48,3 @@ def round_up(value: float) -> float:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
-
-
-def _without_ticks(axes: Axes, title: str) -> Axes:
-    axes.set_title(title, fontsize=11)
-    axes.set(xticks=[], yticks=[])
-    return axes
-
-
-def _show_picture(axes: Axes, title: str, picture: Array, white: float) -> None:
-    _without_ticks(axes, title).imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255)

@@ -8,7 +8,8 @@ import numpy as np
 
 from optics.coupon.fit import FinishFit
 from optics.finish import Finish
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, srgb_levels
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes
+from service.job.report.figures.wall import srgb_levels
 
 _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from optics.irradiance import picture_from_irradiance
 from service.job.planning.plan import Planned
 from service.job.planning.sentences import finish_words, rest_words
-from service.job.report.figures.base import new_figure, panel_height, png_bytes, srgb_levels
+from service.job.report.figures.base import new_figure, panel_height, png_bytes
+from service.job.report.figures.wall import srgb_levels
 from service.wording import ball, duration
 
 if TYPE_CHECKING:

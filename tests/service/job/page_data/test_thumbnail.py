@@ -12,7 +12,7 @@ from PIL import Image
 
 from service.job.page_data.thumbnail import MOST_BYTES, SIDES, thumbnail_png
 from service.job.picture.linear_light import srgb_to_linear
-from service.job.report.figures.base import picture_png, srgb_levels
+from service.job.report.figures.wall import picture_png, srgb_levels
 
 
 def opened(content: bytes) -> Image.Image:

@@ -10,10 +10,11 @@ from PIL import Image
 
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
-from service.job.report.figures.base import comparison_png, picture_png, round_up, srgb_levels, through_focus_png
+from service.job.report.figures.base import round_up
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.lens import flow_png, heightfield_png, shade_by_raking_light
 from service.job.report.figures.paths import PathSample, toolpath_png
+from service.job.report.figures.wall import comparison_png, picture_png, srgb_levels, through_focus_png
 
 
 def pixels(png: bytes) -> np.ndarray:

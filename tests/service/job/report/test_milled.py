@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.job.report.figures.light import as_milled_png, busiest_part
+from service.job.report.figures.wall import as_milled_png, busiest_part
 from service.job.report.milled import CAUSES, detail_lost, sentences_as_milled
 from service.job.report.setup_sheet import render_report
 

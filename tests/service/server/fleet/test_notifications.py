@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 
 from service.errors import InputError
 from service.server.database.runs import LIVE_WORDS
-from service.server.fleet.delivery import Delivery, ways_out
-from service.server.fleet.notifications import MillWatch, Notification
+from service.server.fleet.notifications import Delivery, MillWatch, Notification, ways_out
 from service.server.schemas.runs import MachineView, RunView
 from service.settings import ServerSettings
 from tests.page.machine_states import MACHINE, RUN

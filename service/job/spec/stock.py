@@ -1,7 +1,7 @@
-"""What is milled around the passes of the lens: the stock's top faced, the lens cut out. Lengths in mm.
+"""[stock]: the block, what holds it, and what is milled beside the lens: its top, the cut-out. Lengths in mm.
 
-Rows of `passes` make the lens: presets and plans choose them, and what the light will be follows from them. These two
-make the block, whatever the passes are, so they are keys of [stock].
+Rows of `passes` make the lens: presets and plans choose them, and what the light will be follows from them. Facing and
+cut-out make the block, whatever the passes are.
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from cam.cutters import CUTTERS
-from service.job.spec.section import OneOf, Radius, Rate, Section, Speed, StepDown
+from cam.materials import MATERIALS, PMMA
+from service.job.spec.form import shown
+from service.job.spec.section import Length, OneOf, Radius, Rate, Section, Speed, StepDown
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
+MOST_CLAMPS = 20
 FRAME_MM = 1.0
 """Of the block that must stay around the slot: without it the tabs hold nothing."""
 
@@ -66,6 +69,35 @@ class CutOutSpec(Section):
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
     spindle_rpm: Speed | None = None
+
+
+class ClampSpec(Section):
+    """What holds the block, as a box on its top that no program may come near; corner in the work frame."""
+
+    x_mm: Annotated[float, Field(ge=-2000, le=2000)]
+    y_mm: Annotated[float, Field(ge=-2000, le=2000)]
+    width_mm: Length
+    depth_mm: Length
+    height_mm: Annotated[float, Field(gt=0, le=200)]
+
+
+class StockSpec(Section):
+    """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies.
+
+    face, cut_out : what is milled beside the lens; left out: nothing
+    clamps        : where they stand, if the check is to know; where they may stand is on the setup sheet
+    """
+
+    thickness_mm: Annotated[float, Field(gt=0, le=500), shown("Thickness")] = 40.0
+    # The default keeps a ring that can be clamped beside the 6 mm that a 3 mm ball clears.
+    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 14.0
+    skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
+    material: Annotated[
+        str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")
+    ] = PMMA.name
+    face: FaceSpec | None = None
+    cut_out: CutOutSpec | None = None
+    clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None
 
 
 def cut_out_fault(

@@ -1,23 +1,21 @@
-"""PNG figures of light: what becomes of the picture when the set-up is not exact, and of the picture as milled."""
+"""PNG figure of tolerances: what becomes of the picture when the set-up is not exact."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
-from scipy.ndimage import uniform_filter
 
 from optics.tolerance import FOCUS_LOSS_DB, Tolerances
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, srgb_levels
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes
+from service.job.report.figures.wall import srgb_levels
 
 _LINE: dict[str, Any] = {"marker": "o", "markersize": 4, "linewidth": 1.2, "color": "#1d5c8c"}
 _SHIFT: dict[str, Any] = {"marker": "s", "markersize": 3.5, "linewidth": 1.0, "color": "#c77700", "linestyle": "--"}
 _SMALL = 8.5
 _HEADROOM_DB = 3.0
 _SEEN_DEG = "diameter seen from the lens [degrees]; the sun has 0.53"
-_PART = 4  # a quarter of each side is shown enlarged
 
 
 def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, white: float) -> bytes:
@@ -85,34 +83,3 @@ def _label(axes: Axes, title: str, below: str) -> None:
     axes.set_xlabel(below, fontsize=_SMALL)
     axes.tick_params(labelsize=_SMALL)
     axes.grid(alpha=0.25, linewidth=0.6)
-
-
-def as_milled_png(target: Array, designed: Array, milled: Array, *, figures: Mapping[str, Any]) -> bytes:
-    """Draw pictures (ny, nx) as the viewer sees them, row 0 on top; figures: report `as_milled`."""
-    white = float(target.max())
-    captions = (
-        "Target",
-        f"As designed, {figures['psnr_db_designed']:.1f} dB",
-        f"As milled, {figures['psnr_db']:.1f} dB, blur {figures['blur_px']:.1f} px rms",
-    )
-    rows, columns = busiest_part(target)
-    figure = new_figure(12.6, 0.5 + 2 * panel_height(4.15, *target.shape))
-    panels = figure.subplots(2, 3)
-    for k, (caption, picture) in enumerate(zip(captions, (target, designed, milled), strict=True)):
-        for axes, shown in ((panels[0, k], picture), (panels[1, k], picture[rows, columns])):
-            axes.imshow(srgb_levels(shown, white=white), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-            axes.set(xticks=[], yticks=[])
-        panels[0, k].set_title(caption, fontsize=10)
-    return png_bytes(figure)
-
-
-def busiest_part(picture: Array) -> tuple[slice, slice]:
-    """Return the quarter of each side in which the picture changes most from pixel to pixel."""
-    ny, nx = picture.shape
-    high, wide = max(ny // _PART, min(8, ny)), max(nx // _PART, min(8, nx))
-    change = np.hypot(*np.gradient(picture))
-    mean = uniform_filter(change, (high, wide), mode="constant")[high // 2 : ny - high // 2, wide // 2 : nx - wide // 2]
-    if mean.size == 0:
-        return slice(0, ny), slice(0, nx)
-    j, i = divmod(int(mean.argmax()), mean.shape[1])
-    return slice(j, j + high), slice(i, i + wide)

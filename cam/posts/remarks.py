@@ -1,0 +1,45 @@
+"""What the operator reads at the head of a program: cutter, block and zero, a line each."""
+
+from __future__ import annotations
+
+from cam.around.specs import CutOut, Facing
+from cam.passes import PassSpec, Stock
+from cam.posts.post import number as n
+
+_CORNER = "X0 Y0: lower left corner of the lens aperture"
+
+
+def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
+    """Return the remarks of a pass of the lens."""
+    block = f"{n(stock.width_mm + 2 * stock.margin_mm)} x {n(stock.height_mm + 2 * stock.margin_mm)}"
+    return (
+        f"pass {spec.name}: {name_cutter(spec)} radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
+        f"leaves {n(spec.stock_to_leave_mm)} mm, step-down {n(spec.step_down_mm)} mm",
+        f"block {block} x {n(stock.thickness_mm)} mm, margin {n(stock.margin_mm)} mm",
+        f"{_CORNER}, Z0: top of the block, mm",
+    )
+
+
+def name_cutter(spec: PassSpec) -> str:
+    """Return what the cutter is called, with the radius of its corner where that says more than its shape."""
+    corner_mm = spec.shape.corner_mm(spec.radius_mm)
+    return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {n(corner_mm)} mm")
+
+
+def describe_around(task: Facing | CutOut, stock: Stock) -> tuple[str, ...]:
+    """Return the remarks of what is milled beside the lens."""
+    if isinstance(task, Facing):
+        return (
+            f"face: {task.shape} end mill radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0",
+            f"{_CORNER}, Z0: top of the faced block, mm",
+        )
+    return (
+        f"cut-out: flat end mill radius {task.radius_mm:g} mm, {task.tabs} tabs {task.tab_height_mm:g} mm high",
+        f"down to Z{-stock.thickness_mm - task.through_mm:g}, step-down {task.step_down_mm:g} mm",
+        f"{_CORNER}, Z0: top of the block, mm",
+    )
+
+
+def describe_part(part: int) -> str:
+    """Return the remark of a later part of a program that its control cannot hold whole."""
+    return f"part {part}: goes on where part {part - 1} has ended"
