@@ -17,7 +17,7 @@ import click
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
-from service.cli.make import app
+from service.cli.app import app
 
 TOP = Path(__file__).parents[1]
 OPENAPI = TOP / "tests" / "service" / "server" / "api" / "openapi.json"

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.options import QuietOption
 from service.processes.kernel_cache import JOBS
 
 
@@ -37,7 +38,7 @@ def coupon(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of the spec. Repeatable.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """A test piece that measures your mill and your finish: its programs, or, with --photo, what a photograph says."""
     from service.errors import InputError

@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.options import QuietOption
+
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module to the command line."""
@@ -26,7 +28,7 @@ def look(
         float | None,
         typer.Option("--width-mm", help="How wide the lit rectangle is on the wall, if measured: a surer distance."),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """What the wall tells: compare a photograph with what was foretold, and say what is off and what to do."""
     from service.job import files as job_files

@@ -59,7 +59,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run_command(arguments: Sequence[str]) -> int:
     use_current_kernels()
-    from service.cli.make import app
+    from service.cli.app import app
 
     result = app(args=list(arguments), prog_name="causticmill", standalone_mode=False)
     return result if isinstance(result, int) else 0

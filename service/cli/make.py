@@ -1,33 +1,17 @@
-"""The commands `make`, `design`, `cam`, `caustic`, `check` and `version`: their arguments, and what each one calls.
+"""The commands `make`, `design`, `cam` and `caustic`: their arguments, and what each one calls.
 
-Those that drive mills are in `service.cli.mill`. Everything heavy is imported inside the commands, so that --help
-answers at once.
+Everything heavy is imported inside the commands, so that --help answers at once.
 """
 
 from __future__ import annotations
 
-import contextlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from service.cli import coupon, jobs, look, mill, plan_options, serve, tokens
-from service.errors import EXIT_FAILURE
+from service.cli.options import QuietOption
 from service.processes.kernel_cache import JOBS, LENSES
-
-if TYPE_CHECKING:
-    from service.progress import Reporter
-
-app = typer.Typer(
-    name="causticmill",
-    help="From a picture to the programs that mill a clear block whose light paints it on a wall.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
 
 PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any picture Pillow reads.")]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of an earlier design or make.")]
@@ -44,10 +28,14 @@ LightOption = Annotated[
     typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light on the aperture, rim to rim."),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 
 
-@app.command()
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the command line."""
+    for command in (make, design, cam, caustic):
+        app.command()(command)
+
+
 def make(
     picture: PictureArgument,
     output: OutputOption,
@@ -67,15 +55,15 @@ def make(
     with warmup.compile_beside(JOBS):
         from service.job import pipeline
         from service.job.spec.loading import resolve_job, wishes_where_untold
+        from service.progress import report_progress
 
         said: dict[str, Any] = {"file": spec, "preset": preset, "overrides": set_ or ()}
         resolved = resolve_job(**said, base=wishes_where_untold(**said), light_picture=light_picture)
-        with _open_reporter(quiet) as reporter:
+        with report_progress(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _print_summary(output, report, quiet)
 
 
-@app.command()
 def design(
     picture: PictureArgument,
     output: OutputOption,
@@ -92,14 +80,14 @@ def design(
     with warmup.compile_beside(LENSES):
         from service.job import pipeline
         from service.job.spec.loading import resolve_job
+        from service.progress import report_progress
 
         resolved = resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
-        with _open_reporter(quiet) as reporter:
+        with report_progress(quiet) as reporter:
             report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
     _print_summary(output, report, quiet)
 
 
-@app.command()
 def cam(
     folder: FolderArgument,
     spec: SpecOption = None,
@@ -110,82 +98,24 @@ def cam(
     """Lens to checked programs, in the folder of an earlier design or make."""
     from service.job import pipeline
     from service.job.spec.loading import resolve_for_lens
+    from service.progress import report_progress
 
     resolved = resolve_for_lens(folder, file=spec, preset=preset, overrides=set_ or ())
-    with _open_reporter(quiet) as reporter:
+    with report_progress(quiet) as reporter:
         report = pipeline.cam(folder, resolved, reporter=reporter)
     _print_summary(folder, report, quiet)
 
 
-@app.command()
 def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
     """Simulate the light of an earlier design again: scores, caustic, through-focus."""
     from service.job import pipeline
     from service.job.spec.loading import load_stored_job
-
-    stored = load_stored_job(folder)
-    with _open_reporter(quiet) as reporter:
-        report = pipeline.caustic(folder, stored, reporter=reporter)
-    _print_summary(folder, report, quiet)
-
-
-@app.command()
-def check(
-    programs: Annotated[list[Path], typer.Argument(metavar="PROGRAM...", help="Programs in the order they are run.")],
-    heightfield: Annotated[Path, typer.Option("--heightfield", metavar="FILE", help="The lens: heightfield.npz.")],
-    radius_mm: Annotated[
-        list[float] | None, typer.Option("--radius-mm", help="Ball radius of each program; one serves all.")
-    ] = None,
-    pitch_mm: Annotated[list[float] | None, typer.Option("--pitch-mm", help="Pitch of each program.")] = None,
-    stock_to_leave_mm: Annotated[
-        list[float] | None, typer.Option("--stock-to-leave-mm", help="Stock each program leaves; default 0.")
-    ] = None,
-    step_down_mm: Annotated[
-        list[float] | None, typer.Option("--step-down-mm", help="Most stock one move may take off.")
-    ] = None,
-    thickness_mm: Annotated[float | None, typer.Option("--thickness-mm", help="Thickness of the block.")] = None,
-    margin_mm: Annotated[float | None, typer.Option("--margin-mm", help="Margin of the block.")] = None,
-    machine: Annotated[str | None, typer.Option("--machine", help="Machine profile.")] = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Simulate the removal of written programs; exit code 1 on a gouge or a crash.
-
-    Beside a job's spec.json all settings come from there, and the job's earlier passes are run first.
-    """
-    from service.cli.check import CheckSettings, check_programs
-
-    settings = CheckSettings(
-        radius_mm=tuple(radius_mm or ()),
-        pitch_mm=tuple(pitch_mm or ()),
-        stock_to_leave_mm=tuple(stock_to_leave_mm or ()),
-        step_down_mm=tuple(step_down_mm or ()),
-        thickness_mm=thickness_mm,
-        margin_mm=margin_mm,
-        machine=machine,
-    )
-    with _open_reporter(quiet) as reporter:
-        verdicts = check_programs(programs, heightfield, settings, reporter=reporter)
-    for verdict in verdicts:
-        if not quiet or not verdict.ok:
-            print(verdict.line(), file=sys.stdout if verdict.ok else sys.stderr)
-    if not all(verdict.ok for verdict in verdicts):
-        raise typer.Exit(EXIT_FAILURE)
-
-
-@app.command()
-def version() -> None:
-    """Print the version."""
-    from importlib import metadata
-
-    print(f"causticmill {metadata.version('causticmill')}")
-
-
-@contextlib.contextmanager
-def _open_reporter(quiet: bool) -> Iterator[Reporter]:
     from service.progress import report_progress
 
+    stored = load_stored_job(folder)
     with report_progress(quiet) as reporter:
-        yield reporter
+        report = pipeline.caustic(folder, stored, reporter=reporter)
+    _print_summary(folder, report, quiet)
 
 
 def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
@@ -195,7 +125,3 @@ def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
     for line in summary_lines(folder, report):
         print(line)
-
-
-for module in (plan_options, coupon, look, mill, tokens, jobs, serve):
-    module.register(app)

@@ -12,7 +12,7 @@ import pytest
 import typer
 import yaml
 
-from service.cli.make import app
+from service.cli.app import app
 from service.settings import ServerSettings
 from tests.docker.dockerfile import ROOT
 

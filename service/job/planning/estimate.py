@@ -55,9 +55,10 @@ from service.job.spec.lens_task import (
     require_contrast,
     with_branch,
 )
-from service.job.spec.model import MIN_FLOOR_MM, JobSpec
+from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
+from service.job.spec.stock import MIN_FLOOR_MM
 from service.wording import ball, cutter
 
 PIXELS = 96

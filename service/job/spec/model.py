@@ -35,7 +35,6 @@ PRESETS = ("paper", "draft", "recommended")
 MAX_PIXELS = 4096
 MOST_PASSES = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
-MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
 _PRESETS = {
     "draft": ("Draft", "quick, to see whether it works"),

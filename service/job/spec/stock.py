@@ -21,6 +21,7 @@ from service.job.spec.section import Length, OneOf, Radius, Rate, Section, Speed
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
 MOST_CLAMPS = 20
+MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 FRAME_MM = 1.0
 """Of the block that must stay around the slot: without it the tabs hold nothing."""
 

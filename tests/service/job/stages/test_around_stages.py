@@ -119,7 +119,7 @@ def test_a_job_without_all_that_says_nothing_of_it() -> None:
 
 def test_the_check_command_knows_them(job: StagedJob, tmp_path: Path) -> None:
     """The whole folder in one go, and one that has been edited by hand is found."""
-    from service.cli.check import CheckSettings, check_programs
+    from service.job.checking import CheckSettings, check_programs
     from service.progress import QuietReporter
 
     names = [*programs(job), "spec.json", "report.json", "heightfield.npz"]

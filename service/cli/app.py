@@ -1,0 +1,29 @@
+"""The command line: every group of commands, in the order in which --help lists them."""
+
+from __future__ import annotations
+
+import typer
+
+from service.cli import check, coupon, jobs, look, make, mill, plan_options, serve, tokens
+
+app = typer.Typer(
+    name="causticmill",
+    help="From a picture to the programs that mill a clear block whose light paints it on a wall.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def version() -> None:
+    """Print the version."""
+    from importlib import metadata
+
+    print(f"causticmill {metadata.version('causticmill')}")
+
+
+make.register(app)
+check.register(app)
+app.command()(version)
+for module in (plan_options, coupon, look, mill, tokens, jobs, serve):
+    module.register(app)
