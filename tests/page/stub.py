@@ -30,6 +30,7 @@ from service.job.spec.tools import BUILT_IN, load_tools
 from service.server.api.errors import install_problems
 from service.server.api.routes import page, root
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.jobs import PROFILE_EXAMPLE
 from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import asked_wrongly, lies_of
@@ -166,7 +167,7 @@ class Stub:
             ("GET", f"{machine}/events", self.machine_events),
             ("GET", f"{machine}/orders", lambda _request, _name: {"orders": [_entry(1, "connected")], "next": None}),
             ("POST", f"{machine}/control/(hold|abort)", self.stop),
-            ("GET", "/v1/profiles", lambda _: {"profiles": _PROFILES}),
+            ("GET", "/v1/profiles", lambda _: {"profiles": PROFILES}),
             ("GET", "/v1/tools", lambda _: {"tools": TOOLS, "own": False}),
             ("GET", "/v1/runs", lambda _: {"runs": [], "next": None}),
         ]
@@ -251,8 +252,8 @@ def summary_of(job: dict[str, Any]) -> dict[str, Any]:
 
 
 TOOLS = [asdict(tool) for tool in load_tools(BUILT_IN)]
-_PROFILES = [
-    {"name": name, "description": words, "dialect": "grbl", "travel_mm": [300.0, 300.0, 80.0], "mills": mills}
+PROFILES = [
+    PROFILE_EXAMPLE | {"name": name, "description": words, "mills": mills, "built_in": name != NAME}
     for name, words, mills in (
         ("grbl", "desktop router", [{"name": "simulated", "simulated": True}]),
         ("grbl-3018", "engraver", []),

@@ -16,7 +16,7 @@ from typing import Any
 
 from machines.profile_values import BadValueError, Rule, Rules, number
 from service.errors import InputError
-from service.job.spec.tools import own_file, read_library
+from service.job.spec.own_files import own_file, read_library
 
 _BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = _BUILT_IN.name

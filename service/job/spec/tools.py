@@ -6,23 +6,18 @@ the folder of their machines, takes its place.
 
 from __future__ import annotations
 
-import json
-import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from cam.tools import Tool
-from machines.profile import user_folders
 from machines.profile_values import BadValueError, Rule, Rules, number, whole
-from service.errors import InputError, sentence_of_os_error
-from service.job.files import write_bytes
+from service.errors import InputError
+from service.job.spec.own_files import own_file, read_library, require_own_file, toml_lines, write_own_file
 
 BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
-_MOST_BYTES = 1_000_000
 
 
 def _word(value: Any) -> str:
@@ -46,17 +41,11 @@ _VALUES = Rules(
 )
 
 
-def own_file(name: str = _NAME, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return where the person's own library of that name is, or would be."""
-    folders = user_folders(environment)
-    return folders[0].parent / name if folders else None
-
-
 def library_file(given: Path | None = None) -> Path:
     """Return the file in use: the one given, else the person's own, else the built-in."""
     if given is not None:
         return given
-    own = own_file()
+    own = own_file(_NAME)
     return own if own is not None and own.is_file() else BUILT_IN
 
 
@@ -68,28 +57,20 @@ def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
     """Write the person's own library, whole or not at all, and return it. InputError says what is wrong with a row."""
-    path = _own_path()
+    path = require_own_file(_NAME)
     tools = _tools_of(Path(path.name), {"tool": [dict(row) for row in rows]})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, "\n".join(_as_toml(tool) for tool in tools).encode())
+    write_own_file(path, "\n".join(_as_toml(tool) for tool in tools))
     return tools
 
 
 def forget_tools() -> None:
     """Go back to the shipped library."""
-    _own_path().unlink(missing_ok=True)
-
-
-def _own_path() -> Path:
-    path = own_file()
-    if path is None:
-        raise InputError("no folder for tools of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
-    return path
+    require_own_file(_NAME).unlink(missing_ok=True)
 
 
 def _as_toml(tool: Tool) -> str:
     values = {field.name: value for field in fields(Tool) if (value := getattr(tool, field.name)) is not None}
-    return "[[tool]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+    return "[[tool]]\n" + toml_lines(values)
 
 
 def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
@@ -137,30 +118,13 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
     return tool
 
 
-def read_library(path: Path, what: str) -> dict[str, Any]:
-    """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing=f"{path}: cannot be read")) from None
-    if len(raw) > _MOST_BYTES:
-        raise InputError(f"{path}: is too large; a {what} has at most {_MOST_BYTES} bytes")
-    try:
-        return tomllib.loads(raw.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {' '.join(str(error).split())}") from None
-
-
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
     """Return lines that list the library for a person."""
     head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    own = own_file()
+    own = own_file(_NAME)
     where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
     origin = "built in" if path == BUILT_IN else str(path)
     return [*lines, "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]

@@ -70,10 +70,11 @@ function cornerWords({ radius_mm, corner_radius_mm = null }) {
   return corner_radius_mm ? ` R ${round(corner_radius_mm)}` : ` ${t("flat")}`;
 }
 
-function numberInput(label, placeholder) {
+/** {node, input, read()}: a number above zero, null where it is left empty. */
+export function numberInput(label, placeholder) {
   const id = freshId("cutter"), input = h("input", { id, type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
   const read = () => (input.value === "" ? null : Number(input.value));
-  return { node: h("div", { class: "field" }, h("label", { for: id }, label), input), read };
+  return { node: h("div", { class: "field" }, h("label", { for: id }, label), input), input, read };
 }
 
 const round = (value) => String(Number(value.toFixed(3)));

@@ -29,12 +29,12 @@ const CANNOT = t("such a lens cannot be made.");
 const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
 export default async function view(root, params, app) {
-  const [profiles] = await Promise.all([knownProfiles(), sheet("/page/new/new.css")]);
+  let [profiles] = await Promise.all([knownProfiles(), sheet("/page/new/new.css")]);
   const start = await beginning(params);
   app.title(t("New job"));
   let page = null;
   const put = (beginWith) => {
-    page = newJob(profiles, app);
+    page = newJob(profiles, app, withMills);
     const title = h("h1", {}, t("New job"));
     const again = h("button", { type: "button", class: "quiet", onclick: anew }, t("Start over"));
     const notice = beginWith.notice && h("p", { class: "notice" }, h("span", {}, beginWith.notice));
@@ -46,6 +46,14 @@ export default async function view(root, params, app) {
     page.stop();
     put({});
     toast(t("Everything is as usual again."), { action: { words: t("Undo"), run: () => (page.stop(), put(before)) } });
+  }
+  /** The mills of the shop are others now; name: the one to go on with, null the usual one. */
+  function withMills(found, name) {
+    const before = page.draft();
+    page.stop();
+    profiles = found;
+    put({ ...before, spec: withChange(before.spec, { "machine.profile": name ?? undefined }) });
+    toast(name ? t`Kept: ${name}.` : t("Taken away."));
   }
   await put(start);
   return { leave: () => page.leave() };
@@ -68,8 +76,16 @@ async function knownProfiles() {
   }
 }
 
+/** What it holds is fetched when it is opened. */
+function ownMillsCard(profiles, onChanged) {
+  const fill = async () => card.append(...(await import("./own_mills.js")).ownMills({ profiles, onChanged }));
+  const card = h("details", { class: "card" }, h("summary", {}, t("Your mills")));
+  card.addEventListener("toggle", fill, { once: true });
+  return card;
+}
+
 /** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), leave()}. forMore: a person comes to see what shows more. */
-function newJob(profiles, app) {
+function newJob(profiles, app, withMills) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null, forMore: false }; // problems by estimate, by refusal
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
@@ -88,6 +104,7 @@ function newJob(profiles, app) {
   const settings = [
     Object.values(folds),
     cutters.element,
+    ownMillsCard(profiles, withMills),
     coupon.element,
     h("details", { class: "card" }, h("summary", {}, t("Expert: passes, optics, stock, machine")), expert),
   ];

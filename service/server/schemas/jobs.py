@@ -143,6 +143,26 @@ class ProfileMill(Body):
     simulated: bool
 
 
+_Triple = Annotated[list[float] | None, Field(min_length=3, max_length=3, description="X, Y, Z")]
+_Pair = Annotated[list[float] | None, Field(min_length=2, max_length=2, description="slowest, fastest")]
+
+
+class ProfileBody(Body):
+    """A mill of the shop: what it is like, and its own figures where they differ. See docs/mill.md for all of them."""
+
+    extends: Annotated[str, Field(max_length=80, description="the built-in profile it is like", examples=["grbl"])]
+    description: Annotated[str | None, Field(max_length=300)] = None
+    travel_mm: _Triple = None
+    max_rate_mm_per_min: _Triple = None
+    acceleration_mm_per_s2: _Triple = None
+    spindle_rpm: _Pair = None
+    step_mm: Annotated[float | None, Field(description="smallest move of an axis")] = None
+    z_noise_mm: Annotated[float | None, Field(description="sigma of a row's height; a test piece measures it")] = None
+    collet_mm: Annotated[float | None, Field(description="thickest shank")] = None
+    spindle_w: float | None = None
+    removal_cm3_per_min: Annotated[float | None, Field(description="the most that the frame stands")] = None
+
+
 class ProfileView(Body):
     """A kind of mill that programs can be made for."""
 
@@ -150,7 +170,17 @@ class ProfileView(Body):
     description: str
     dialect: str
     travel_mm: Annotated[list[float], Field(description="X, Y, Z")]
+    max_rate_mm_per_min: Annotated[list[float], Field(description="X, Y, Z")]
+    spindle_rpm: Annotated[list[float], Field(description="slowest, fastest")]
+    step_mm: float
+    z_noise_mm: float
+    collet_mm: float | None
+    spindle_w: float | None
     mills: Annotated[list[ProfileMill], Field(description="of this server; programs made so are for them")]
+    built_in: bool
+    stated: Annotated[
+        ProfileBody | None, Field(description="what was put there; null: built in, or written by hand in its file")
+    ]
 
 
 class ProfileList(Body):
@@ -216,6 +246,21 @@ JOB_EXAMPLE: dict[str, Any] = SUMMARY_EXAMPLE | {
         },
     ],
     "programs": [],
+}
+PROFILE_EXAMPLE: dict[str, Any] = {
+    "name": "grbl",
+    "description": "desktop router",
+    "dialect": "grbl",
+    "travel_mm": [300.0, 300.0, 80.0],
+    "max_rate_mm_per_min": [5000.0, 5000.0, 1500.0],
+    "spindle_rpm": [8000.0, 30000.0],
+    "step_mm": 0.004,
+    "z_noise_mm": 0.001,
+    "collet_mm": 6.35,
+    "spindle_w": 500.0,
+    "mills": [{"name": "simulated", "simulated": True}],
+    "built_in": True,
+    "stated": None,
 }
 ARTIFACT_EXAMPLE: dict[str, Any] = {
     "name": "pass-1-rough.nc",

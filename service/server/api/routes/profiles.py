@@ -1,4 +1,5 @@
-"""What a new job can begin with: the profiles of machines, and what another job was made from."""
+"""What a new job can begin with: the profiles of machines, the shop's own among them, and what another job was made
+from."""
 
 from __future__ import annotations
 
@@ -6,35 +7,45 @@ import asyncio
 import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 
-from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
+from machines.profile import MachineProfile, ProfileError, find_profiles, load_profile
 from service.job.spec.minimal import reduce_spec
-from service.server.api.access.scopes import Reader
+from service.job.spec.own_profiles import forget_profile, save_profile, stated_profiles
+from service.server.api.access.scopes import Operator, Reader
 from service.server.api.openapi import answers, example
 from service.server.api.routes.artifacts import Asked, byte_answers, send_artifact
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
 from service.server.fleet.registry import KnownMachine, known_machines
-from service.server.schemas.jobs import JOB_EXAMPLE, ProfileList, ProfileMill, ProfileView, RequestView
+from service.server.schemas.jobs import (
+    JOB_EXAMPLE,
+    PROFILE_EXAMPLE,
+    ProfileBody,
+    ProfileList,
+    ProfileMill,
+    ProfileView,
+    RequestView,
+)
 from service.settings import ServerSettings
 
 router = APIRouter()
 
+OwnName = Annotated[
+    str,
+    Path(
+        pattern=r"^[^\x00-\x1f\x7f/\\. ][^\x00-\x1f\x7f/\\]{0,39}$",
+        description="of the profile",
+        examples=["shop-mill"],
+    ),
+]
+
 _PICTURE = "picture"
-_PROFILES = {
-    "profiles": [
-        {
-            "name": "grbl",
-            "description": "desktop router",
-            "dialect": "grbl",
-            "travel_mm": [300.0, 300.0, 80.0],
-            "mills": [{"name": "simulated", "simulated": True}],
-        }
-    ]
-}
+_AS_THEY_ARE = ProfileView.model_fields.keys() - {"mills", "built_in", "stated"}
+_PROFILES = {"profiles": [PROFILE_EXAMPLE]}
 _REQUEST = {
     "name": "portrait.png",
     "spec": {"preset": "draft", "optics": {"width_mm": 40.0}},
@@ -52,7 +63,30 @@ async def profiles(request: Request, _: Reader) -> ProfileList:
     """The values that `machine.profile` of a spec may have, each with the mills of this server that its programs are
     for. A profile that cannot be read is left out.
     """
-    return ProfileList(profiles=await asyncio.to_thread(_read_profiles, services_of(request).settings))
+    return await asyncio.to_thread(_read_profiles, services_of(request).settings)
+
+
+@router.put(
+    "/v1/profiles/{profile}",
+    tags=["machines"],
+    summary="State a mill of the shop",
+    responses=answers({200: example(_PROFILES)}),
+)
+async def put_profile(request: Request, _: Operator, profile: OwnName, body: ProfileBody) -> ProfileList:
+    """New jobs can be made for it; jobs that are there keep their figures. Its link is stated in its file alone."""
+    await asyncio.to_thread(save_profile, profile, body.model_dump(exclude_none=True))
+    return await asyncio.to_thread(_read_profiles, services_of(request).settings)
+
+
+@router.delete(
+    "/v1/profiles/{profile}",
+    tags=["machines"],
+    summary="Take a mill of the shop away",
+    responses=answers({200: example(_PROFILES)}),
+)
+async def delete_profile(request: Request, _: Operator, profile: OwnName) -> ProfileList:
+    await asyncio.to_thread(forget_profile, profile)
+    return await asyncio.to_thread(_read_profiles, services_of(request).settings)
 
 
 @router.get(
@@ -89,22 +123,24 @@ async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Res
     return await send_artifact(request, file, asked)
 
 
-def _read_profiles(settings: ServerSettings) -> list[ProfileView]:
+def _read_profiles(settings: ServerSettings) -> ProfileList:
     profiles = []
-    for name in profile_names():
+    for name in find_profiles():
         with contextlib.suppress(ProfileError):
             profiles.append(load_profile(name))
     mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
-    return [
-        ProfileView(
-            name=profile.name,
-            description=profile.description,
-            dialect=profile.dialect,
-            travel_mm=list(profile.travel_mm),
-            mills=[ProfileMill(name=mill.name, simulated=mill.simulated) for mill in mills.get(profile.name, ())],
-        )
-        for profile in profiles
-    ]
+    stated, built_in = stated_profiles(), find_profiles(())
+    return ProfileList(
+        profiles=[
+            ProfileView(
+                **{key: getattr(profile, key) for key in _AS_THEY_ARE},
+                mills=[ProfileMill(name=mill.name, simulated=mill.simulated) for mill in mills.get(profile.name, ())],
+                built_in=profile.name in built_in,
+                stated=ProfileBody.model_validate(stated[profile.name]) if profile.name in stated else None,
+            )
+            for profile in profiles
+        ]
+    )
 
 
 def mills_by_profile(

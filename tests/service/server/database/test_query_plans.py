@@ -37,6 +37,7 @@ _COUPON = "/v1/profiles/{profile}/coupon"
 NO_QUERY = (
     "/v1/estimates",
     "/v1/profiles",
+    "/v1/profiles/{profile}",
     "/v1/tools",
     f"{_COUPON}.zip",
     f"{_COUPON}/photos",
