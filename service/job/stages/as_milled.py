@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -59,11 +59,12 @@ def run_as_milled(context: StageContext) -> None:
             step_mm=context.machine.step_mm,
         )
     with context.watch.stage("as milled: light") as on_progress:
-        seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)
-        found = deviations(_sample_facets(surface), heightfield, bench, shape, slopes=_SLOPES)
+        part, sampled = _keep_samples(surface)
+        seen = simulate_milled(part, surface.parts, heightfield, bench, pixels=shape, on_progress=on_progress)
+        found = deviations((sampled.pop(n) for n in sorted(sampled)), heightfield, bench, shape, slopes=_SLOPES)
         if context.is_shown:
             save_light(context, LIGHT_AS_MILLED, heightfield, target, slopes=found.slopes)
-    del surface
+    del surface, part
     with context.watch.stage("as milled: causes") as on_progress:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(context.spec)), bench, pixels=shape)
         # A finish takes the marks off: what each of them alone would bring is no advice.
@@ -111,10 +112,19 @@ def _decimals(machine: MachineProfile) -> int:
     return round(-math.log10(POSTS[machine.dialect].digits.z_mm))
 
 
-def _sample_facets(surface: MilledSurface) -> Iterator[Array]:
+def _keep_samples(surface: MilledSurface) -> tuple[Callable[[int], Array], dict[int, Array]]:
+    """Return the surface's parts by number, and where those of them that are samples are kept once they are made."""
     samples = min(_SAMPLES, max(_FEW, surface.parts // 4))
-    for number in np.unique(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int)):
-        yield surface.part(int(number))
+    wanted = set(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int).tolist())
+    kept: dict[int, Array] = {}
+
+    def part(number: int) -> Array:
+        facets = surface.part(number)
+        if number in wanted:
+            kept[number] = facets
+        return facets
+
+    return part, kept
 
 
 def _gains(
