@@ -157,10 +157,12 @@ class Kept:
 
     def pages(self, browser: Browser, size: str, *, once: bool = False) -> Watched:
         """The page of this size that is loaded anew for each test, or one for this test only."""
-        context = self.context(browser, size)
+        context, touch = self.context(browser, size), _touch_of(size)
         if once:
+            if touch in self._pages:
+                self._pages[touch].page().goto("about:blank")  # pages of one browser tell each other what they hear
             return Watched(context)
-        return self._pages.setdefault(_touch_of(size), Watched(context, stays=True))
+        return self._pages.setdefault(touch, Watched(context, stays=True))
 
 
 def _touch_of(size: str) -> str:

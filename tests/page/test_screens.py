@@ -34,6 +34,9 @@ SIZES: dict[str, tuple[int, int, Scheme, bool]] = {
     "keyboard": (390, 420, "light", False),
 }
 STYLES = ("job/job.css", "machine/machine.css", "new/new.css")
+OPEN_FOLDS = """() => {
+    for (const fold of document.querySelectorAll("details")) if (fold.checkVisibility()) fold.open = true;
+}"""
 PLACES = """async () => {
     const now = () => [...document.querySelectorAll("main *")].filter((one) => one.checkVisibility()).map((one) => {
         const {x, y, width, height} = one.getBoundingClientRect();
@@ -189,8 +192,7 @@ def of_a_machine(state: str) -> Screen:
 
     def screen(opened: Opened) -> Page:
         page = with_control(opened, state)
-        for fold in page.locator("summary:visible").all():
-            fold.click()
+        page.evaluate(OPEN_FOLDS)  # at once: while they are clicked one by one, news of the mill may take one away
         return page
 
     return screen
