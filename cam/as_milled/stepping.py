@@ -97,23 +97,27 @@ def lowest_slopes(ends, radius, x, y):  # type: ignore[no-untyped-def]
     """Return (slope in x, in y) of the lowest of balls that run along ends (count, 6), above a point."""
     lowest, zx, zy = np.inf, 0.0, 0.0
     for k in range(ends.shape[0]):
-        dx, dy, dz = ends[k, 3] - ends[k, 0], ends[k, 4] - ends[k, 1], ends[k, 5] - ends[k, 2]
-        length = math.hypot(dx, dy)
-        if length == 0.0:
+        dx, dy = ends[k, 3] - ends[k, 0], ends[k, 4] - ends[k, 1]
+        ax, ay = x - ends[k, 0], y - ends[k, 1]
+        square = dx * dx + dy * dy
+        if square == 0.0:
             continue
-        ex, ey, m = dx / length, dy / length, dz / length
-        u, w = (x - ends[k, 0]) * ex + (y - ends[k, 1]) * ey, (y - ends[k, 1]) * ex - (x - ends[k, 0]) * ey
-        square = radius * radius - w * w
-        if square <= 0.0:
+        near = min(max((ax * dx + ay * dy) / square, 0.0), 1.0)
+        room = radius * radius - (ax - near * dx) ** 2 - (ay - near * dy) ** 2
+        above = min(ends[k, 2], ends[k, 5]) - lowest  # of its lowest point at best, were it right above this one
+        if room <= 0.0 or (above > 0.0 and above * above >= room):
             continue
-        s = min(max(u - math.sqrt(square) * m / math.sqrt(1.0 + m * m), 0.0), length)
-        square -= (u - s) ** 2
-        if square <= 0.0:
+        length = math.sqrt(square)
+        ex, ey, m = dx / length, dy / length, (ends[k, 5] - ends[k, 2]) / length
+        u, w = ax * ex + ay * ey, ay * ex - ax * ey
+        s = min(max(u - math.sqrt(radius * radius - w * w) * m / math.sqrt(1.0 + m * m), 0.0), length)
+        room = radius * radius - w * w - (u - s) ** 2
+        if room <= 0.0:
             continue
-        down = math.sqrt(square)
+        down = math.sqrt(room)
         z = ends[k, 2] + m * s - down
         if z < lowest:
-            lowest, zx, zy = z, (x - ends[k, 0] - s * ex) / down, (y - ends[k, 1] - s * ey) / down
+            lowest, zx, zy = z, (ax - s * ex) / down, (ay - s * ey) / down
     return zx, zy
 
 

@@ -58,7 +58,7 @@ class StockGrid:
         width_mm = stock.width_mm + 2 * stock.margin_mm
         height_mm = stock.height_mm + 2 * stock.margin_mm
         if cell_mm is None:
-            cell_mm = min(max(max(width_mm, height_mm) / 1100, 0.02), 0.2)
+            cell_mm = min(max(max(width_mm, height_mm) / 1100, 0.05), 0.2)
         nx, ny = (max(1, ceil(size / cell_mm - 1e-9)) for size in (width_mm, height_mm))
         return cls(
             x0_mm=-stock.margin_mm - (nx * cell_mm - width_mm) / 2,
