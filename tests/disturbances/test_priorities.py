@@ -6,6 +6,8 @@ import contextlib
 import os
 from pathlib import Path
 
+import pytest
+
 from service.processes.priority import BEHIND, FIRST
 from tests.disturbances.floor import running_floor
 from tests.service.server.api.server import png
@@ -34,6 +36,7 @@ def names(pids: list[int]) -> dict[str, int]:
     return found
 
 
+@pytest.mark.thorough
 def test_agents_go_first_and_whatever_computes_gives_way(tmp_path: Path) -> None:
     """What may not raise itself stays where it is, and says nothing."""
     first = FIRST if os.geteuid() == 0 else os.nice(0)

@@ -28,8 +28,6 @@ QUICK = (
     "job-planned",
     "two-jobs",
     "machines",
-    "machine-idle",
-    "machine-parked",
     "machine-interrupted",
     "watched-unplugged",
 )

@@ -68,8 +68,11 @@ def likeness(a: Array, b: Array) -> float:
 
 @pytest.mark.parametrize(
     ("made_for", "lit", "change"),
-    [(PARALLEL, replace(PARALLEL, throw_mm=85.0), {"throwMm": 85.0}), (SUN, SUN, {}), (LAMP, LAMP, {})],
-    ids=["wall nearer", "sun", "lamp"],
+    [
+        pytest.param(PARALLEL, replace(PARALLEL, throw_mm=85.0), {"throwMm": 85.0}, id="wall nearer"),
+        pytest.param(SUN, SUN, {}, id="sun", marks=pytest.mark.thorough),
+        pytest.param(LAMP, LAMP, {}, id="lamp", marks=pytest.mark.thorough),
+    ],
 )
 def test_the_page_sees_the_servers_caustic_and_no_mirror_of_it(
     modules: Page, made_for: Bench, lit: Bench, change: dict[str, float]
@@ -102,6 +105,7 @@ AT_REST = """async () => {
 }"""
 
 
+@pytest.mark.thorough
 def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_moves(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", once=True)
     page.evaluate(FRAMES)

@@ -47,6 +47,7 @@ def test_an_end_on_its_surface_leaves_the_allowance_and_touches(seed, share) -> 
     assert over.max() < most
 
 
+@pytest.mark.thorough
 @settings(max_examples=12, deadline=None)
 @given(
     st.integers(0, 99),

@@ -136,6 +136,7 @@ def test_a_mirrored_picture_is_said_to_be_mirrored() -> None:
     assert np.abs(back - np.stack([1 - points[:, 0], points[:, 1]], axis=1)).max() * WIDE < 0.3
 
 
+@pytest.mark.thorough
 def test_a_symmetric_picture_is_not_said_to_be_mirrored() -> None:
     """Mirrored it fits as well as upright: no reason to alarm anybody."""
     half = picture()
@@ -173,6 +174,7 @@ def test_a_tone_of_the_camera_s_own_is_found_where_it_is_asked_for() -> None:
     assert register(shot_of(seen).photo, predicted(seen)).tone == 1.0
 
 
+@pytest.mark.thorough
 def test_strangers_in_the_photograph_do_not_pull() -> None:
     """A lamp beside the picture, a finger before it, a tape on the wall: large residuals count little."""
     seen = picture()

@@ -21,6 +21,7 @@ from optics.photograph.views import area_average
 from optics.photograph.wall import WallFit, fit_wall
 from optics.screen import Screen
 from optics.spline import Array
+from tests.levels import mostly_thorough
 from tests.optics.photographs import camera, photographed
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -72,7 +73,7 @@ def looked_at(lens: Heightfield, bench: Bench, light: Array) -> WallFit:
     return fit_wall(shot.photo, place, lens, bench, predicted)
 
 
-@pytest.mark.parametrize("off", [0.02, -0.02])
+@pytest.mark.parametrize("off", mostly_thorough([0.02, -0.02], quick=[0.02]))
 def test_a_wall_in_the_wrong_place_is_told_with_its_sign(lens: Heightfield, bench: Bench, off: float) -> None:
     """Two percent of the throw to a fifth of itself, from a photograph in perspective, by shape and not by scale."""
     fit = looked_at(lens, bench, light_on_the_wall(lens, bench, throw_mm=THROW_MM * (1 + off)))
@@ -88,7 +89,9 @@ def test_a_wall_in_its_place_is_not_said_to_be_off(lens: Heightfield, bench: Ben
     assert not any(one.exceeds(3) for one in estimates), estimates
 
 
-@pytest.mark.parametrize(("order", "um"), [((2, 1), 5.0), ((3, 0), -5.0), ((2, 2), 5.0)])
+@pytest.mark.parametrize(
+    ("order", "um"), mostly_thorough([((2, 1), 5.0), ((3, 0), -5.0), ((2, 2), 5.0)], quick=[((3, 0), -5.0)])
+)
 def test_a_low_order_error_of_the_surface_is_told_with_its_sign(
     lens: Heightfield, bench: Bench, order: tuple[int, int], um: float
 ) -> None:
@@ -102,6 +105,7 @@ def test_a_low_order_error_of_the_surface_is_told_with_its_sign(
     assert all(abs(one.value) < 0.5 * abs(um) for other, one in found.items() if other != order and one.is_determined)
 
 
+@pytest.mark.thorough
 def test_what_is_not_told_is_said_to_be_unknown(bench: Bench) -> None:
     """A weak, smooth lens sends all light nearly straight: another distance changes nothing that could be seen."""
     arch = np.sin(np.linspace(0, np.pi, 65))
@@ -132,6 +136,7 @@ def test_a_wall_that_leans_is_farther_on_one_side(
         assert off < 0.2 * np.abs(rays.light(np.zeros(SETTINGS))[:, column] - upright[:, column]).mean() + 0.02
 
 
+@pytest.mark.thorough
 def test_light_aslant_and_a_farther_wall_are_those_of_the_bench(
     lens: Heightfield, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +150,7 @@ def test_light_aslant_and_a_farther_wall_are_those_of_the_bench(
     assert np.abs(rays.light(setting) - full)[4:-4, 4:-4].mean() < 0.02
 
 
+@pytest.mark.thorough
 def test_a_measured_width_makes_the_distance_surer(bench: Bench) -> None:
     """Rays that spread: a farther wall shows a wider picture, which a rule on the wall tells and a camera cannot."""
     wide = replace(bench, screen=replace(bench.screen, width_mm=32.0, height_mm=32.0))

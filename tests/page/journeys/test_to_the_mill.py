@@ -108,6 +108,7 @@ def raised(page: Page) -> None:
     expect(line).to_contain_text("go on with it")
 
 
+@pytest.mark.thorough
 def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Shop) -> None:
     running(at_mill, shop)
     at_mill.keyboard.press("Space")

@@ -103,6 +103,7 @@ def test_a_photograph_that_tells_nothing_is_refused_with_its_reason(job: Path, w
     assert refused(np.full(SHAPE, 0.5), job).code == "no_light"
 
 
+@pytest.mark.thorough
 def test_a_mirrored_photograph_is_told_and_still_read(job: Path, wall: Array) -> None:
     found = look_at(
         WallPhoto(light=photo_of(wall)[:, ::-1], width=600, height=450), foretold_of(job), name="selfie.jpg"

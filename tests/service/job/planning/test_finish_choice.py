@@ -48,6 +48,7 @@ def test_rows_run_where_their_stripes_are_seen_less(best_on_a_rough_mill: Planne
     assert {plan.chosen.finish.direction for plan in (best_on_a_rough_mill, turned)} == {"x", "y"}
 
 
+@pytest.mark.thorough
 def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     """A mill without errors leaves nothing that is worth levelling."""
     plan = planned("finish.process=best", *FINE)
@@ -55,6 +56,7 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     assert plan.finish_table() == {"process": "none"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("asked", [("best", *FINE), ("best", *ROUGH), ("flame", "plan.hours=2", *ROUGH)])
 def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
     monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
