@@ -11,7 +11,6 @@ from playwright.sync_api import Page, expect
 
 from service.job.spec.finish_library import built_in_processes, instruct_finishing
 from service.wording import psnr_in_words
-from tests.levels import mostly_thorough
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults
 from tests.page.conftest import Opened
@@ -64,7 +63,7 @@ def test_a_job_without_a_finish_has_no_card(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "scheme"), mostly_thorough([("wide", "light"), ("phone", "dark")], quick=[("phone", "dark")])
+    ("size", "scheme"), [pytest.param("wide", "light", marks=pytest.mark.thorough), ("phone", "dark")]
 )
 def test_the_card_fits_and_can_be_read_by_everybody(
     opened: Opened, picture: Callable[[Page, str], Path | None], size: str, scheme: str
