@@ -44,6 +44,7 @@ class ServerSettings(BaseSettings):
     simulated_mill    : `serve` offers a simulated mill, too, to try everything on
     notify_url        : web address to which it is POSTed, as JSON, what needs a person at a mill; None: nobody is told
     notify_email      : mailbox that is told the same, through smtp_url: smtp://user:password@host:port, or smtps://
+    cameras           : {"mill": "http://..."}: beside each mill one that sends a JPEG, or a stream of them
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
 
@@ -78,6 +79,7 @@ class ServerSettings(BaseSettings):
     notify_url: Annotated[str, Field(pattern=r"^https?://\S+$")] | None = None
     notify_email: Annotated[str, Field(pattern=r"^[^@\s]+@[^@\s]+$")] | None = None
     smtp_url: Annotated[str, Field(pattern=r"^smtps?://\S+$")] = "smtp://localhost:25"
+    cameras: dict[str, Annotated[str, Field(pattern=r"^https?://\S+$")]] = {}
     log_level: Literal["debug", "info", "warning"] = "info"
     log_format: Literal["auto", "json", "text"] = "auto"
 

@@ -218,14 +218,18 @@ def told(
     run: dict[str, Any] | None = None,
     before: dict[str, Any] | None = None,
     plan: Callable[[Route], Any] = lambda route: route.fulfill(json=PLAN),
+    camera: bool = False,
 ) -> None:
     """From now on this page hears of one machine in this state; whoever takes control of it is that operator.
 
     mill, run : what is different about them; a page that listens already hears of it at once
     before : the run before that one
     plan : answers whoever asks how to go on
+    camera : there is one beside it
     """
     machine, whole = machine_in(state, run)
+    if camera:
+        machine["links"] |= {"camera": "/v1/machines/shop/camera.jpg"}
     if mill:
         machine["mill"] |= mill
     if operator:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 from itertools import product
 
 import pytest
-from playwright.sync_api import Page, expect
+from PIL import Image
+from playwright.sync_api import Page, Route, expect
 
 from tests.levels import mostly_thorough
 from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
@@ -211,3 +213,34 @@ def test_the_lens_appears_where_it_is_cut(modules: Page) -> None:
     assert modules.evaluate(SKETCH, {"line": 0, "whole": False}) == [bare] * 4
     assert modules.evaluate(SKETCH, {"line": 12, "whole": False}) == [red, lime, bare, bare]
     assert modules.evaluate(SKETCH, {"line": 30, "whole": True}) == [red, lime, blue, yellow]
+
+
+def test_the_camera_beside_the_mill_shows_what_is_there_now_or_nothing(opened: Opened) -> None:
+    page = open_blank(opened, "machine", errors=("status of 502",))
+    asked, answers = [], [True]
+    file = io.BytesIO()
+    Image.new("RGB", (8, 6), "red").save(file, "JPEG")
+
+    def answer(route: Route) -> None:
+        asked.append(1)
+        if answers[0]:
+            route.fulfill(body=file.getvalue(), content_type="image/jpeg")
+        else:
+            route.fulfill(status=502, json={"detail": "the camera does not answer"})
+
+    page.route("**/camera.jpg", answer)
+    told(page, "running", camera=True)
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    seen = page.get_by_role("img", name="The mill, as its camera sees it")
+    expect(seen).to_have_js_property("naturalWidth", 8)
+    answers[0] = False
+    expect(page.get_by_text("The camera does not answer with a picture.")).to_be_visible()
+    expect(page.locator(".camera img")).to_be_hidden()
+    answers[0] = True
+    expect(seen).to_be_visible()
+    page.locator(".camera summary").click()
+    count = len(asked)
+    page.wait_for_timeout(2500)
+    assert len(asked) <= count + 1  # that was on its way
+    told(page, "running")
+    expect(page.locator(".camera")).to_be_hidden()

@@ -365,6 +365,26 @@ def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Pag
     expect(wall(new_job)).to_have_count(0)
 
 
+def test_a_reload_loses_neither_picture_nor_settings(new_job: Page) -> None:
+    fill(new_job, Width="33")
+    new_job.get_by_role("button", name="Mirror").click()
+    for elsewhere in (False, True):
+        if elsewhere:
+            new_job.get_by_role("link", name="Machines").click()
+            expect(new_job.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+        new_job.reload()
+        if elsewhere:
+            new_job.go_back()
+        expect(new_job.get_by_label("Width", exact=True)).to_have_value("33")
+        unfold(new_job)
+        expect(new_job.get_by_role("button", name="Mirror")).to_have_attribute("aria-pressed", "true")
+        expect(wall(new_job)).to_be_visible()
+    new_job.get_by_role("button", name="Start over").click()
+    new_job.reload()
+    expect(new_job.get_by_label("Width", exact=True)).to_have_value("100")
+    expect(wall(new_job)).to_have_count(0)
+
+
 @pytest.mark.thorough
 def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent: list[Any]) -> None:
     file = io.BytesIO()

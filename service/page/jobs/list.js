@@ -6,7 +6,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
-import { keep } from "../new/picked.js";
+import { keep } from "../new/draft.js";
 import { jobCard } from "./card.js";
 import { thumbnails } from "./thumbnails.js";
 

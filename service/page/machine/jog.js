@@ -1,11 +1,12 @@
 /**
  * Jogging: one press is one step, never more; or, where a person has chosen that, the mill moves while it is pressed.
- * The keyboard jogs only while it is armed, and it is armed only as long as the focus stays in the pad; a key that is
- * held down does nothing further. A tool in the block goes up; anywhere else only where a person has said so.
+ * Keyboard and gamepad jog only while they are armed, and they are armed only as long as the focus stays in the pad; a
+ * key that is held down does nothing further. A tool in the block goes up; anywhere else only where a person has said so.
  */
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { watchGamepad } from "./gamepad.js";
 import { holdToJog } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
 import { enable, refusalLine } from "./refusal_line.js";
@@ -94,7 +95,10 @@ export function jogPanel(link) {
       cancel.disabled = link.machine?.mill?.state !== "jog";
       if (!fitted && link.machine?.profile) fitted = fit(feed, link.machine.profile);
     },
-    close: hold.close,
+    close() {
+      arm.off();
+      hold.close();
+    },
   };
 }
 
@@ -147,14 +151,17 @@ function stepChoice(changed) {
   return { node, inputs, mm: () => Number(chosen()), held: () => chosen() === HELD };
 }
 
-/** Arrow keys, once a person has armed them. */
+/** Arrow keys and gamepad, once a person has armed them. */
 function armKeys({ begin, end }) {
   const words = h("span", {});
   const button = h("button", { type: "button", class: "arm", "aria-pressed": "false", onclick: () => set(!isOn()) }, words);
+  const gamepad = watchGamepad({ begin, end });
   const isOn = () => button.getAttribute("aria-pressed") === "true";
   const set = (on) => {
     button.setAttribute("aria-pressed", String(on));
-    write(words, on ? t("Keys move the mill: arrows, Page Up, Page Down") : t("Use the keyboard"));
+    write(words, on ? t("Keys and gamepad move the mill: arrows, Page Up, Page Down") : t("Use keyboard or gamepad"));
+    if (on) gamepad.on();
+    else gamepad.off();
   };
   set(false);
   return {

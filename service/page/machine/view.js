@@ -3,6 +3,7 @@
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
+import { camera } from "./camera.js";
 import { terminal } from "./console.js";
 import { controlBar } from "./control_bar.js";
 import { history } from "./history.js";
@@ -51,13 +52,13 @@ export default async function view(root, params, app) {
 function makeParts(link, chosen) {
   const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jogPanel(link), setup: setup(link), zero: zeroDrawing(link) };
   const load = loadCard(link, chosen);
-  const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
+  const others = { program: runCard(link), load, recover: recover(link), part: part(link), overrides: overrides(link), seen: camera(link), terminal: terminal(link), given: ordersGiven(link), past: history(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
   return { ...own, ...others, next: next(link, cards, { load: () => load.button, start: () => others.program.button }) };
 }
 
 /** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
-function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, terminal, given, past, stops }) {
+function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, seen, terminal, given, past, stops }) {
   const node = (one) => one.node;
   const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
   return h(
@@ -70,7 +71,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
       "div",
       { class: "machine-columns" },
       h("div", { class: "left" }, stack("tool", jog), stack("zero", setup, zero)),
-      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal, given, past)),
+      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", seen, terminal, given, past)),
     ),
     stops.node,
   );

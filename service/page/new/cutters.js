@@ -5,28 +5,21 @@ import { freshId, h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 
-const TITLE = t("Your cutters");
 const INTRO = t("New jobs are planned with these alone. Sizes are diameters in mm, as on the box. Balls make the lens; flat ones only rough.");
 const USUAL = t("usual");
 const FIELDS = [["diameter", t("Diameter"), ""], ["corner", t("Corner radius"), t("ball")], ["flute", t("Cutting length"), USUAL], ["shank", t("Shank"), USUAL], ["stick_out", t("Sticks out"), USUAL]];
 
-/** {element}. onChange(): there are others now. Asked for when it is unfolded. */
-export function cuttersPart({ onChange }) {
+/** Their nodes. onChange(): there are others now. */
+export function ownCutters({ onChange }) {
   const list = h("ul", { class: "row cutters" }), said = h("p", { class: "fault", role: "alert" });
   const inputs = Object.fromEntries(FIELDS.map(([key, label, placeholder]) => [key, numberInput(label, placeholder)]));
   const add = h("button", { type: "button", disabled: true, onclick: () => send("put", [...tools, asTool()]) }, t("Add"));
   const usual = h("button", { type: "button", class: "quiet", onclick: () => send("delete") }, t("Back to the usual ones"));
   const fields = h("div", { class: "row cutter-fields" }, Object.values(inputs).map(({ node }) => node), add);
-  const element = h(
-    "details", { class: "card", ontoggle: () => element.open && !tools && load() },
-    h("summary", {}, TITLE), h("p", { class: "dim" }, INTRO), list, fields, said, usual,
-  );
-  let tools = null;
+  let tools = [];
   usual.hidden = true;
+  answered(() => api.get("/v1/tools"));
 
-  async function load() {
-    await answered(() => api.get("/v1/tools"));
-  }
   async function send(method, wanted) {
     if (!(await api.need("jobs:write"))) return;
     if (await answered(() => api[method]("/v1/tools", wanted && { tools: wanted }))) onChange();
@@ -62,7 +55,7 @@ export function cuttersPart({ onChange }) {
     const shank_radius_mm = read("shank", Math.max(diameter, diameter < 3.175 ? 3.175 : 6)) / 2;
     return { name, radius_mm, corner_radius_mm, flute_length_mm: flute, shank_radius_mm, stick_out_mm: read("stick_out", Math.max(30, flute)) };
   }
-  return { element };
+  return [h("p", { class: "dim" }, INTRO), list, fields, said, usual];
 }
 
 function cornerWords({ radius_mm, corner_radius_mm = null }) {

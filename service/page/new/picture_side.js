@@ -3,6 +3,7 @@
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { eyeWords } from "../job/eye_words.js";
+import { putAway } from "./draft.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
 import { coarseBlur, screenOf } from "./screen.js";
@@ -61,15 +62,15 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
 
   async function begin({ picture, edits, name: called, file }) {
     if (picture) use(picture, edits, called);
-    else if (file) await take(file, called);
+    else if (file) await take(file, called, edits);
     else replace(place, dropPlace({ words: invitation(), onFile: take }), gallery(take));
   }
 
-  async function take(file, called) {
+  async function take(file, called, edits) {
     place.setAttribute("aria-busy", "true"); // a huge one takes its time
     onOpening(file.name);
     try {
-      use(await openPicture(file), null, called);
+      use(await openPicture(file), edits, called);
     } finally {
       place.removeAttribute("aria-busy");
     }
@@ -78,6 +79,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
 
   function use(picture, edits, called) {
     now.picture = picture;
+    putAway(picture.file);
     now.edits = { ...UNTOUCHED, ...edits };
     name.value = called ?? stem(picture.file.name);
     write(fault, "");

@@ -8,14 +8,13 @@ import { shape } from "../lib/state.js";
 import { capital, sentence } from "../lib/words.js";
 import { foretell } from "../job/foretold.js";
 import { couponPart } from "./coupon.js";
-import { cuttersPart } from "./cutters.js";
+import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
 import { usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
 import { FIRST } from "./passes.js";
-import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
 import { valueAt } from "./spec.js";
@@ -55,14 +54,17 @@ export default async function view(root, params, app) {
     put({ ...before, spec: withChange(before.spec, { "machine.profile": name ?? undefined }) });
     toast(name ? t`Kept: ${name}.` : t("Taken away."));
   }
+  const hide = () => page.keep();
+  addEventListener("pagehide", hide);
   await put(start);
-  return { leave: () => page.leave() };
+  return { leave: () => (removeEventListener("pagehide", hide), page.leave()) };
 }
 
 /** What the job begins with: another job, the picture just dropped, or what was left here. */
 async function beginning(params) {
-  const draft = takeDraft();
-  if (params.from) return { ...(await (await import("./source.js")).sourceOf(params.from, params.plan)), forMore: params.show === "more" };
+  const draft = await takeDraft();
+  const isReload = draft?.address === location.hash;
+  if (params.from && !isReload) return { ...(await (await import("./source.js")).sourceOf(params.from, params.plan)), forMore: params.show === "more" };
   const file = take();
   return file ? { spec: draft?.spec, file } : (draft ?? {});
 }
@@ -77,23 +79,22 @@ async function knownProfiles() {
 }
 
 /** What it holds is fetched when it is opened. */
-function ownMillsCard(profiles, onChanged) {
-  const fill = async () => card.append(...(await import("./own_mills.js")).ownMills({ profiles, onChanged }));
-  const card = h("details", { class: "card" }, h("summary", {}, t("Your mills")));
-  card.addEventListener("toggle", fill, { once: true });
+function lateCard(title, load) {
+  const card = h("details", { class: "card" }, h("summary", {}, title));
+  card.addEventListener("toggle", async () => card.append(...(await load())), { once: true });
   return card;
 }
 
-/** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), leave()}. forMore: a person comes to see what shows more. */
+/** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: a person comes to see what shows more. */
 function newJob(profiles, app, withMills) {
   const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null, forMore: false }; // problems by estimate, by refusal
+  const address = location.hash;
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
   const coupon = couponPart({ take: takeChange });
-  const cutters = cuttersPart({ onChange: changed });
   const improve = improvements({ make: estimateForm, take: takeChange, draw: (values, blurMm) => side.small(withChange(form.read().spec, values), blurMm) });
   const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
@@ -103,8 +104,8 @@ function newJob(profiles, app, withMills) {
   const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
   const settings = [
     Object.values(folds),
-    cutters.element,
-    ownMillsCard(profiles, withMills),
+    lateCard(t("Your cutters"), async () => (await import("./cutters.js")).ownCutters({ onChange: changed })),
+    lateCard(t("Your mills"), async () => (await import("./own_mills.js")).ownMills({ profiles, onChanged: withMills })),
     coupon.element,
     h("details", { class: "card" }, h("summary", {}, t("Expert: passes, optics, stock, machine")), expert),
   ];
@@ -218,12 +219,17 @@ function newJob(profiles, app, withMills) {
     improve.stop();
   }
 
-  function leave() {
-    stop();
-    if (!now.sent && side.has()) keepDraft(draft());
+  /** For who comes back, also by a reload. */
+  function keep() {
+    keepDraft(now.sent || !side.has() ? null : draft(), address);
   }
 
-  return { element, begin, draft, leave, stop };
+  function leave() {
+    stop();
+    keep();
+  }
+
+  return { element, begin, draft, keep, leave, stop };
 }
 
 /** What the estimate and the refusal of a job say, each sentence once. */

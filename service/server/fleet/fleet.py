@@ -18,6 +18,7 @@ from service.server.database.runs import PREPARING, RunRow, UnknownRunError
 from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
 from service.server.fleet.agent_feed import known_id
 from service.server.fleet.agent_replies import parse_reply
+from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore, Seen
 from service.server.fleet.handover import Handovers
 from service.server.fleet.machine_commands import ASK_S, OrderContext, Orders
@@ -46,6 +47,7 @@ class Fleet:
         self.orders = Orders(self._core)
         self.stops = Stops(self._core)
         self._controls = Controls(self._core, self.orders)
+        self._cameras = Cameras()
         self._followers = 0
 
     def end_streams(self) -> None:
@@ -68,6 +70,7 @@ class Fleet:
     async def aclose(self) -> None:
         self.end_streams()
         await self._handovers.close()
+        await self._cameras.aclose()
         await self._core.close()
 
     @property
@@ -84,6 +87,13 @@ class Fleet:
 
     async def machine(self, name: str) -> MachineView:
         return await self._machine(await self._core.machine(name))
+
+    async def picture(self, name: str) -> bytes:
+        """Return a JPEG of the camera beside that mill."""
+        machine = await self._core.machine(name)
+        if not machine.camera:
+            raise Problem(404, f"there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are")
+        return await self._cameras.take_picture(machine.camera)
 
     async def _machine(self, machine: KnownMachine) -> MachineView:
         status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -38,6 +38,7 @@ class KnownMachine:
     url, token_file : of a remote agent
     problem    : why it cannot be used, in words
     simulated  : there is no mill, only a model of one
+    camera     : address of the one beside it
     """
 
     name: str
@@ -47,6 +48,7 @@ class KnownMachine:
     token_file: Path | None = None
     problem: str = ""
     simulated: bool = False
+    camera: str = ""
 
     @property
     def remote(self) -> bool:
@@ -71,6 +73,7 @@ def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], l
             problems.append(f"machine '{machine.name}' of the agents file is a machine of this computer, too")
         else:
             found[machine.name] = machine
+    found |= {name: replace(found[name], camera=url) for name, url in settings.cameras.items() if name in found}
     return dict(sorted(found.items())), problems
 
 

@@ -151,7 +151,8 @@ def make_machine_view(
             "events": f"{here}/events",
             "control": f"{here}/control",
             "runs": f"/v1/runs?machine={name}",
-        },
+        }
+        | ({"camera": f"{here}/camera.jpg"} if machine.camera else {}),
     )
 
 

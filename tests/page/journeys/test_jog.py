@@ -99,7 +99,7 @@ def test_whatever_ends_the_hold_stops_the_mill(at_mill: Page) -> None:
     finger = Finger(at_mill, "X minus")
 
     def key_down() -> None:
-        at_mill.get_by_role("button", name="Use the keyboard").click()
+        at_mill.get_by_role("button", name="Use keyboard or gamepad").click()
         at_mill.keyboard.down("ArrowLeft")
 
     ends: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {

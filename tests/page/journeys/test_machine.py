@@ -58,7 +58,7 @@ def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill:
     at_mill.get_by_role("button", name="X minus").focus()
     at_mill.keyboard.press("ArrowLeft")
     assert sent == [], "not armed"
-    at_mill.get_by_role("button", name="Use the keyboard").click()
+    at_mill.get_by_role("button", name="Use keyboard or gamepad").click()
     with logged(at_mill, "Jog X.*: done"):
         for _ in range(5):  # held down: the browser repeats it
             at_mill.keyboard.down("ArrowLeft")

@@ -52,6 +52,19 @@ async def look(request: Request, _: Reader, machine: MachineName) -> MachineView
 
 
 @router.get(
+    "/v1/machines/{machine}/camera.jpg",
+    summary="Look through its camera",
+    response_class=Response,
+    responses=answers({200: {"description": "what it sees now", "content": {"image/jpeg": {}}}}, 502, 504),
+)
+async def look_through_camera(request: Request, _: Reader, machine: MachineName) -> Response:
+    """A picture of the camera beside the mill, where the server's settings name one (`links.camera`)."""
+    picture = await services_of(request).fleet.picture(machine)
+    headers = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
+    return Response(picture, media_type="image/jpeg", headers=headers)
+
+
+@router.get(
     "/v1/machines/{machine}/orders",
     summary="Who ordered what",
     response_model_exclude_unset=True,

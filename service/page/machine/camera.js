@@ -1,0 +1,64 @@
+/** What the camera beside the mill sees: a picture a second while it is unfolded and looked at. Nothing where there is none. */
+
+import { api } from "../lib/api.js";
+import { h, write } from "../lib/dom.js";
+import { t } from "../lib/language.js";
+
+const EVERY_MS = 1000;
+const AGAIN_MS = 5000; // after a failure
+const TIMEOUT_MS = 10_000;
+
+export function camera(link) {
+  const picture = h("img", { alt: t("The mill, as its camera sees it"), hidden: true });
+  const said = h("p", { class: "dim", role: "status" });
+  const fold = h("details", { open: true, ontoggle: () => look() }, h("summary", {}, h("h2", { id: "camera-title" }, t("Camera"))), picture, said);
+  const node = h("section", { class: "card camera", "aria-labelledby": "camera-title", hidden: true }, fold);
+  const now = { timer: 0, asking: false, closed: false, url: "" };
+  const isWanted = () => !now.closed && !node.hidden && fold.open && !document.hidden;
+
+  async function look() {
+    clearTimeout(now.timer);
+    now.timer = 0;
+    if (now.asking || !isWanted()) return;
+    now.asking = true;
+    const wait_ms = (await show()) ? EVERY_MS : AGAIN_MS;
+    now.asking = false;
+    if (isWanted()) now.timer = setTimeout(look, wait_ms);
+  }
+
+  async function show() {
+    try {
+      const response = await api.request("GET", link.machine.links.camera, { timeout_ms: TIMEOUT_MS, quiet: true });
+      change(URL.createObjectURL(await response.blob()));
+      write(said, "");
+      return true;
+    } catch {
+      change(""); // an old picture would be taken for what is there now
+      write(said, t("The camera does not answer with a picture."));
+      return false;
+    }
+  }
+
+  function change(url) {
+    if (now.url) URL.revokeObjectURL(now.url);
+    now.url = now.closed ? "" : url;
+    picture.hidden = !now.url;
+    if (now.url) picture.src = now.url;
+    else picture.removeAttribute("src");
+  }
+
+  document.addEventListener("visibilitychange", look);
+  return {
+    node,
+    update() {
+      node.hidden = !link.machine?.links?.camera;
+      if (!now.timer) look();
+    },
+    close() {
+      now.closed = true;
+      clearTimeout(now.timer);
+      document.removeEventListener("visibilitychange", look);
+      change("");
+    },
+  };
+}

@@ -1,0 +1,38 @@
+/**
+ * A gamepad as keys that jog: its cross in the plane, its right shoulder up, its left one down. While it is watched, one
+ * button that goes down begins, and whatever changes after that ends: another button, letting go, a pad that is gone.
+ */
+
+const DIRECTIONS = new Map([
+  [12, [0, 1, 0]],
+  [13, [0, -1, 0]],
+  [14, [-1, 0, 0]],
+  [15, [1, 0, 0]],
+  [5, [0, 0, 1]],
+  [4, [0, 0, -1]],
+]); // by the places of the standard layout
+
+/** {on(), off()}. What is down already when it is switched on begins nothing. */
+export function watchGamepad({ begin, end }) {
+  let frame = 0;
+  let before = null;
+  function look() {
+    const pressed = pressedButtons();
+    if (before?.length === 0 && pressed.length === 1) begin(DIRECTIONS.get(pressed[0]));
+    else if (before?.length && before.join() !== pressed.join()) end();
+    before = pressed;
+    frame = requestAnimationFrame(look);
+  }
+  return {
+    on: () => !frame && ((before = null), look()),
+    off() {
+      cancelAnimationFrame(frame);
+      frame = 0;
+    },
+  };
+}
+
+function pressedButtons() {
+  const pads = [...(navigator.getGamepads?.() ?? [])].filter((pad) => pad?.connected);
+  return pads.flatMap((pad) => [...DIRECTIONS.keys()].filter((place) => pad.buttons[place]?.pressed));
+}
