@@ -58,7 +58,7 @@ def test_it_moves_the_mill_only_while_the_pad_is_armed(opened: Opened) -> None:
     page.evaluate(PRESS, RIGHT)
     after(sent, 1, page)
     assert sent[0][0] == "jog" and sent[0][1]["by_mm"] == [1, 0, 0]
-    page.get_by_label("One line to the mill").focus()
+    page.get_by_role("link", name="Jobs", exact=True).focus()
     expect(page.get_by_role("button", name="Use keyboard or gamepad")).to_be_visible()
     page.evaluate(PRESS, RIGHT)
     after(sent, 1, page)
