@@ -71,7 +71,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
       "div",
       { class: "machine-columns" },
       h("div", { class: "left" }, stack("tool", jog), stack("zero", setup, zero)),
-      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", seen, terminal, given, past)),
+      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), stack("watched", overrides, seen), load.node), stack("beside", terminal, given, past)),
     ),
     stops.node,
   );
