@@ -20,6 +20,11 @@ from tests.waiting import PATIENCE_S, until
 API, WORKER = "stand_in_api", "stand_in_worker"
 
 
+def is_written(path: Path) -> bool:
+    """A file is there a moment before what it holds."""
+    return path.exists() and path.stat().st_size > 0
+
+
 def stage_of(data: Path) -> int:
     return int((data / "stage.pid").read_text())
 
@@ -92,7 +97,7 @@ def test_callers_wait_while_the_api_is_started_again(tmp_path: Path) -> None:
 def test_a_frozen_worker_is_killed_with_its_stage_and_started_again(tmp_path: Path) -> None:
     with supervised(tmp_path, CAUSTICMILL_LEASE_S="1") as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
+        until(lambda: is_written(tmp_path / "stage.pid"), what="a stage")
         before, stage = serving.child(WORKER), stage_of(tmp_path)
         serving.kill(before, signal.SIGSTOP)
         until(lambda: serving.child(WORKER) not in (0, before), what="another worker")
@@ -137,7 +142,7 @@ def test_nothing_is_left_of_a_killed_supervisor_but_agents(tmp_path: Path) -> No
 def test_a_word_ends_all_of_it_well(tmp_path: Path, kind: signal.Signals) -> None:
     with supervised(tmp_path) as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
+        until(lambda: is_written(tmp_path / "stage.pid"), what="a stage")
         ours = [*children_of(serving), stage_of(tmp_path)]
         serving.kill(serving.pid, kind)
         assert serving.ended() == 0
@@ -148,7 +153,7 @@ def test_a_word_ends_all_of_it_well(tmp_path: Path, kind: signal.Signals) -> Non
 def test_the_second_word_ends_what_does_not_listen(tmp_path: Path) -> None:
     with supervised(tmp_path, WORKER_DOES="deaf") as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
+        until(lambda: is_written(tmp_path / "stage.pid"), what="a stage")
         ours = [*children_of(serving), stage_of(tmp_path)]
         serving.kill(serving.pid, signal.SIGTERM)
         until(lambda: not is_alive(ours[0]), what="the API's end")
@@ -189,7 +194,7 @@ def test_a_second_word_that_comes_while_the_first_is_obeyed_is_heard() -> None:
 def test_a_stopped_child_ends_well_too(tmp_path: Path) -> None:
     with supervised(tmp_path) as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
+        until(lambda: is_written(tmp_path / "stage.pid"), what="a stage")
         serving.kill(serving.child(WORKER), signal.SIGSTOP)
         serving.kill(serving.pid, signal.SIGTERM)
         assert serving.ended(within_s=15) == 0
@@ -209,7 +214,7 @@ def test_a_refusal_of_what_was_good_before_is_tried_again(tmp_path: Path) -> Non
     """Such as a lock that the killed one before still seems to hold."""
     with supervised(tmp_path, WORKER_DOES="refuses the second time") as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
+        until(lambda: is_written(tmp_path / "stage.pid"), what="a stage")
         time.sleep(5.5)  # it has lived well: the time that passes is what is tested
         serving.kill(serving.child(WORKER))
         until(lambda: (tmp_path / "starts").read_text() == "xxx", what="the third start")
