@@ -60,7 +60,12 @@ def judge(mill, spec):
 
 
 @pytest.mark.parametrize(
-    ("margin_mm", "link"), [pytest.param(0.0, "u-turn", marks=pytest.mark.thorough), (1.0, "u-turn"), (0.5, "retract")]
+    ("margin_mm", "link"),
+    [
+        pytest.param(0.0, "u-turn", marks=pytest.mark.thorough),
+        (1.0, "u-turn"),
+        pytest.param(0.5, "retract", marks=pytest.mark.thorough),
+    ],
 )
 def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
     """Each within its step-down, no rapid in stock, nothing below the lens, and what is left is what was asked for."""

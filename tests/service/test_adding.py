@@ -149,6 +149,7 @@ def test_a_pass_key_reaches_the_form_the_key_of_its_stage_and_the_program(tmp_pa
     assert "250" in quarter and "250" not in half
 
 
+@pytest.mark.thorough
 def test_a_picture_of_the_report_is_in_the_folder_on_the_sheet_and_on_the_page(tmp_path: Path) -> None:
     told = run(copy_tree(tmp_path / "copy", _PICTURE), _A_JOB, _TONES)
     assert told["file"] == "PNG" and told["known"]

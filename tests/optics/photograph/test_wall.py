@@ -82,6 +82,7 @@ def test_a_wall_in_the_wrong_place_is_told_with_its_sign(lens: Heightfield, benc
     assert fit.correlation > fit.before
 
 
+@pytest.mark.thorough
 def test_a_wall_in_its_place_is_not_said_to_be_off(lens: Heightfield, bench: Bench) -> None:
     fit = looked_at(lens, bench, light_on_the_wall(lens, bench))
     assert abs(fit.throw_mm.value) < 0.004 * THROW_MM

@@ -69,6 +69,7 @@ def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
     assert quick.rows() == slow.rows()
 
 
+@pytest.mark.thorough
 def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
     plan = planned("finish.k0_rad_per_mm=2.0", "finish.order=1", *FINE)
     assert plan.finishing is not None

@@ -36,6 +36,7 @@ from service.job.spec.resolved import look_up
 from service.job.stages.table import plan, shares, stage_key
 from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
+from tests.levels import mostly_thorough
 from tests.page import canned_job
 
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
@@ -153,6 +154,7 @@ def test_a_picture_without_detail_is_not_told_that_its_detail_is_lost(planned: P
     assert blur_warning(replace(planned, light=light), blurred) is None
 
 
+@pytest.mark.thorough
 def test_a_limit_of_time_is_kept_or_said_to_be_kept_by_no_plan(spec: JobSpec, planned: Planned) -> None:
     """With the figures, and with a value that does."""
 
@@ -288,7 +290,7 @@ def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
         assert seen_db(*values.split(" --set ")) == pytest.approx(float(told_db), abs=0.06)
 
 
-@pytest.mark.parametrize("profile", profile_names(()))
+@pytest.mark.parametrize("profile", mostly_thorough(profile_names(()), quick=("grbl",)))
 def test_every_way_to_mill_keeps_collet_and_removal_rate_of_the_mill(profile: str) -> None:
     """With the built-in tools, whose largest have shanks of 8 and 12 mm, and a margin that has room for all."""
     job = look_up(

@@ -92,6 +92,7 @@ def test_the_same_job_has_the_same_bytes_whatever_the_clock_says() -> None:
     assert sheet_of() != sheet_of(REPORT | {"source": {"file": "other.png"}})
 
 
+@pytest.mark.thorough
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.generate])  # to shrink takes minutes
 @given(NAMES, st.lists(NAMES, max_size=12), st.sampled_from([1, 3, 20]))
 def test_whatever_it_has_to_say_stays_on_the_page(name: str, warnings: list[str], count: int) -> None:

@@ -38,6 +38,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
     return run_job(folder, folder / "disc.png", spec, without=("caustic", "check"))
 
 
+@pytest.mark.thorough
 def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> None:
     """Rows off by 1 um blur 2 mm of 60; a pad that keeps waves from 1.3 mm on takes them off."""
     milled = finished.results["as-milled"].report["as_milled"]

@@ -52,6 +52,7 @@ def is_gone(pid: int) -> bool:
     return not Path(f"/proc/{pid}").exists()
 
 
+@pytest.mark.thorough
 def test_told_to_stop_it_leaves_its_job_to_its_next_start(make: Callable[[float], Storm]) -> None:
     """The stage is noted as interrupted, nobody is left, and the next start goes on with the same stage."""
     storm = make(30.0)
