@@ -9,6 +9,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from service.job.spec.model import JobSpec
 from tests.adding import TOP, copy_tree, run_in_copy
 
