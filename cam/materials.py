@@ -1,6 +1,6 @@
 """Where to start with speeds and feeds, as data with its sources. Start values to expose, never limits.
 
-What light makes of a material is the spec's: `optics.refractive_index` in `service/job/spec/optics`.
+A job's own index of refraction is `optics.refractive_index` in `service/job/spec/optics`; it starts from that here.
 """
 
 from __future__ import annotations

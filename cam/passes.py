@@ -1,4 +1,4 @@
-"""Passes as data: what is cut with which ball, how closely and how fast; and the block it is cut from."""
+"""Passes as data: what is cut with which ball, how closely and how fast; presets of them; and the block."""
 
 from __future__ import annotations
 
