@@ -57,7 +57,7 @@ def _rank(path: str) -> int:
 def processes() -> int:
     """Twice as many as there are processors: tests of servers and mills wait half of their time; more are no faster."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return 3 * processors
+    return 2 * processors
 
 
 class Scheduling(LoadFileScheduling):

@@ -511,7 +511,8 @@ def test_who_has_no_picture_begins_with_an_example_and_the_first_view_is_light(w
     page.goto("/#/new")
     examples = page.get_by_role("group", name="Examples")
     expect(examples.get_by_role("button")).to_have_text(["Portrait", "Camera", "Logo", "Letters"])
-    page.wait_for_function("[...document.querySelectorAll('.gallery img')].every((one) => one.naturalWidth > 0)")
+    for drawn in examples.locator("img").all():
+        expect(drawn).not_to_have_js_property("naturalWidth", 0)
     assert 60_000 < page.evaluate(WEIGHT) <= 150_000
     examples.get_by_role("button", name="Logo").click()
     expect(wall(page)).to_be_visible()

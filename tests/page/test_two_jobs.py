@@ -77,7 +77,7 @@ def test_what_the_line_names_it_loads(opened: Opened) -> None:
 
     page.route(f"**/v1/machines/{NAME}/runs", take)
     page.locator(".next").get_by_role("button", name="Load", exact=True).click()
-    page.wait_for_function("() => !document.querySelector('.next button:disabled')")
+    expect(page.locator(".next button:disabled")).to_have_count(0)
     assert asked == [{"job": OWN, "program": SECOND}]
 
 
