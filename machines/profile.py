@@ -186,6 +186,12 @@ def find_profiles(folders: Sequence[Path] | None = None) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+def find_own_profiles() -> dict[str, str]:
+    """File of each profile that the person has added, by name, sorted."""
+    own = {str(folder) for folder in user_folders()}
+    return {name: file for name, file in find_profiles().items() if str(Path(file).parent) in own}
+
+
 def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
     """Return names of all profiles, sorted."""
     return tuple(find_profiles(folders))

@@ -51,7 +51,7 @@ class StockGrid:
     def block(cls, stock: BlockSize, cell_mm: float | None = None) -> StockGrid:
         """Return the uncut block, aperture and margin, all at Z0.
 
-        cell_mm : by default 1/1100 of the longer side, between 0.02 and 0.2 mm: 0.1 mm for a lens of 100 mm
+        cell_mm : by default 1/1100 of the longer side, between 0.05 and 0.2 mm: 0.1 mm for a lens of 100 mm
         Whole cells: where cell_mm does not divide the block, the grid grows evenly on both
         sides by less than one cell, so every point of the block lies in a cell.
         """

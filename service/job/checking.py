@@ -43,7 +43,7 @@ class CheckSettings:
     machine: str | None
 
     @property
-    def says_anything(self) -> bool:
+    def has_any(self) -> bool:
         return bool(self.radius_mm or self.pitch_mm or self.stock_to_leave_mm or self.step_down_mm)
 
 
@@ -74,7 +74,7 @@ def check_programs(
     _require_programs(programs)
     heightfield = load_heightfield(heightfield_path)
     folder = programs[0].parent
-    if not settings.says_anything and job_files.is_job_folder(folder):
+    if not settings.has_any and job_files.is_job_folder(folder):
         job = load_stored_job(folder)
         tasks, stock, machine = _read_job_tasks(programs, folder, job)
     else:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up
-from service.job.report.figures.wall import srgb_levels
+from service.job.report.figures.wall import show_light
 
 _COLUMNS = 180
 _LINE_IN = 0.19
@@ -28,7 +28,7 @@ def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> byt
         panels, ("Photograph, set straight", "Foretold"), (rectified, foretold), strict=False
     ):
         shown = np.where(np.isfinite(picture), picture, white)
-        axes.imshow(srgb_levels(shown, white=white), cmap="gray", vmin=0, vmax=255)
+        show_light(axes, shown, white)
         axes.set_title(title, fontsize=11)
     difference = 100.0 * (rectified - foretold) / white
     limit = round_up(max(float(np.nanpercentile(np.abs(difference), 98.0)), 1.0))

@@ -16,7 +16,7 @@ from typing import Any
 
 from machines.profile_values import BadValueError, Rule, Rules, number
 from service.errors import InputError
-from service.job.spec.own_files import own_file, read_library
+from service.job.spec.own_files import find_own_file, read_library
 
 _BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = _BUILT_IN.name
@@ -162,7 +162,7 @@ def load_processes(own: Path | None = None) -> dict[str, Process]:
     """
     found = dict(built_in_processes())
     if own is None:
-        own = own_file(_NAME)
+        own = find_own_file(_NAME)
         if own is None or not own.is_file():
             return found
     for name, one in _read(own).items():

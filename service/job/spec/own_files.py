@@ -15,7 +15,7 @@ from service.job.files import write_bytes
 _MOST_BYTES = 1_000_000
 
 
-def own_file(name: str) -> Path | None:
+def find_own_file(name: str) -> Path | None:
     """Return where the person's own file of that name is, or would be; None: there is no such folder."""
     folders = user_folders()
     return folders[0].parent / name if folders else None
@@ -23,7 +23,7 @@ def own_file(name: str) -> Path | None:
 
 def require_own_file(name: str) -> Path:
     """Return the same. InputError says how to have such a folder."""
-    path = own_file(name)
+    path = find_own_file(name)
     if path is None:
         raise InputError("no folder for files of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
     return path
@@ -35,7 +35,7 @@ def write_own_file(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def toml_lines(values: Mapping[str, Any]) -> str:
+def format_toml(values: Mapping[str, Any]) -> str:
     """Return numbers, flags, lists and printable texts as lines of TOML."""
     return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
 

@@ -14,7 +14,7 @@ from typing import Any
 from cam.tools import Tool
 from machines.profile_values import BadValueError, Rule, Rules, number, whole
 from service.errors import InputError
-from service.job.spec.own_files import own_file, read_library, require_own_file, toml_lines, write_own_file
+from service.job.spec.own_files import find_own_file, format_toml, read_library, require_own_file, write_own_file
 
 BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
@@ -45,7 +45,7 @@ def library_file(given: Path | None = None) -> Path:
     """Return the file in use: the one given, else the person's own, else the built-in."""
     if given is not None:
         return given
-    own = own_file(_NAME)
+    own = find_own_file(_NAME)
     return own if own is not None and own.is_file() else BUILT_IN
 
 
@@ -70,7 +70,7 @@ def forget_tools() -> None:
 
 def _as_toml(tool: Tool) -> str:
     values = {field.name: value for field in fields(Tool) if (value := getattr(tool, field.name)) is not None}
-    return "[[tool]]\n" + toml_lines(values)
+    return "[[tool]]\n" + format_toml(values)
 
 
 def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
@@ -124,7 +124,7 @@ def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    own = own_file(_NAME)
+    own = find_own_file(_NAME)
     where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
     origin = "built in" if path == BUILT_IN else str(path)
     return [*lines, "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]

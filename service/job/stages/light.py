@@ -82,6 +82,7 @@ def _shape(target: Array) -> tuple[int, int]:
 
 
 def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
+    # what it stands on is slow to import
     from service.job.report.figures.wall import comparison_png, picture_png, through_focus_png
 
     white = float(target.max())

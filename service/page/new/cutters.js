@@ -65,9 +65,15 @@ function cornerWords({ radius_mm, corner_radius_mm = null }) {
 
 /** {node, input, read()}: a number above zero, null where it is left empty. */
 export function numberInput(label, placeholder) {
-  const id = freshId("cutter"), input = h("input", { id, type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
+  const input = h("input", { type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
   const read = () => (input.value === "" ? null : Number(input.value));
-  return { node: h("div", { class: "field" }, h("label", { for: id }, label), input), input, read };
+  return { node: labelled(label, input), input, read };
+}
+
+/** An input below its label. */
+export function labelled(label, input) {
+  input.id = freshId("shop");
+  return h("div", { class: "field" }, h("label", { for: input.id }, label), input);
 }
 
 const round = (value) => String(Number(value.toFixed(3)));

@@ -1,10 +1,10 @@
 /** Mills of the shop that programs can be made for: what each is like, and where it differs. Kept on the server. */
 
 import { api } from "../lib/api.js";
-import { freshId, h, replace, write } from "../lib/dom.js";
+import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
-import { numberInput } from "./cutters.js";
+import { labelled, numberInput } from "./cutters.js";
 
 const INTRO = t("State a mill of yours by what differs from one that is known: plans, programs and checks follow. What is left empty is as there.");
 const AXES = ["X", "Y", "Z"];
@@ -14,14 +14,13 @@ const FIGURES = [["step_mm", t("Smallest step, µm"), 1000], ["z_noise_mm", t("H
 export function ownMills({ profiles, onChanged }) {
   const known = profiles.filter(({ built_in }) => built_in), own = profiles.filter(({ stated }) => stated);
   const name = textInput(t("Name"), { maxLength: 40 }), words = textInput(t("What it is"), { maxLength: 300 });
-  const like = h("select", { id: freshId("like"), onchange: showUsual }, known.map((one) => h("option", { value: one.name }, one.name)));
+  const like = h("select", { onchange: showUsual }, known.map((one) => h("option", { value: one.name }, one.name)));
   const travel = AXES.map((axis) => numberInput(t`Travel ${axis}, mm`, ""));
   const speeds = [numberInput(t("Slowest, rpm"), ""), numberInput(t("Fastest, rpm"), "")];
   const figures = FIGURES.map(([key, label, factor]) => ({ key, factor, ...numberInput(label, "") }));
   const said = h("p", { class: "fault", role: "alert" });
   const keep = h("button", { type: "button", onclick: save }, t("Keep this mill"));
-  const likeField = h("div", { class: "field" }, h("label", { for: like.id }, t("Like")), like);
-  const fields = [name.node, likeField, words.node, ...[...travel, ...figures, ...speeds].map(({ node }) => node), keep];
+  const fields = [name.node, labelled(t("Like"), like), words.node, ...[...travel, ...figures, ...speeds].map(({ node }) => node), keep];
   const list = h("ul", { class: "row cutters", hidden: !own.length }, own.map(shown));
   showUsual();
 
@@ -76,8 +75,8 @@ export function ownMills({ profiles, onChanged }) {
 }
 
 function textInput(label, attributes) {
-  const id = freshId("mill"), input = h("input", { id, type: "text", ...attributes });
-  return { input, node: h("div", { class: "field" }, h("label", { for: id }, label), input) };
+  const input = h("input", { type: "text", ...attributes });
+  return { input, node: labelled(label, input) };
 }
 
 const addressOf = (name) => `/v1/profiles/${encodeURIComponent(name)}`;

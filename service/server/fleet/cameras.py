@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 
 import httpx
@@ -32,10 +32,10 @@ class _Camera:
 
 
 class Cameras:
-    """For one event loop."""
+    """client: what they are asked with, made in the loop that uses it."""
 
-    def __init__(self) -> None:
-        self._client = httpx.AsyncClient(timeout=_WAIT_S, follow_redirects=False, trust_env=False)
+    def __init__(self, client: Callable[[], httpx.AsyncClient]) -> None:
+        self._client = client
         self._cameras: dict[str, _Camera] = {}
 
     async def take_picture(self, url: str) -> bytes:
@@ -52,12 +52,9 @@ class Cameras:
             raise camera.last
         return camera.last
 
-    async def aclose(self) -> None:
-        await self._client.aclose()
-
     async def _ask(self, url: str) -> bytes:
         try:
-            async with asyncio.timeout(_WAIT_S), self._client.stream("GET", url) as answer:
+            async with asyncio.timeout(_WAIT_S), self._client().stream("GET", url, timeout=_WAIT_S) as answer:
                 if answer.status_code != 200:
                     raise Problem(502, f"the camera answers with status {answer.status_code}")
                 kind, _, rest = answer.headers.get("content-type", "").partition(";")
@@ -76,35 +73,31 @@ class Cameras:
 
 
 async def _read(chunks: AsyncIterator[bytes]) -> bytes:
-    data = b""
+    data = bytearray()
     async for chunk in chunks:
-        data = _with_more(data, chunk)
-    return data
+        _add_chunk(data, chunk)
+    return bytes(data)
 
 
 async def _read_part(chunks: AsyncIterator[bytes], boundary: str) -> bytes:
     """Return the first part, as long as its own Content-Length says or else up to the next boundary."""
-    mark, data = b"--" + boundary.encode("latin-1"), b""
+    mark, data = b"--" + boundary.encode("latin-1"), bytearray()
     async for chunk in chunks:
-        data = _with_more(data, chunk)
+        _add_chunk(data, chunk)
         begin = data.find(mark)
         head_end = data.find(b"\r\n\r\n", begin)
         if begin < 0 or head_end < 0:
             if len(data) > _MOST_HEAD:
                 break
             continue
-        head, body = data[begin:head_end], data[head_end + 4 :]
-        length = _length_in(head)
-        if length is None:
-            end = body.find(b"\r\n" + mark)
-            if end >= 0:
-                return body[:end]
-        elif len(body) >= length:
-            return body[:length]
+        start, length = head_end + 4, _read_length(data[begin:head_end])
+        end = data.find(b"\r\n" + mark, start) if length is None else start + length
+        if 0 <= end <= len(data):
+            return bytes(data[start:end])
     raise Problem(502, "the camera sends no whole picture")
 
 
-def _length_in(head: bytes) -> int | None:
+def _read_length(head: bytearray) -> int | None:
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length" and value.strip().isdigit():
@@ -112,7 +105,7 @@ def _length_in(head: bytes) -> int | None:
     return None
 
 
-def _with_more(data: bytes, chunk: bytes) -> bytes:
+def _add_chunk(data: bytearray, chunk: bytes) -> None:
     if len(data) + len(chunk) > MOST_BYTES:
         raise Problem(502, f"the camera sends more than {MOST_BYTES / 1e6:g} MB for a picture")
-    return data + chunk
+    data.extend(chunk)

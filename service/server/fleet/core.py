@@ -81,7 +81,7 @@ class FleetCore:
         """Return the link to its agent; a new one where the machine has changed."""
         found = self.links.get(machine.name)
         if found is None or found.machine != machine:
-            found = self.links[machine.name] = AgentLink(machine, self._client)
+            found = self.links[machine.name] = AgentLink(machine, self.get_http_client)
         return found
 
     def known_link(self, machine: str) -> AgentLink | None:
@@ -155,10 +155,8 @@ class FleetCore:
         self._threads.shutdown(wait=False, cancel_futures=True)
         self._looking.shutdown(wait=False, cancel_futures=True)
 
-    def _client(self) -> httpx.AsyncClient:
-        """Return one client for all agents, made in the loop that uses it. No proxies: a mill's agent is asked
-        directly.
-        """
+    def get_http_client(self) -> httpx.AsyncClient:
+        """Return one client for all agents and cameras, made in the loop that uses it. No proxies: all are near."""
         if self._http is None:
             limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
             self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})

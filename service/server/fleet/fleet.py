@@ -47,7 +47,7 @@ class Fleet:
         self.orders = Orders(self._core)
         self.stops = Stops(self._core)
         self._controls = Controls(self._core, self.orders)
-        self._cameras = Cameras()
+        self._cameras = Cameras(self._core.get_http_client)
         self._followers = 0
 
     def end_streams(self) -> None:
@@ -70,7 +70,6 @@ class Fleet:
     async def aclose(self) -> None:
         self.end_streams()
         await self._handovers.close()
-        await self._cameras.aclose()
         await self._core.close()
 
     @property
@@ -88,7 +87,7 @@ class Fleet:
     async def machine(self, name: str) -> MachineView:
         return await self._machine(await self._core.machine(name))
 
-    async def picture(self, name: str) -> bytes:
+    async def take_picture(self, name: str) -> bytes:
         """Return a JPEG of the camera beside that mill."""
         machine = await self._core.machine(name)
         if not machine.camera:

@@ -16,9 +16,8 @@ from machines.profile import (
     MachineProfile,
     ProfileError,
     UnknownProfileError,
-    find_profiles,
+    find_own_profiles,
     load_profile,
-    user_folders,
 )
 from service.errors import InputError, printable, sentence_of_os_error
 from service.http.hosts import require_unread
@@ -98,10 +97,7 @@ def _describe_simulated(settings: ServerSettings) -> KnownMachine:
 
 
 def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
-    own = {str(folder) for folder in user_folders()}
-    for name, file in find_profiles().items():
-        if str(Path(file).parent) not in own:
-            continue
+    for name in find_own_profiles():
         folders = (local_folder(settings, name), state_home() / name)
         try:
             profile = load_profile(name)

@@ -9,7 +9,7 @@ import numpy as np
 from optics.coupon.fit import FinishFit
 from optics.finish import Finish
 from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes
-from service.job.report.figures.wall import srgb_levels
+from service.job.report.figures.wall import show_light
 
 _INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
 
@@ -22,11 +22,10 @@ def coupon_fit_png(seen: Array, fit: FinishFit, *, extent_mm: Sequence[float], n
     tall = panel_height(9.2, *seen.shape)
     figure = new_figure(9.6, tall + 4.4)
     above, below = figure.subplots(2, 1, height_ratios=(tall, 3.6))
-    above.imshow(
-        srgb_levels(seen, white=3.0),
-        cmap="gray",
-        vmin=0,
-        vmax=255,
+    show_light(
+        above,
+        seen,
+        3.0,
         extent=tuple(extent_mm),
         interpolation="antialiased",
     )

@@ -11,7 +11,7 @@ from optics.irradiance import picture_from_irradiance
 from service.job.planning.plan import Planned
 from service.job.planning.sentences import finish_words, rest_words
 from service.job.report.figures.base import new_figure, panel_height, png_bytes
-from service.job.report.figures.wall import srgb_levels
+from service.job.report.figures.wall import show_light
 from service.wording import ball, duration
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _shown(planned: Planned) -> list[Candidate]:
 
 
 def _picture(axes: Axes, picture: np.ndarray, white: float, title: str, words: str, *, marked: bool = False) -> None:
-    axes.imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    show_light(axes, picture, white, interpolation="nearest")
     axes.set_title(title, fontsize=10, color=_MARK if marked else _INK, fontweight="bold" if marked else "normal")
     axes.set_xlabel(words, fontsize=8.5, color=_INK)
     axes.set(xticks=[], yticks=[])

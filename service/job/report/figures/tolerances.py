@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from optics.tolerance import FOCUS_LOSS_DB, Tolerances
 from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes
-from service.job.report.figures.wall import srgb_levels
+from service.job.report.figures.wall import show_light
 
 _LINE: dict[str, Any] = {"marker": "o", "markersize": 4, "linewidth": 1.2, "color": "#1d5c8c"}
 _SHIFT: dict[str, Any] = {"marker": "s", "markersize": 3.5, "linewidth": 1.0, "color": "#c77700", "linestyle": "--"}
@@ -36,7 +36,7 @@ def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, 
     focus.set_ylim(min(*told, found.psnr_db - FOCUS_LOSS_DB) - _HEADROOM_DB, max(told) + _HEADROOM_DB)
     focus.set_ylabel("PSNR [dB]", fontsize=_SMALL)
     for axes, (caption, picture) in zip(shown.subplots(1, len(pictures), squeeze=False)[0], pictures, strict=True):
-        axes.imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255)
+        show_light(axes, picture, white)
         axes.set(xticks=[], yticks=[])
         axes.set_title(caption, fontsize=_SMALL)
     return png_bytes(figure)

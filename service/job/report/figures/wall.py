@@ -36,6 +36,11 @@ def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255.0 * encoded), dtype=np.uint8)
 
 
+def show_light(axes: Axes, picture: Array, white: float, **look: Any) -> None:
+    """Draw a picture (ny, nx) into axes; look: of `imshow`."""
+    axes.imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255, **look)
+
+
 def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
     """Draw the plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
     levels = srgb_levels(picture, white=white).repeat(scale, axis=0).repeat(scale, axis=1)
@@ -98,7 +103,7 @@ def as_milled_png(target: Array, designed: Array, milled: Array, *, figures: Map
     panels = figure.subplots(2, 3)
     for k, (caption, picture) in enumerate(zip(captions, (target, designed, milled), strict=True)):
         for axes, shown in ((panels[0, k], picture), (panels[1, k], picture[rows, columns])):
-            axes.imshow(srgb_levels(shown, white=white), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            show_light(axes, shown, white, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
         panels[0, k].set_title(caption, fontsize=10)
     return png_bytes(figure)
@@ -123,4 +128,4 @@ def _without_ticks(axes: Axes, title: str) -> Axes:
 
 
 def _show_picture(axes: Axes, title: str, picture: Array, white: float) -> None:
-    _without_ticks(axes, title).imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255)
+    show_light(_without_ticks(axes, title), picture, white)

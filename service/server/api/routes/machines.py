@@ -59,7 +59,7 @@ async def look(request: Request, _: Reader, machine: MachineName) -> MachineView
 )
 async def look_through_camera(request: Request, _: Reader, machine: MachineName) -> Response:
     """A picture of the camera beside the mill, where the server's settings name one (`links.camera`)."""
-    picture = await services_of(request).fleet.picture(machine)
+    picture = await services_of(request).fleet.take_picture(machine)
     headers = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
     return Response(picture, media_type="image/jpeg", headers=headers)
 

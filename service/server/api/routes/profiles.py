@@ -11,9 +11,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 
-from machines.profile import MachineProfile, ProfileError, find_profiles, load_profile
+from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from service.job.spec.minimal import reduce_spec
-from service.job.spec.own_profiles import forget_profile, save_profile, stated_profiles
+from service.job.spec.own_profiles import forget_profile, read_stated_profiles, save_profile
 from service.server.api.access.scopes import Operator, Reader
 from service.server.api.openapi import answers, example
 from service.server.api.routes.artifacts import Asked, byte_answers, send_artifact
@@ -125,11 +125,11 @@ async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Res
 
 def _read_profiles(settings: ServerSettings) -> ProfileList:
     profiles = []
-    for name in find_profiles():
+    for name in profile_names():
         with contextlib.suppress(ProfileError):
             profiles.append(load_profile(name))
     mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
-    stated, built_in = stated_profiles(), find_profiles(())
+    stated, built_in = read_stated_profiles(), profile_names(())
     return ProfileList(
         profiles=[
             ProfileView(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from machines.profile import find_profiles, load_profile
 from service.errors import InputError
 from service.job.spec.loading import restore_job
-from service.job.spec.own_profiles import KEYS, forget_profile, save_profile, stated_profiles
+from service.job.spec.own_profiles import KEYS, forget_profile, read_stated_profiles, save_profile
 from service.server.schemas.jobs import ProfileBody
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 
@@ -81,7 +81,7 @@ def test_a_profile_written_by_hand_is_neither_changed_nor_deleted(shop: Path, te
     for change in (lambda: save_profile("hand", MINE), lambda: forget_profile("hand")):
         with pytest.raises(InputError, match="written by hand"):
             change()
-    assert (shop / "hand.toml").read_text() == text and stated_profiles() == {}
+    assert (shop / "hand.toml").read_text() == text and read_stated_profiles() == {}
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_what_is_stated_is_what_is_read(words: str, step_mm: float, travel_mm: l
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
         patch.setenv("CAUSTICMILL_CONFIG_DIR", folder)
         made = save_profile("mine", values)
-        assert stated_profiles() == {"mine": values} and load_profile("mine") == made
+        assert read_stated_profiles() == {"mine": values} and load_profile("mine") == made
         assert (made.description, made.step_mm, list(made.travel_mm)) == (words, step_mm, values["travel_mm"])
         forget_profile("mine")
         assert set(find_profiles()) == set(find_profiles(()))

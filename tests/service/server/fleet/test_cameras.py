@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,7 +28,7 @@ MULTIPART = b"Content-Type: multipart/x-mixed-replace; boundary=%s\r\n"
 
 
 @contextlib.asynccontextmanager
-async def sending(pieces: Sequence[bytes], *, then_hang: bool = False) -> AsyncIterator[tuple[str, list[int]]]:
+async def run_camera(pieces: Sequence[bytes], *, then_hang: bool = False) -> AsyncIterator[tuple[str, list[int]]]:
     """Yield the address of a camera that answers everybody with these bytes, and how many asked."""
     asked: list[int] = []
     tasks: set[asyncio.Task[None] | None] = set()
@@ -56,12 +57,8 @@ async def sending(pieces: Sequence[bytes], *, then_hang: bool = False) -> AsyncI
 
 
 async def take(pieces: Sequence[bytes], *, then_hang: bool = False) -> bytes:
-    found = Cameras()
-    try:
-        async with sending(pieces, then_hang=then_hang) as (url, _):
-            return await found.take_picture(url)
-    finally:
-        await found.aclose()
+    async with httpx.AsyncClient(trust_env=False) as client, run_camera(pieces, then_hang=then_hang) as (url, _):
+        return await Cameras(lambda: client).take_picture(url)
 
 
 def part(boundary: bytes, *, sized: bool, picture: bytes = JPEG) -> bytes:
@@ -117,11 +114,10 @@ def test_a_camera_that_hangs_or_floods_costs_neither_time_nor_memory(monkeypatch
 
 def test_many_who_look_are_one_who_asks_also_where_nothing_comes() -> None:
     async def crowd(pieces: Sequence[bytes]) -> tuple[int, list[object]]:
-        found = Cameras()
-        async with sending(pieces) as (url, asked):
+        async with httpx.AsyncClient(trust_env=False) as client, run_camera(pieces) as (url, asked):
+            found = Cameras(lambda: client)
             looks = (found.take_picture(url) for _ in range(20))
             answers = await asyncio.gather(*looks, return_exceptions=True)
-        await found.aclose()
         return len(asked), list(answers)
 
     asked, answers = asyncio.run(crowd([b"HTTP/1.1 200 OK\r\n\r\n", JPEG]))
@@ -141,7 +137,7 @@ def test_it_is_linked_and_looked_through_where_there_is_one(tmp_path: Path, mill
     ready, end, urls = threading.Event(), threading.Event(), []
 
     async def camera() -> None:
-        async with sending([b"HTTP/1.1 200 OK\r\n\r\n", JPEG]) as (url, _):
+        async with run_camera([b"HTTP/1.1 200 OK\r\n\r\n", JPEG]) as (url, _):
             urls.append(url)
             ready.set()
             await asyncio.to_thread(end.wait)

@@ -127,7 +127,7 @@ def test_nothing_is_left_of_a_killed_supervisor_but_agents(tmp_path: Path) -> No
     with supervised(tmp_path, CAUSTICMILL_START_AGENTS="true") as serving:
         serving.until_ready()
         pids = [tmp_path / "agent.pid", tmp_path / "stage.pid"]
-        until(lambda: all(pid.exists() and pid.read_text() for pid in pids), what="agent and stage")
+        until(lambda: all(map(is_written, pids)), what="agent and stage")
         agent = int((tmp_path / "agent.pid").read_text())
         try:
             ours = [*children_of(serving), stage_of(tmp_path)]
