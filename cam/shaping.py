@@ -155,7 +155,7 @@ def _error_owed(m, x, y, ux, uy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _error_left(m, error, x, y, ux, uy):  # type: ignore[no-untyped-def]
+def _take_error(m, error, x, y, ux, uy):  # type: ignore[no-untyped-def]
     """Return what a track's error counts for after what it and its neighbours cut off one another; it is the last
     here.
     """
@@ -188,7 +188,7 @@ def _remember(m, line, made, count):  # type: ignore[no-untyped-def]
             stands = math.floor(height / m.step + 0.5) * m.step  # the axis, within the move
             error = stands - line[i, 2] - part * (line[i + 1, 2] - line[i, 2])
             x, y = line[i, 0] + part * dx, line[i, 1] + part * dy
-            left = _error_left(m, error, x, y, dx / run, dy / run)
+            left = _take_error(m, error, x, y, dx / run, dy / run)
             column, row = int((x - m.x0) / CELL_MM), int((y - m.y0) / CELL_MM)
             if 0 <= column < m.owed.shape[1] and 0 <= row < m.owed.shape[0]:
                 m.owed[row, column] += _SAMPLE_MM * left

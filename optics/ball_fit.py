@@ -29,7 +29,7 @@ SWEEPS = 300  # 20 for photographs, 100 where much of a picture is black
 
 
 @njit(cache=True, nogil=True)
-def _suspect(c: Array, per_xx: float, per_yy: float, per_xy: float, limit: float, tiles: Mask) -> None:
+def _mark_suspects(c: Array, per_xx: float, per_yy: float, per_xy: float, limit: float, tiles: Mask) -> None:
     """Mark tiles where the curvature may exceed the limit: differences of coefficients c bound those of the surface."""
     ny, nx = c.shape
     for j in range(1, ny - 1):
@@ -151,7 +151,7 @@ def _suspects(coefs: Array, inv_dy: float, inv_dx: float, limit: float, tiles: M
     """
     marked = np.zeros_like(tiles)
     marked[0], marked[-1], marked[:, 0], marked[:, -1] = True, True, True, True
-    _suspect(coefs, inv_dx**2, inv_dy**2, inv_dx * inv_dy, limit, marked)
+    _mark_suspects(coefs, inv_dx**2, inv_dy**2, inv_dx * inv_dy, limit, marked)
     return marked
 
 

@@ -115,7 +115,7 @@ def spline_jet(
 
 
 @njit(cache=True, nogil=True)
-def _jets(
+def _fill_jets(
     lo: int, hi: int, coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
 ) -> None:
     for k in range(lo, hi):
@@ -125,7 +125,7 @@ def _jets(
 
 
 @njit(cache=True, nogil=True)
-def _concave_curvatures(
+def _fill_concave_curvatures(
     lo: int, hi: int, coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
 ) -> None:
     for j in range(lo, hi):
@@ -167,7 +167,7 @@ class BicubicSpline:
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
         points = x.flatten(), y.flatten()  # copies, all of one type: writable
-        run_on_rows(_jets, x.size, *self.kernel_arguments, *points, out)
+        run_on_rows(_fill_jets, x.size, *self.kernel_arguments, *points, out)
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
@@ -176,7 +176,7 @@ class BicubicSpline:
     def concave_curvature(self, x_mm: Array, y_mm: Array) -> Array:
         """Return (ny, nx) greatest principal curvature, positive in a hollow, at columns x_mm and rows y_mm [1/mm]."""
         out = np.empty((y_mm.size, x_mm.size))
-        run_on_rows(_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
+        run_on_rows(_fill_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
     def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3, rim_mm: float = 0.0) -> BicubicSpline:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from cam.as_milled.chords import gather
-from cam.as_milled.neighbours import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
+from cam.as_milled.neighbours import FACTS, WIDEST, are_crossed, set_frame, shown, turn_to_frame
 from cam.as_milled.strips import MOST_PARTS, STEEPEST, bend, facets_of_strip, strip_of_chord, strip_of_corner
 from optics.heightfield import spline_jet
 
@@ -120,7 +120,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
         nx, ny, nz = frame[2, 0] - way * frame[0, 0], frame[2, 1] - way * frame[0, 1], frame[2, 2] - way * frame[0, 2]
         length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
         count = gather(c, k, frame[2, 0], frame[2, 1], reach, _ROOM, near)
-        farthest = to_frame(c, k, frame, radius, near, count, rivals)
+        farthest = turn_to_frame(c, k, frame, radius, near, count, rivals)
         most = min(_WITHIN * reach / radius + _SPARE, STEEPEST)
         low, high = 0.0, 0.0
         if abs(rise) < most:
@@ -134,7 +134,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
             length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
             for m in range(count):  # whoever bounded the middle stays first
                 near[m] = int(rivals[m, 7])
-            farthest = to_frame(c, k, frame, radius, near, count, rivals)
+            farthest = turn_to_frame(c, k, frame, radius, near, count, rivals)
         part = min(longest, crossed) if are_crossed(count, rivals) else longest
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
         before = bend(c.tips, k - 1, frame, rise, -1.0) if c.joined[k - 1] else straight

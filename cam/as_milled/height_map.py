@@ -82,7 +82,7 @@ def map_departure(
     departure, is_cut = np.zeros((ny, nx)), np.zeros((ny, nx), dtype=np.bool_)
     inner = slice(beyond * _PER_CELL, (nx - beyond) * _PER_CELL)
 
-    def strip(number: int) -> None:
+    def map_strip(number: int) -> None:
         first, last = int(bounds[number]), int(bounds[number + 1])
         low = np.full((last - first, nx * _PER_CELL), np.inf)
         lots = np.empty((*low.shape, 2), dtype=np.float32)
@@ -106,7 +106,7 @@ def map_departure(
         departure[first:last] = np.where(is_cut[first:last], cells, 0.0)
 
     with ThreadPoolExecutor(max_workers=_THREADS) as pool:
-        list(pool.map(strip, range(_STRIPS)))
+        list(pool.map(map_strip, range(_STRIPS)))
     aperture = is_cut[beyond : ny - beyond, beyond : nx - beyond]
     return DepartureMap(departure_mm=departure, finer=finer, beyond_cells=beyond, cut_share=float(aperture.mean()))
 

@@ -17,7 +17,7 @@ import math
 
 from numba import njit
 
-FACTS = 11  # of one rival, see `to_frame`
+FACTS = 11  # of one rival, see `turn_to_frame`
 WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
 _CROSSING = 0.3  # tangent of the angle at which tracks cross
 _POINT = 1e-18  # mm: half the square of a chord that is none in its frame, over the radius
@@ -53,7 +53,7 @@ def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
+def turn_to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
     """Fill rivals (count, FACTS): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie,
     names, the square term of X along them, as it is and as what leads to where X is least, and its least part from b
     alone.
@@ -84,7 +84,7 @@ def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def _exchange(rivals, first, m):  # type: ignore[no-untyped-def]
+def _move_to_front(rivals, first, m):  # type: ignore[no-untyped-def]
     """Move whoever bounds or hides one piece to the front: it will do so with the next, so it is asked first."""
     for d in range(rivals.shape[1]):
         rivals[first, d], rivals[m, d] = rivals[m, d], rivals[first, d]
@@ -128,7 +128,7 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
                 low, by_low, low_ahead = bound, m, (t + near * dt) / (b + near * db)
         elif abs(db) < 1e-12:  # straight ahead or behind
             if least < 0.0:
-                _exchange(rivals, 0, m)
+                _move_to_front(rivals, 0, m)
                 return 0.0, -1.0, t + near * dt
         else:
             curve = alpha / (db * db)
@@ -136,7 +136,7 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
             level = gamma + at * (beta + alpha * at)  # X where D is 0; X / D is least at the root
             first, last = min(b, end), max(b, end)
             if first <= 0.0 <= last and level < 0.0:
-                _exchange(rivals, 0, m)
+                _move_to_front(rivals, 0, m)
                 return 0.0, -1.0, t + at * dt
             root = math.sqrt(max(level, 0.0) / curve)
             if last > 0.0:
@@ -154,9 +154,9 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
                     if bound > low:
                         low, by_low, low_ahead = bound, m, (t + way * dt) / d
         if low >= high:
-            _exchange(rivals, 0, m)
+            _move_to_front(rivals, 0, m)
             return low, high, high_ahead - low_ahead
-    _exchange(rivals, 0, by_high)
+    _move_to_front(rivals, 0, by_high)
     if count > 1:
-        _exchange(rivals, 1, by_high if by_low == 0 else by_low)
+        _move_to_front(rivals, 1, by_high if by_low == 0 else by_low)
     return low, high, 0.0

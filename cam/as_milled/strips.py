@@ -97,7 +97,7 @@ def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def _corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[no-untyped-def]
+def _fill_corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[no-untyped-def]
     """Compute out (5,): x, y, z and slopes where the ball at that share of chord k shows `along` and `across`."""
     down = math.sqrt(1.0 - along * along - across * across)
     vx = along * frame[0, 0] + across * frame[1, 0] - down * frame[2, 0]
@@ -111,34 +111,34 @@ def _corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def _end_of_facet(tips, k, frame, radius, strip, u, across, out):  # type: ignore[no-untyped-def]
+def _fill_facet_end(tips, k, frame, radius, strip, u, across, out):  # type: ignore[no-untyped-def]
     """Compute out (5,): a facet's corner at u along the strip."""
     along = strip.rise * math.sqrt(1.0 - across * across)
     if strip.is_corner:
         along += (strip.first + u * strip.span) * max(strip.up - strip.left * across, 0.0)
         along = min(max(along, -STEEPEST), STEEPEST)
-        _corner(tips, k, frame, radius, 1.0, along, across, out)
+        _fill_corner(tips, k, frame, radius, 1.0, along, across, out)
         return
     s = strip.start + u * strip.run
     if u == 0.0:
         s = min(_lost(radius, strip.before, across), strip.start + strip.run)
     elif u == 1.0:
         s = max(strip.whole - _lost(radius, strip.after, across), strip.start)
-    _corner(tips, k, frame, radius, s / strip.whole, along, across, out)
+    _fill_corner(tips, k, frame, radius, s / strip.whole, along, across, out)
 
 
 @njit(cache=True, nogil=True)
-def _facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type: ignore[no-untyped-def]
+def _fill_facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type: ignore[no-untyped-def]
     """Compute out (4, 5): the strip from u0 to u1; low, high: its ends at both, (there, there)."""
     low0, low1, high0, high1 = low[0], low[1], high[0], high[1]
     if low0 > high0:
         low0 = high0 = 0.5 * (low0 + high0)
     if low1 > high1:
         low1 = high1 = 0.5 * (low1 + high1)
-    _end_of_facet(tips, k, frame, radius, strip, u0, low0, out[0])
-    _end_of_facet(tips, k, frame, radius, strip, u1, low1, out[1])
-    _end_of_facet(tips, k, frame, radius, strip, u1, high1, out[2])
-    _end_of_facet(tips, k, frame, radius, strip, u0, high0, out[3])
+    _fill_facet_end(tips, k, frame, radius, strip, u0, low0, out[0])
+    _fill_facet_end(tips, k, frame, radius, strip, u1, low1, out[1])
+    _fill_facet_end(tips, k, frame, radius, strip, u1, high1, out[2])
+    _fill_facet_end(tips, k, frame, radius, strip, u0, high0, out[3])
 
 
 @njit(cache=True, nogil=True)
@@ -201,13 +201,13 @@ def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farth
         after = _shown_at(strip, u1 - 0.5 * third, count, rivals, radius, slack)
         if before[0] < before[1] and middle[0] < middle[1] and after[0] < after[1]:
             lows, highs = _straight(before[0], middle[0], after[0]), _straight(before[1], middle[1], after[1])
-            _facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])
+            _fill_facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])
             filled += 1
             continue
         for m in range(3):
             low, high, _ = before if m == 0 else middle if m == 1 else after
             if low < high:
                 v0, v1 = u0 + m * third, u0 + (m + 1) * third
-                _facet(tips, k, frame, radius, strip, v0, v1, (low, low), (high, high), out[filled])
+                _fill_facet(tips, k, frame, radius, strip, v0, v1, (low, low), (high, high), out[filled])
                 filled += 1
     return filled

@@ -26,7 +26,7 @@ _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  
 
 
 @njit(cache=True, nogil=True)
-def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
+def _find_overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
     """Return the greatest (overlap, x, y, with run-out) of the surface over the ball's underside near tip (cx, cy).
 
     Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the
@@ -85,7 +85,7 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
 
 
 @njit(cache=True, nogil=True)
-def _overlaps(  # type: ignore[no-untyped-def]
+def _fill_overlaps(  # type: ignore[no-untyped-def]
     coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place, touch, rest
 ):
     """Compute depth (n,), place (n, 2), touch and rest (n,) of every move.
@@ -108,7 +108,9 @@ def _overlaps(  # type: ignore[no-untyped-def]
             if x < -radius or y < -radius or x > width + radius or y > height + radius:
                 continue
             tip = points[k, 2] + t * dz
-            found, px, py, any_place = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset)
+            found, px, py, any_place = _find_overlap(
+                coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset
+            )
             touch[k] = max(touch[k], any_place)
             if j == pieces:
                 rest[k] = any_place
@@ -122,7 +124,9 @@ def _overlaps(  # type: ignore[no-untyped-def]
             trial[0] = start_x * radius
             trial[1] = start_y * radius
             x, y, tip = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
-            found, px, py, any_place = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, trial)
+            found, px, py, any_place = _find_overlap(
+                coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, trial
+            )
             if found > depth[k]:
                 depth[k] = found
                 place[k, 0] = px
@@ -135,7 +139,7 @@ def _overlaps(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _flat_overlaps(  # type: ignore[no-untyped-def]
+def _fill_flat_overlaps(  # type: ignore[no-untyped-def]
     coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, places, step, most, depth, place, touch, rest
 ):
     """Compute the same of every move, for an underside known at places (m, 3) beside and above its tip.
@@ -200,7 +204,7 @@ class SurfaceWitness:
     def overlaps(self, batch: MoveBatch) -> Overlaps:
         depth, touch, rest = np.empty(len(batch)), np.empty(len(batch)), np.empty(len(batch))
         place = np.full((len(batch), 2), np.nan)
-        _overlaps(
+        _fill_overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
             *(self._radius_mm, self._near_mm, self._offset, depth, place, touch, rest),
         )
@@ -225,7 +229,7 @@ class FlatWitness:
     def overlaps(self, batch: MoveBatch) -> Overlaps:
         depth, touch, rest = np.empty(len(batch)), np.empty(len(batch)), np.empty(len(batch))
         place = np.full((len(batch), 2), np.nan)
-        _flat_overlaps(
+        _fill_flat_overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
             *(self._places, self._step_mm, self._most_mm, depth, place, touch, rest),
         )

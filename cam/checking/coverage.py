@@ -19,7 +19,7 @@ from optics.heightfield import Array
 
 
 @njit(cache=True, nogil=True)
-def _pass_by(nearest2, jitter, x0, y0, cell, points, counts, reach):  # type: ignore[no-untyped-def]
+def _lower_distances(nearest2, jitter, x0, y0, cell, points, counts, reach):  # type: ignore[no-untyped-def]
     """Lower the squared distance of every sample within reach of a move that counts."""
     ny, nx = nearest2.shape
     for k in range(counts.size):
@@ -56,7 +56,7 @@ class Coverage:
 
     def add(self, batch: MoveBatch, counts: np.ndarray) -> None:
         """Add moves. counts (n,) bool: those that are tracks, near enough to the surface to make it."""
-        _pass_by(self._nearest2, self._jitter, *self._origin, batch.points_mm, counts, self._reach_mm)
+        _lower_distances(self._nearest2, self._jitter, *self._origin, batch.points_mm, counts, self._reach_mm)
 
     def widest_gap_mm(self, wanted: np.ndarray) -> tuple[float, float, float]:
         """Return (gap, x, y) of the sample farthest from all tracks among the wanted cells (ny, nx) bool.

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cam.checking.clearance import Overlaps, SurfaceWitness
-from cam.checking.path_shape import lengths_along, turns
+from cam.checking.path_shape import add_lengths, add_turns
 from cam.checking.track_gaps import Gap, Progress, TipRegion, TrackGaps
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
@@ -84,7 +84,7 @@ class PathQuality:
         self._count_entries(batch.is_rapid, on)
         self._count_rapids(batch)
         self._gaps.add(batch.points_mm, on)
-        lengths_along(
+        add_lengths(
             *(*self._spline.kernel_arguments, *self._size_mm, batch.points_mm, on, self._ball_mm),
             *(self._offset, self._sums),
         )
@@ -93,7 +93,7 @@ class PathQuality:
 
     def measure(self, on_progress: Progress | None = None) -> PathMeasures:
         """Judge what is left and scan the aperture."""
-        turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
+        add_turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
         self._judged = self._tail_on.size
         length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
         return PathMeasures(
@@ -137,7 +137,7 @@ class PathQuality:
         first = self._tail_points if len(self._tail_points) else points_mm[:1, :2]
         points, on = np.concatenate([first, fresh]), np.concatenate([self._tail_on, on[moved]])
         last = max(self._judged, on.size - _CONTEXT)
-        turns(points, on, self._judged, last, self._pitch_mm, self._sums)
+        add_turns(points, on, self._judged, last, self._pitch_mm, self._sums)
         keep = max(0, last - _CONTEXT)
         self._tail_points, self._tail_on, self._judged = points[keep:].copy(), on[keep:].copy(), last - keep
 

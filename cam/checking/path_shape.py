@@ -16,7 +16,7 @@ _CLOSE_MM = 1e-3  # of the contact: the gradient there changes by that times the
 
 
 @njit(cache=True, nogil=True)
-def lengths_along(coefs, x0, y0, inv_dx, inv_dy, width, height, points, on, ball, offset, sums):  # type: ignore[no-untyped-def]
+def add_lengths(coefs, x0, y0, inv_dx, inv_dy, width, height, points, on, ball, offset, sums):  # type: ignore[no-untyped-def]
     """Add to sums: length on the surface; of it, where the slope counts in the aperture; of that, along the contour.
 
     offset (2,): from tip to contact, kept between calls. The contact p solves p = tip + ball grad h / q.
@@ -74,7 +74,7 @@ def _chords(points, on, k, least):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def turns(points, on, first, last, pitch, sums):  # type: ignore[no-untyped-def]
+def add_turns(points, on, first, last, pitch, sums):  # type: ignore[no-untyped-def]
     """Add to sums, for the vertices first..last - 1: turns over 60 degrees, and length that turns tightly.
 
     points (n + 1, 2) without repeated ones, on (n,). A vertex stands for half of either move beside it.

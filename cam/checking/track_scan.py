@@ -301,7 +301,7 @@ def _ones(word):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _bare(bits, columns, rows, places):  # type: ignore[no-untyped-def]
+def _list_bare(bits, columns, rows, places):  # type: ignore[no-untyped-def]
     """Return centres of pixels not painted into places (n, 2), evenly thinned out to fit: (pixels, places)."""
     words = (columns + 63) >> 6
     tail = _ALL >> np.uint64(words * 64 - columns)
@@ -341,7 +341,7 @@ def _farthest(distances, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _local(points, chosen, tile_x, tile_y, pixel, tracks):  # type: ignore[no-untyped-def]
+def _convert_to_tile(points, chosen, tile_x, tile_y, pixel, tracks):  # type: ignore[no-untyped-def]
     """Convert the chosen tracks to pixels of the tile."""
     for n in range(chosen.size):
         k = chosen[n]
@@ -373,11 +373,11 @@ def scan_tiles(tiles, starts, order, points, x0, y0, pixel, per_pitch, side, sha
         columns = min(side, shape[1] - column * side)
         tracks = np.empty((chosen.size, 4))
         near = np.empty((chosen.size, 4))
-        _local(points, chosen, tile_x, tile_y, pixel, tracks)
+        _convert_to_tile(points, chosen, tile_x, tile_y, pixel, tracks)
         bits[:] = 0
         _paint_outside(bits, columns, rows, tile_x, tile_y, pixel, rim)
         _paint_tracks(bits, columns, rows, tracks, chosen, 0.5 * per_pitch)
-        bare, count = _bare(bits, columns, rows, places[:_MOST_TRIED])
+        bare, count = _list_bare(bits, columns, rows, places[:_MOST_TRIED])
         for k in range(_SAMPLES):  # evenly strewn, differently in each tile
             places[count, 0] = columns * ((tile * 0.618034 + k * 0.754877666) % 1.0)
             places[count, 1] = rows * ((tile * 0.414214 + k * 0.569840291) % 1.0)

@@ -70,10 +70,10 @@ def find_uncovered(tracks: ContourLines, pixels: Pixels, *, pitch_mm: float) -> 
     reach = REACH_PITCHES * pitch_mm
     strips = math.ceil(pixels.ny / STRIP_ROWS)
     at = np.zeros(strips + 1, np.int64)
-    _by_strip(tracks.xy_mm, tracks.start, pixels, reach, at, np.empty(0, np.int32), True)
+    _sort_by_strip(tracks.xy_mm, tracks.start, pixels, reach, at, np.empty(0, np.int32), True)
     offset = np.concatenate([[0], np.cumsum(at)])
     listed = np.empty(offset[-1], np.int32)
-    _by_strip(tracks.xy_mm, tracks.start, pixels, reach, offset[:-1].copy(), listed, False)
+    _sort_by_strip(tracks.xy_mm, tracks.start, pixels, reach, offset[:-1].copy(), listed, False)
 
     def strip(k: int) -> Array:
         rows = min(STRIP_ROWS, pixels.ny - k * STRIP_ROWS)
@@ -88,7 +88,7 @@ def find_uncovered(tracks: ContourLines, pixels: Pixels, *, pitch_mm: float) -> 
 
 
 @njit(cache=True, nogil=True)
-def _by_strip(xy, start, pixels, reach, at, listed, counting):  # type: ignore[no-untyped-def]
+def _sort_by_strip(xy, start, pixels, reach, at, listed, counting):  # type: ignore[no-untyped-def]
     """Count the segments that reach each strip in at, or list them from at[strip] on."""
     height = STRIP_ROWS * pixels.step
     last = (pixels.ny - 1) // STRIP_ROWS

@@ -131,7 +131,7 @@ def _ways_in(xy, start, apart):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _nearest(e, used, x, y, h, radius):  # type: ignore[no-untyped-def]
+def _find_nearest(e, used, x, y, h, radius):  # type: ignore[no-untyped-def]
     """Return the entry with the shortest joint from a pose, -1 if none is left. Drops used entries on the way."""
     ci = min(max(int((x - e.x0) / e.cell), 0), e.nx - 1)
     cj = min(max(int((y - e.y0) / e.cell), 0), e.ny - 1)
@@ -201,7 +201,7 @@ def _choose_stops(xy, start, e, radius, into, out, stops):  # type: ignore[no-un
     used = np.zeros(start.size - 1, np.bool_)
     out[0] = into[0]
     for n in range(1, start.size):
-        k = _nearest(e, used, out[n - 1, 0], out[n - 1, 1], out[n - 1, 2], radius)
+        k = _find_nearest(e, used, out[n - 1, 0], out[n - 1, 1], out[n - 1, 2], radius)
         track, v, way = e.track[k], e.vertex[k], e.sense[k]
         used[track] = True
         stops[n, 0], stops[n, 1], stops[n, 2] = track, v, way

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cam.contour.field import REACH_PITCHES, ContourField
 from cam.contour.levels import level_tree
 from cam.contour.thinning import thin_line
-from cam.contour.triangles import bucket, corners_of, follow, other_edge
+from cam.contour.triangles import fill_corners, follow, other_edge, sort_by_line
 from cam.moves import Array
 from cam.rows.raster import THREAD_NAME, THREADS
 
@@ -55,10 +55,10 @@ def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
     levels = level_tree(float(field.f.min()), float(field.f.max()), field.level_mm, classes)
     grid = field.f, field.density, field.traced, levels
     counts = np.zeros(levels.birth.size + 1, np.int64)
-    bucket(*grid, counts, np.empty(0, np.int32), True)
+    sort_by_line(*grid, counts, np.empty(0, np.int32), True)
     offset = np.concatenate([[0], np.cumsum(counts)])
     triangles = np.empty(offset[-1], np.int32)
-    bucket(*grid, offset[:-1].copy(), triangles, False)
+    sort_by_line(*grid, offset[:-1].copy(), triangles, False)
     shares = np.searchsorted(offset, np.linspace(0, offset[-1], CHUNKS + 1))
     shares[-1] = levels.birth.size
 
@@ -91,7 +91,7 @@ def _trace_lines(f, density, cells, levels, x0, y0, step, wanted, offset, triang
             if stamp[t] == line:
                 continue
             stamp[t] = line
-            corners_of(f, density, t, fs, cs, nodes)
+            fill_corners(f, density, t, fs, cs, nodes)
             edge = other_edge(levels, line, fs, cs, -1)
             end, closed = follow(f, density, cells, levels, line, t, edge, stamp, raw, middle, 1)
             begin = middle

@@ -39,7 +39,7 @@ def _cross_triangle(f, c, levels, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def corners_of(f, density, t, fs, cs, nodes):  # type: ignore[no-untyped-def]
+def fill_corners(f, density, t, fs, cs, nodes):  # type: ignore[no-untyped-def]
     """Compute values and node indices (j, i) of triangle t; corner 0 is the cell's lower left, 1 -> 2
     counter-clockwise.
     """
@@ -59,7 +59,7 @@ def corners_of(f, density, t, fs, cs, nodes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def bucket(f, density, cells, levels, at, triangles, counting):  # type: ignore[no-untyped-def]
+def sort_by_line(f, density, cells, levels, at, triangles, counting):  # type: ignore[no-untyped-def]
     """Count the triangles of every line in at (nl + 1,), or list them from at[line] on."""
     ny, nx = cells.shape
     fs, cs, nodes = np.empty(3), np.empty(3), np.empty((3, 2), np.int64)
@@ -70,7 +70,7 @@ def bucket(f, density, cells, levels, at, triangles, counting):  # type: ignore[
                 continue
             for half in range(2):
                 t = 2 * (j * nx + i) + half
-                corners_of(f, density, t, fs, cs, nodes)
+                fill_corners(f, density, t, fs, cs, nodes)
                 for k in range(_cross_triangle(fs, cs, levels, lines)):
                     if not counting:
                         triangles[at[lines[k]]] = t
@@ -115,7 +115,7 @@ def follow(f, density, cells, levels, line, t, edge, stamp, raw, count, way):  #
     begin = t
     fs, cs, nodes = np.empty(3), np.empty(3), np.empty((3, 2), np.int64)
     while True:
-        corners_of(f, density, t, fs, cs, nodes)
+        fill_corners(f, density, t, fs, cs, nodes)
         a, b = (edge + 1) % 3, (edge + 2) % 3
         u, v = fs[a] - level_at(levels, line, cs[a]), fs[b] - level_at(levels, line, cs[b])
         # from the same end of the edge on both of its sides
@@ -130,7 +130,7 @@ def follow(f, density, cells, levels, line, t, edge, stamp, raw, count, way):  #
             return count, False
         if t == begin:
             return count, True
-        corners_of(f, density, t, fs, cs, nodes)
+        fill_corners(f, density, t, fs, cs, nodes)
         if levels.birth[line] - 1 >= max(cs[0], cs[1], cs[2]):
             return count, False
         stamp[t] = line

@@ -48,20 +48,22 @@ class ProgramWriter(Writer):
         self._raised = setup.top_z_mm is not None
         return b"".join(
             [
-                self._blocks(post.tape, values),
+                self._write_templates(post.tape, values),
                 *(post.remark(remark) for remark in (*remarks, zero, _word_beginning(setup, safe_z_mm)) if remark),
-                self._blocks((*post.start, self._way_up(setup)), begin),
+                self._write_templates((*post.start, self._way_up(setup)), begin),
                 *(piece for path in trace for piece in self.write(path)),
-                self._blocks(post.spin, begin),
-                *(self._blocks(post.faster or post.spin, self._spin(*step)) for step in further),
-                self._blocks(_on(post, setup), {}),
+                self._write_templates(post.spin, begin),
+                *(self._write_templates(post.faster or post.spin, self._spin(*step)) for step in further),
+                self._write_templates(_on(post, setup), {}),
             ]
         )
 
     def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
         """Write the way up, what the start switched on off again, spindle off, end."""
         setup = setup or ProgramSetup()
-        return self._blocks((self._way_up(setup), *_off(setup), *self.post.end), self._heights(setup, safe_z_mm))
+        return self._write_templates(
+            (self._way_up(setup), *_off(setup), *self.post.end), self._heights(setup, safe_z_mm)
+        )
 
     def _way_up(self, setup: ProgramSetup) -> str:
         return self.post.lift if setup.top_z_mm is None else self.post.top
@@ -81,7 +83,7 @@ class ProgramWriter(Writer):
     def _number(self, value: float) -> str:
         return number(value, self.post.least_decimals)
 
-    def _blocks(self, templates: tuple[str, ...], values: dict[str, object]) -> bytes:
+    def _write_templates(self, templates: tuple[str, ...], values: dict[str, object]) -> bytes:
         self._motion, self._feed = None, None  # what the templates leave is not tracked
         self._state[:3] = UNKNOWN
         return b"".join(self.post.block(t.format(**values)) for t in templates)

@@ -59,7 +59,7 @@ def _command(raw, p, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _numbers(raw, p, size, found):  # type: ignore[no-untyped-def]
+def _parse_numbers(raw, p, size, found):  # type: ignore[no-untyped-def]
     """Parse numbers between commas into found; return (how many or -1, whether all are whole, place after them)."""
     count = 0
     whole = True
@@ -122,7 +122,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 return at, n, NO_COMMAND, at
             count, whole = 0, True
             if what >= _MOTOR:
-                count, whole, p = _numbers(raw, p, stop, found)
+                count, whole, p = _parse_numbers(raw, p, stop, found)
             if p >= stop or raw[p] != 59:
                 return at, n, NO_SEMICOLON, at
             wanted = 3 if what == _MOVE else 1 if what >= _MOTOR else 0

@@ -99,7 +99,7 @@ def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def _reaches(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
+def _fill_reached(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
     for k in range(x.size):
         out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings) <= _TOUCH_MM
 
@@ -173,7 +173,7 @@ def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, s
     radius_mm = spec.radius_mm + spec.stock_to_leave_mm
     rings = int(np.clip(radius_mm / (2 * min(heightfield.dx_mm, heightfield.dy_mm)), 12, 24))
     out = np.empty(cells.size, dtype=np.bool_)
-    _reaches(
+    _fill_reached(
         *heightfield.spline_with_run_out(2 * radius_mm).kernel_arguments,
         *(grid.x_mm[columns], grid.y_mm[rows], radius_mm, rings, out),
     )

@@ -47,7 +47,7 @@ class ToolSurface:
         x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
         y = np.arange(-reach, heightfield.height_mm + reach + step, step) + heightfield.y_mm[0]
         heights, most, bend = (np.empty((y.size, x.size)) for _ in range(3))
-        _lattice(*spline.kernel_arguments, x, y, ball_mm, step / np.sqrt(2), heights, most, bend)
+        _fill_lattice(*spline.kernel_arguments, x, y, ball_mm, step / np.sqrt(2), heights, most, bend)
         guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
         sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
         tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
@@ -100,7 +100,7 @@ class ToolSurface:
 
 
 @njit(cache=True, nogil=True)
-def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
+def _fill_lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
     """Compute on the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and
     ball together bend down at most where the ball touches no farther than `aside` from there.
     """

@@ -145,7 +145,7 @@ class StopControl:
 
     # ------------------------------------------------------------------ shown by the controller
 
-    def fault(self, cause: FaultCause, words: str, line: int, now_s: float, *, alarm: int = 0) -> None:
+    def raise_fault(self, cause: FaultCause, words: str, line: int, now_s: float, *, alarm: int = 0) -> None:
         """End the program for a fault, '!' before anything else. The first sign counts."""
         if self.link.phase is not Phase.STREAMING:
             return
@@ -162,7 +162,7 @@ class StopControl:
         elif self.commands.busy:
             self.commands.give_up(words, now_s)
         if link.phase is Phase.STREAMING:
-            self.fault(FaultCause.ALARM, words, self.streamer.first_line, now_s, alarm=number)
+            self.raise_fault(FaultCause.ALARM, words, self.streamer.first_line, now_s, alarm=number)
         else:
             link.events.append(Notice(words))
         if number in CRITICAL_ALARMS:

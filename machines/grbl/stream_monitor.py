@@ -65,15 +65,15 @@ class StreamMonitor:
         first = stream.first
         if first is None:
             words = f"{words} came although every line was answered already"
-            self.stops.fault(FaultCause.REPLY_COUNT, words, 0, now_s)
+            self.stops.raise_fault(FaultCause.REPLY_COUNT, words, 0, now_s)
         elif streamer.echoes and not stream.echoed:
             line = stream.first_line
             words = f"line {line} was answered ({words}) without its echo"
-            self.stops.fault(FaultCause.ECHO, words, line, now_s)
+            self.stops.raise_fault(FaultCause.ECHO, words, line, now_s)
         elif error:
             block = first[0]
             words = f"line {block.number} '{show(block.text)}' was refused: {words}"
-            self.stops.fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
+            self.stops.raise_fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
         else:
             stream.take_answer()
 
@@ -86,11 +86,11 @@ class StreamMonitor:
         first = stream.first
         if first is None:
             words = f"the controller has read '{show(text)}', which was not sent"
-            self.stops.fault(FaultCause.ECHO, words, 0, now_s)
+            self.stops.raise_fault(FaultCause.ECHO, words, 0, now_s)
         elif stream.echoed or _as_read(first[0].text) != _as_read(text):
             block = first[0]
             words = f"line {block.number} was sent as '{show(block.text)}', but read as '{show(text)}'"
-            self.stops.fault(FaultCause.ECHO, words, block.number, now_s)
+            self.stops.raise_fault(FaultCause.ECHO, words, block.number, now_s)
         else:
             self.streamer.echoes = stream.echoed = True
 
@@ -98,7 +98,7 @@ class StreamMonitor:
         """End the program for a line that no controller says."""
         if self.link.phase is Phase.STREAMING:
             words = f"'{show(raw)}' is nothing a controller says: damaged on the way"
-            self.stops.fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
+            self.stops.raise_fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
         elif self.link.phase is not Phase.CLEARING:
             self.link.events.append(Notice(f"not understood: '{show(raw)}'"))
 
@@ -120,7 +120,7 @@ class StreamMonitor:
         stream = self._stream
         if report.state in ("Alarm", "Sleep") and not self.link.view.alarm:
             words = f"the controller reports '{report.state}' in the middle of a program"
-            self.stops.fault(FaultCause.ALARM, words, stream.first_line, now_s)
+            self.stops.raise_fault(FaultCause.ALARM, words, stream.first_line, now_s)
             return
         if report.state in ("Run", "Hold", "Idle"):
             self._compare_place(stream, now_s)
@@ -149,11 +149,11 @@ class StreamMonitor:
                 f"the mill reports {at}, {sight.distance_mm:.3f} mm from the nearest line that can be under way "
                 f"(line {sight.line}; allowed {stream.tracker.tolerance_mm:.3f} mm): a byte was damaged or a step lost"
             )
-            self.stops.fault(FaultCause.OFF_PATH, words, sight.line, now_s)
+            self.stops.raise_fault(FaultCause.OFF_PATH, words, sight.line, now_s)
         elif sight.place is Place.UNANSWERED:
             line = stream.first_line
             words = f"the mill is on line {sight.line}, but line {line} was never answered: a reply was lost"
-            self.stops.fault(FaultCause.REPLY_COUNT, words, line, now_s)
+            self.stops.raise_fault(FaultCause.REPLY_COUNT, words, line, now_s)
 
     def _finish(self, stream: Stream, report: Status, now_s: float) -> None:
         """Everything is sent, answered and executed: does the mill stand where the program ends?"""
@@ -162,7 +162,7 @@ class StreamMonitor:
             away = max((abs(p - e) for p, e in zip(position, last.end_mm, strict=True) if e is not None), default=0.0)
             if away > stream.tracker.tolerance_mm:
                 words = f"the program is done, but the mill stands {away:.3f} mm from its end"
-                self.stops.fault(FaultCause.OFF_PATH, words, stream.answered_line, now_s)
+                self.stops.raise_fault(FaultCause.OFF_PATH, words, stream.answered_line, now_s)
                 return
         self.streamer.end()
         self.link.enter(Phase.READY, now_s)
@@ -175,7 +175,7 @@ class StreamMonitor:
         if silent_s > REPORT_SILENCE_S:
             self.streamer.late_answers = True
             words = f"no answer to '?' for {silent_s:.1f} s"
-            self.stops.fault(FaultCause.STALL, words, stream.first_line, now_s)
+            self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
             return
         if silent_s > NOTIFY_SILENCE_S and not silence.notified:
             silence.notified = True
@@ -209,7 +209,7 @@ class StreamMonitor:
         words = _word_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
             words += f" after line {stream.agreed_line} (if a line, it was not cut: look at the part from there on)"
-        self.stops.fault(FaultCause.STALL, words, stream.first_line, now_s)
+        self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
 
     @property
     def _stream(self) -> Stream:

@@ -96,7 +96,7 @@ class Transmitter:
             data = stream.fill(budget)
         except MachineError as error:
             refused = "block refused before it was sent: " if isinstance(error, ProgramRefusedError) else ""
-            self.stops.fault(FaultCause.PROGRAM_CHANGED, f"{refused}{error}", 0, now_s)
+            self.stops.raise_fault(FaultCause.PROGRAM_CHANGED, f"{refused}{error}", 0, now_s)
             return b""
         if idle and data:
             self.monitor.note_sent()

@@ -171,7 +171,7 @@ class Journal:
         path = self.folder / f"journal-{number:06d}.log"
         before, file = self._file, None
 
-        def when_safe() -> None:
+        def drop_older() -> None:
             self._disk.sync_folder(self.folder)
             if before is not None:
                 before.close()
@@ -189,7 +189,7 @@ class Journal:
             raise JournalError(self._failure) from error
         self._sequence += 1
         self._file, self._written, self._failure = file, len(data), ""
-        self._syncer.take(file, when_safe)
+        self._syncer.take(file, drop_older)
 
     def _write(self, file: File, data: bytes) -> None:
         try:

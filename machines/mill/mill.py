@@ -146,7 +146,7 @@ class Mill:
         """How the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
         run = self._runs.get(run_id)
         plan, _, _ = self._planner.plan(run)
-        self._runs.rest(run)
+        self._runs.let_rest(run)
         return plan
 
     def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
@@ -204,7 +204,7 @@ class Mill:
 
     # ------------------------------------------------------------------ ending
 
-    def may_close(self, *, detach: bool = False) -> None:
+    def require_closable(self, *, detach: bool = False) -> None:
         """NotAllowedError while the mill moves under a live run, unless it may go on unwatched."""
         run = self._runs.live
         if detach or run is None or self.status.state not in _MOVES:
@@ -216,7 +216,7 @@ class Mill:
         """Let go of port, journal and folder. The mill keeps what it holds; a live run will be found interrupted."""
         if self._closed:
             return
-        self.may_close(detach=detach)
+        self.require_closable(detach=detach)
         self._closed = True
         try:
             self._link.close()

@@ -194,7 +194,7 @@ class RunStore:
         self._forget_old_runs()
         return run
 
-    def rest(self, run: Run) -> None:
+    def let_rest(self, run: Run) -> None:
         """Let go of files and index of a run that the mill is not about."""
         if run is not self.active:
             run.let_go()
@@ -247,21 +247,21 @@ class RunStore:
         """Note for all runs that could be recovered that the controller has forgotten its position."""
         for run in self.recoverable():
             run.write("restarted", restarted=True)
-            self.rest(run)
+            self.let_rest(run)
 
     def note_zero(self, axes: str) -> None:
         """Note that a person has set the work zero of these axes anew."""
         for run in self.recoverable():
             vouched = "".join(sorted({*str(run.record.get("zeroed", "")), *axes}))
             run.write("zeroed", zeroed=vouched)
-            self.rest(run)
+            self.let_rest(run)
         for run in (one for one in self._runs.values() if one.state is RunState.PARKED):
             run.write("zeroed", warnings=run.lasting_warnings, travel_in_doubt=False)  # its start asks again
 
     def note_touch_off(self) -> None:
         for run in self._to_touch_off():
             run.write("touched off", touch_off="")
-            self.rest(run)
+            self.let_rest(run)
 
     def needs(self) -> tuple[str, ...]:
         """Return what a person has to do before the next start, in words."""

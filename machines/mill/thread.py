@@ -108,7 +108,7 @@ class MillThread:
             self._mill.close(detach=detach)
 
     def _end(self, mill: Mill, detach: bool) -> None:
-        mill.may_close(detach=detach)
+        mill.require_closable(detach=detach)
         self._ending = True
 
     def _run(self) -> None:

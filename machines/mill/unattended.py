@@ -65,7 +65,7 @@ class UnattendedRuns:
         for run in self._list_unattended():
             if run is not but:
                 run.write("ashore", adrift="")
-                self.context.runs.rest(run)
+                self.context.runs.let_rest(run)
 
     def _list_unattended(self) -> list[Run]:
         return [run for run in self.context.runs.recoverable() if run.unattended]
@@ -81,7 +81,7 @@ class UnattendedRuns:
         run.write("ashore", adrift="", **booked)
         if booked:
             run.journal.hasten()
-        self.context.runs.rest(run)
+        self.context.runs.let_rest(run)
 
 
 def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Triple) -> int | None:

@@ -120,9 +120,9 @@ class RolandSerialDriver(OneWayDriver):
             if self._asked.popleft() == ESC_FREE:
                 self._channel.update(detail=f"the mill says {value} bytes of its buffer are free")
             elif value:
-                self._fault(f"the mill reports error {value}: {ERRORS.get(value, 'see its manual')}", now_s)
+                self._end_by_fault(f"the mill reports error {value}: {ERRORS.get(value, 'see its manual')}", now_s)
 
-    def _fault(self, words: str, now_s: float) -> None:
+    def _end_by_fault(self, words: str, now_s: float) -> None:
         line = self.progress.sent_line if self._feed is not None else 0
         self._end_stream()
         self._channel.enter(MillState.ALARM, f"{words}; the mill still executes {self._word_held()}")

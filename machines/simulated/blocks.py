@@ -25,23 +25,23 @@ def carry_out_gcode(fw: Controller, code: bytes) -> Task:
         fw.spindle_rpm = action.spindle_rpm
     if action.tool is not None:
         state.tool = action.tool
-    yield from _accessories(fw, action, dry=dry)
+    yield from _switch_accessories(fw, action, dry=dry)
     if action.dwell_s is not None and not dry:
         yield EMPTY
         yield fw.now_s + action.dwell_s
     old_wcs = state.modal["wcs"]
     if action.words.axis_command == "tool-length" or action.modal["wcs"] != old_wcs or action.words.non_modal:
-        yield from _offsets(fw, action, dry=dry)
+        yield from _change_offsets(fw, action, dry=dry)
     state.modal = action.modal
     state.refresh()
     if action.move is not None:
         yield from _move(fw, action.move)
     if action.stored is not None:
         yield from _move(fw, SimulatedMove("G0", action.stored, 0.0, 0.0))
-    yield from _flow(fw, action.words.commands.get("flow", ""), dry=dry)
+    yield from _control_flow(fw, action.words.commands.get("flow", ""), dry=dry)
 
 
-def _accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
+def _switch_accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
     """Spindle and coolant: a change waits for the buffer to run empty."""
     state = fw.interpreter
     if action.modal["spindle"] != state.modal["spindle"]:
@@ -61,7 +61,7 @@ def _accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
             state.coolant = coolant
 
 
-def _offsets(fw: Controller, action: Action, *, dry: bool) -> Task:
+def _change_offsets(fw: Controller, action: Action, *, dry: bool) -> Task:
     """Changes of offsets wait for an empty buffer, those in the EEPROM shut the receiver meanwhile."""
     state, command = fw.interpreter, action.words.non_modal
     if command == "G53" or (command in ("G4", "G28", "G30") and action.modal["wcs"] == state.modal["wcs"]):
@@ -89,7 +89,7 @@ def eeprom(fw: Controller, seconds: float) -> Task:
         yield fw.now_s + seconds
 
 
-def _flow(fw: Controller, command: str, *, dry: bool) -> Task:
+def _control_flow(fw: Controller, command: str, *, dry: bool) -> Task:
     if command in ("", "M1"):
         return
     if not dry:
@@ -114,7 +114,7 @@ def _flow(fw: Controller, command: str, *, dry: bool) -> Task:
 
 def _move(fw: Controller, move: SimulatedMove) -> Task:
     if move.motion.startswith("G38"):
-        yield from _probe(fw, move)
+        yield from _run_probe(fw, move)
         return
     rapid = move.motion == "G0"
     points = [move.target] if move.arc is None else list(chords(move.arc, fw.settings[12]))
@@ -132,7 +132,7 @@ def _move(fw: Controller, move: SimulatedMove) -> Task:
 def plan(fw: Controller, point: Triple, speed: float, *, rapid: bool, feed: float, kind: str = "program") -> Task:
     """mc_line: soft limits, room, planner."""
     if fw.settings[20] and fw.state != "Jog" and is_out_of_travel(fw, point):
-        yield from _soft_limit(fw)
+        yield from _raise_soft_limit(fw)
     if fw.state == "Check":
         return
     yield ROOM
@@ -146,7 +146,7 @@ def is_out_of_travel(fw: Controller, point: Triple) -> bool:
     return any(not -travel[130 + i] - 1e-6 <= p <= 1e-6 for i, p in enumerate(point))
 
 
-def _soft_limit(fw: Controller) -> Task:
+def _raise_soft_limit(fw: Controller) -> Task:
     """Stops in good order, then ALARM:2; the line that asked for it is never answered."""
     if fw.state == "Run":
         fw.soft_limit = True
@@ -157,7 +157,7 @@ def _soft_limit(fw: Controller) -> Task:
     yield NEVER
 
 
-def _probe(fw: Controller, move: SimulatedMove) -> Task:
+def _run_probe(fw: Controller, move: SimulatedMove) -> Task:
     """Straight probe. The contact ends the move at once (the real one overshoots by its braking distance)."""
     if fw.state == "Check":
         fw.interpreter.position = move.target

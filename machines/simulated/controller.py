@@ -134,11 +134,11 @@ class Controller:
             waiting = self.waiting
             if waiting is ROOM:
                 if len(self.stepper.planner.blocks) >= self.stepper.planner.capacity:
-                    self.auto_start()
+                    self.start_cycle()
                     return
             elif waiting is EMPTY:
                 if self.stepper.planner.blocks or self.state in ("Run", "Jog"):
-                    self.auto_start()
+                    self.start_cycle()
                     return
             elif waiting is NEVER or (isinstance(waiting, float) and waiting > self.now_s):
                 return
@@ -158,7 +158,7 @@ class Controller:
             return inf
         return self.waiting
 
-    def auto_start(self) -> None:
+    def start_cycle(self) -> None:
         """Start the cycle where blocks wait and nobody holds them back."""
         if self.state == "Idle" and self.stepper.planner.blocks and not self.starved:
             self.state = "Run"

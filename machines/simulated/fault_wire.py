@@ -20,7 +20,7 @@ class Wired(Protocol):
     @property
     def serial(self) -> SerialSide: ...
 
-    def at(self, time_s: float, event: Callable[[], None]) -> None: ...
+    def call_at(self, time_s: float, event: Callable[[], None]) -> None: ...
 
     def carry_out(self, fault: Fault, byte: int) -> None: ...
 
@@ -43,7 +43,7 @@ class FaultWire:
         self._due: dict[int, list[Fault]] = {}
         for fault in faults.plan:
             if fault.kind in MILL_KINDS and fault.at_s is not None:
-                mill.at(fault.at_s, lambda f=fault: mill.carry_out(f, self._bytes))  # type: ignore[misc]
+                mill.call_at(fault.at_s, lambda f=fault: mill.carry_out(f, self._bytes))  # type: ignore[misc]
 
     def note(self, fault: Fault, byte: int, words: str = "") -> None:
         self._log.append(FaultDone(self._mill.now_s, fault.kind, byte, self._mill.firmware.received, words))
@@ -54,7 +54,7 @@ class FaultWire:
         serial = self._mill.serial
         first, self._bytes = self._bytes, self._bytes + len(data)
         start = 0
-        for k in self._due_bytes(data, first, at_s):
+        for k in self._take_due_bytes(data, first, at_s):
             if k > start:
                 serial.receive(data[start:k], at_s)
             changed = self._one_byte(data[k : k + 1], first + k, self._due[k])
@@ -64,7 +64,7 @@ class FaultWire:
         if start < len(data):
             serial.receive(data[start:], at_s)
 
-    def _due_bytes(self, data: bytes, first: int, at_s: float) -> list[int]:
+    def _take_due_bytes(self, data: bytes, first: int, at_s: float) -> list[int]:
         """Return offsets in data at which something of the plan falls due."""
         self._due = {}
         for fault in [*self._sent, *self._mill_faults]:
@@ -100,7 +100,7 @@ class FaultWire:
                 serial.wire_free_s = max(serial.wire_free_s, mill.now_s) + fault.length_s
             else:
                 arrives = max(serial.wire_free_s, mill.now_s) + serial.byte_s
-                mill.at(arrives, lambda f=fault: mill.carry_out(f, index))  # type: ignore[misc]
+                mill.call_at(arrives, lambda f=fault: mill.carry_out(f, index))  # type: ignore[misc]
         return byte
 
     # -- from the mill ---------------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ class Firmware(Controller):
         state.feed = feed
         planner = self.stepper.planner
         if len(planner.blocks) >= planner.capacity:
-            self.begin(self._plain_task(target, rapid, feed))
+            self.begin(self._start_task(target, rapid, feed))
             return True
         state.position = target
         planner.add(px, py, pz, feed / 60.0, rapid, feed=feed, line=self.line)
@@ -82,7 +82,7 @@ class Firmware(Controller):
         self.say("ok")
         return True
 
-    def _plain_task(self, target: Triple, rapid: bool, feed: float) -> Task:
+    def _start_task(self, target: Triple, rapid: bool, feed: float) -> Task:
         yield ROOM
         self.interpreter.position = target
         self.stepper.planner.add(*target, feed / 60.0, rapid, feed=feed, line=self.line)

@@ -112,8 +112,8 @@ class SimulatedInterpreter:
             else:
                 action.offsets = ZERO
         wcs = self.stored[modal["wcs"]]
-        target = self._non_modal(action, given, wcs, unused)
-        self._motion(action, target, scale, unused, jog=jog)
+        target = self._run_non_modal(action, given, wcs, unused)
+        self._run_motion(action, target, scale, unused, jog=jog)
         if words.axis_command:
             unused -= set("XYZ")
         if unused:
@@ -135,12 +135,12 @@ class SimulatedInterpreter:
             return self.feed if given is None else given * scale
         return given or 0.0
 
-    def _non_modal(self, action: Action, given: dict[str, float], wcs: Triple, unused: set[str]) -> Triple:
+    def _run_non_modal(self, action: Action, given: dict[str, float], wcs: Triple, unused: set[str]) -> Triple:
         """G10, G28, G30, G53, G92; returns the target of any motion."""
         words, command = action.words, action.words.non_modal
         values = words.values
         if command == "G10":
-            self._g10(action, given, unused)
+            self._run_g10(action, given, unused)
             return self.position
         if command == "G92":
             if not given:
@@ -175,7 +175,7 @@ class SimulatedInterpreter:
             base = (wcs[0] + self.g92[0], wcs[1] + self.g92[1], wcs[2] + self.g92[2] + self.tool_length)
         return _triple(base[i] + given[a] if a in given else self.position[i] for i, a in enumerate("XYZ"))
 
-    def _g10(self, action: Action, given: dict[str, float], unused: set[str]) -> None:
+    def _run_g10(self, action: Action, given: dict[str, float], unused: set[str]) -> None:
         values = action.words.values
         if not given:
             raise GcodeError(26)
@@ -195,7 +195,7 @@ class SimulatedInterpreter:
             (here[i] - given[a] if kind == 20 else given[a]) if a in given else old[i] for i, a in enumerate("XYZ")
         )
 
-    def _motion(self, action: Action, target: Triple, scale: float, unused: set[str], *, jog: bool) -> None:
+    def _run_motion(self, action: Action, target: Triple, scale: float, unused: set[str], *, jog: bool) -> None:
         words, modal, axes = action.words, action.modal, action.words.axes
         motion = modal["motion"]
         if motion == "G80":

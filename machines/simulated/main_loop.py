@@ -31,7 +31,7 @@ class MainLoop:
             free_s = now_s
         line_s = serial.next_line_s()
         if line_s > now_s:
-            fw.auto_start()
+            fw.start_cycle()
             if line_s == inf:
                 return
         self.due_s = (line_s if line_s > free_s else free_s) + self._parse_s

@@ -152,7 +152,7 @@ class SimulatedMill:
                     heappop(events)[2]()
                 self._look_for_line()
 
-    def at(self, when_s: float, what: Callable[[], None]) -> None:
+    def call_at(self, when_s: float, what: Callable[[], None]) -> None:
         """Do this at that simulated time."""
         self._order += 1
         heappush(self._events, (when_s, self._order, what))
@@ -199,7 +199,7 @@ class SimulatedMill:
             self.power_cycle(off_s=0.0)
 
     def _boot(self, *, first: bool, off_s: float = 0.0) -> None:
-        self.at(self.now_s + off_s + self.traits.boot_s, lambda: self._finish_boot(first=first))
+        self.call_at(self.now_s + off_s + self.traits.boot_s, lambda: self._finish_boot(first=first))
 
     def _finish_boot(self, *, first: bool) -> None:
         self.serial.clear_received(self.now_s)
@@ -263,14 +263,14 @@ class SimulatedMill:
         if fault.kind == "disconnect":
             self.unplug()
             if fault.length_s:
-                self.at(self.now_s + fault.length_s, self.replug)
+                self.call_at(self.now_s + fault.length_s, self.replug)
         elif fault.kind == "power-cycle":
             self.power_cycle(fault.length_s or 1.0)
         elif fault.kind == "eeprom-stall":
             self._write_eeprom(fault.length_s or 0.02)
         elif fault.kind == "door":
             self.press("door")
-            self.at(self.now_s + (fault.length_s or 3.0), lambda: self.press("close-door"))
+            self.call_at(self.now_s + (fault.length_s or 3.0), lambda: self.press("close-door"))
         else:
             self.press(fault.kind.removesuffix("-button"))
         fw.go_on()

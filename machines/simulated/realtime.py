@@ -40,10 +40,10 @@ def obey_realtime(fw: Controller, byte: int) -> None:
     elif byte == JOG_CANCEL:
         cancel_jog(fw)
     else:
-        _overrides(fw, byte)
+        _change_overrides(fw, byte)
 
 
-def _overrides(fw: Controller, byte: int) -> None:
+def _change_overrides(fw: Controller, byte: int) -> None:
     before = (fw.feed_percent, fw.rapid_percent, fw.spindle_percent)
     if byte == 0x90:
         fw.feed_percent = 100

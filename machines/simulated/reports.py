@@ -42,11 +42,11 @@ def status_report(fw: Controller) -> str:
     fields.append(f"FS:{rate(fw, fw.stepper.speed * 60):.0f},{fw.spindle_now():.0f}")
     if pins := fw.pins():
         fields.append(f"Pn:{pins}")
-    fields += _rare_fields(fw, offset)
+    fields += _take_rare_fields(fw, offset)
     return f"<{'|'.join(fields)}>"
 
 
-def _rare_fields(fw: Controller, offset: tuple[float, float, float]) -> list[str]:
+def _take_rare_fields(fw: Controller, offset: tuple[float, float, float]) -> list[str]:
     busy = fw.state in _BUSY
     if fw.wco_in > 0:
         fw.wco_in -= 1

@@ -94,7 +94,7 @@ class SegmentBuffer:
                     b.entry2 = self._exit * self._exit
                     self._braking_into_next = False
                 start = b.remaining
-                if not self.holding and (took := self._whole(b, blocks)) >= 0.0:
+                if not self.holding and (took := self._take_whole(b, blocks)) >= 0.0:
                     b.remaining = 0.0
                     b.gain = 0.0
                     queue.append((b, start, 0.0, took, self._exit))
@@ -106,11 +106,11 @@ class SegmentBuffer:
                 if self.holding:
                     self._brake(b)
                 else:
-                    self._profile(b, blocks[1].entry2 if len(blocks) > 1 else 0.0)
+                    self._plan_profile(b, blocks[1].entry2 if len(blocks) > 1 else 0.0)
                 self._block = b
             self._cut(b)
 
-    def _whole(self, b: PlannedBlock, blocks: list[PlannedBlock]) -> float:
+    def _take_whole(self, b: PlannedBlock, blocks: list[PlannedBlock]) -> float:
         """Time of the whole block if it goes into one segment, else -1; sets the exit speed."""
         exit2 = blocks[1].entry2 if len(blocks) > 1 else 0.0
         entry2, accel, nominal = b.entry2, b.accel, b.nominal
@@ -138,7 +138,7 @@ class SegmentBuffer:
         self._exit = v1
         return took
 
-    def _profile(self, b: PlannedBlock, exit2: float) -> None:
+    def _plan_profile(self, b: PlannedBlock, exit2: float) -> None:
         """Set the phases of a block longer than a segment: to its speed, along, and to its exit speed."""
         accel, length, entry2, nominal = b.accel, b.remaining, b.entry2, b.nominal
         nominal2, half = nominal * nominal, 0.5 / b.accel

@@ -47,31 +47,31 @@ class SerialSide:
         if len(data.translate(None, REALTIME)) != len(data):
             self._split(data, first)
         else:
-            self._chunk(data, first)
+            self._receive_chunk(data, first)
 
     def _split(self, data: bytes, first: float) -> None:
         start = 0
         for k, byte in enumerate(data):
             if byte in REALTIME:
                 if k > start:
-                    self._chunk(data[start:k], first + start * self.byte_s)
+                    self._receive_chunk(data[start:k], first + start * self.byte_s)
                 start = k + 1
                 self._order += 1
                 heapq.heappush(self.realtime, (first + k * self.byte_s, self._order, byte))
         if start < len(data):
-            self._chunk(data[start:], first + start * self.byte_s)
+            self._receive_chunk(data[start:], first + start * self.byte_s)
 
-    def _chunk(self, data: bytes, first: float) -> None:
+    def _receive_chunk(self, data: bytes, first: float) -> None:
         if first < self.deaf_until_s:
             count = self._count_arrived(first, len(data), self.deaf_until_s, strictly=True)
             self.lost_deaf += count
             data, first = data[count:], first + count * self.byte_s
         if b"\r" in data or self._after_cr:
-            data = self._line_ends(data)
+            data = self._convert_line_ends(data)
         if data:
             self.incoming.append((first, data))
 
-    def _line_ends(self, data: bytes) -> bytes:
+    def _convert_line_ends(self, data: bytes) -> bytes:
         """CR ends a line as LF does; where CRLF is one line end, the LF after a CR vanishes."""
         if self._twice:
             return data.replace(b"\r", NEWLINE)
@@ -153,7 +153,7 @@ class SerialSide:
         self.deaf_until_s = max(self.deaf_until_s, until_s)
         waiting, self.incoming = self.incoming, deque()
         for first, data in waiting:
-            self._chunk(data, first)
+            self._receive_chunk(data, first)
         kept = [r for r in self.realtime if not from_s <= r[0] < until_s]
         self.lost_deaf += len(self.realtime) - len(kept)
         heapq.heapify(kept)

@@ -35,14 +35,14 @@ def resume(fw: Controller) -> None:
         _leave_hold(fw)
     elif fw.state == "Idle":
         fw.starved = False
-        fw.auto_start()
+        fw.start_cycle()
 
 
 def _leave_hold(fw: Controller) -> None:
     fw.door_restoring = False
     fw.state = "Idle"
     fw.stepper.segments.holding = False
-    fw.auto_start()
+    fw.start_cycle()
     fw.go_on()
 
 

@@ -44,7 +44,7 @@ def run_system_command(fw: Controller, line: str) -> Task:
     else:
         if fw.state not in ("Idle", "Alarm"):
             raise GcodeError(8)
-        yield from _when_standing(fw, line)
+        yield from _run_standing(fw, line)
 
 
 def _toggle_check_mode(fw: Controller) -> None:
@@ -58,7 +58,7 @@ def _toggle_check_mode(fw: Controller) -> None:
         raise GcodeError(8)
 
 
-def _when_standing(fw: Controller, line: str) -> Task:
+def _run_standing(fw: Controller, line: str) -> Task:
     if line == "$#":
         for text in reports.offsets_lines(fw):
             fw.say(text)

@@ -74,9 +74,9 @@ def read_words(code: bytes, *, mist: bool) -> Words:
         at = match.end()
         letter, value = chr(code[match.start()]), float(match.group(2))
         if letter == "G":
-            _g_word(words, value)
+            _take_g_word(words, value)
         elif letter == "M":
-            _m_word(words, value, mist)
+            _take_m_word(words, value, mist)
         elif letter not in _VALUES:
             raise GcodeError(UNSUPPORTED)
         else:
@@ -90,7 +90,7 @@ def read_words(code: bytes, *, mist: bool) -> Words:
     return words
 
 
-def _g_word(words: Words, value: float) -> None:
+def _take_g_word(words: Words, value: float) -> None:
     whole = int(value)
     hundredths = round(100 * (value - whole))
     name = f"G{whole}.{hundredths // 10}" if hundredths and hundredths % 10 == 0 else f"G{whole}"
@@ -110,7 +110,7 @@ def _g_word(words: Words, value: float) -> None:
         words.non_modal = name
 
 
-def _m_word(words: Words, value: float, mist: bool) -> None:
+def _take_m_word(words: Words, value: float, mist: bool) -> None:
     whole = int(value)
     if round(100 * (value - whole)):
         raise GcodeError(NOT_INTEGER)

@@ -113,7 +113,7 @@ def flip_short_lived(
 
 
 @njit(cache=True, nogil=True)
-def around(triangles: Triangles, across: Neighbours, v: int, t: int, ring: NDArray[np.int32]) -> int:
+def find_around(triangles: Triangles, across: Neighbours, v: int, t: int, ring: NDArray[np.int32]) -> int:
     """Fill `ring` with the triangles at vertex v, t being one of them; their number, or -1 where they are too many."""
     count, now = 0, t
     while True:

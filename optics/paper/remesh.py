@@ -20,8 +20,8 @@ from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import (
     MOST_AROUND,
     Neighbours,
-    around,
     draw_onto,
+    find_around,
     flip_short_lived,
     life,
     life_without,
@@ -133,7 +133,7 @@ def _draw_away(
             on_y = screen[v, 1] == 0.0 or screen[v, 1] == rule.size_y
             if on_x and on_y:
                 continue
-            n = around(triangles, across, v, t, ring)
+            n = find_around(triangles, across, v, t, ring)
             for i in range(n):
                 w = triangles[ring[i], (place_in(triangles[ring[i]], v) + 1) % 3]
                 if (on_x and screen[w, 0] != screen[v, 0]) or (on_y and screen[w, 1] != screen[v, 1]):
@@ -142,7 +142,7 @@ def _draw_away(
                 if lives > best:
                     best, from_v, onto_w = lives, v, w
         if from_v >= 0:
-            n = around(triangles, across, from_v, t, ring)
+            n = find_around(triangles, across, from_v, t, ring)
             draw_onto(triangles, across, ring[:n], from_v, onto_w)
             gone[from_v] = True
             for i in range(n):

@@ -29,7 +29,7 @@ def _remember(piece_lo: int, piece_hi: int, new: Array, last: Array, changes: Ar
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _products(
+def _fill_products(
     piece_lo: int, piece_hi: int, changes: Array, depth: int, slot: int, residual: Array, sums: Array
 ) -> None:
     """Compute sums[piece, 0, i] = changes[i] . changes[slot], sums[piece, 1, i] = changes[i] . residual per piece."""
@@ -76,7 +76,7 @@ class Anderson:
     def forget(self) -> None:
         self.count = -1
 
-    def next_iterate(self, moved: Array, residual: Array, extra: float) -> Array:
+    def find_next(self, moved: Array, residual: Array, extra: float) -> Array:
         """Return the iterate after x, where moved = x + f(x) and the residual is that of x; arrays of any one shape."""
         flat, rest = moved.ravel(), residual.ravel()
         slot, is_first = max(self.count, 0) % self.depth, self.count < 0
@@ -86,14 +86,14 @@ class Anderson:
         self.count += 1
         if is_first:
             return moved
-        weights = self._weights(slot, rest, extra)
+        weights = self._solve_weights(slot, rest, extra)
         mixed = np.empty_like(flat)
         run_on_rows(_combine, self.pieces, flat, weights, self.moves, mixed)
         return mixed.reshape(moved.shape)
 
-    def _weights(self, slot: int, residual: Array, extra: float) -> Array:
+    def _solve_weights(self, slot: int, residual: Array, extra: float) -> Array:
         n = min(self.count, self.depth)
-        run_on_rows(_products, self.pieces, self.changes, n, slot, residual, self.sums)
+        run_on_rows(_fill_products, self.pieces, self.changes, n, slot, residual, self.sums)
         by_newest, by_residual = self.sums[:, :, :n].sum(axis=0)
         self.gram[slot, :n] = self.gram[:n, slot] = by_newest + self.extras[:n] * self.extras[slot]
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(self.gram)[:n], math.ulp(0.0)))

@@ -65,7 +65,7 @@ def _ray_from_point(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def face_areas(
+def fill_face_areas(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, unit_x: float, unit_y: float,
     across: Array, along: Array, mixed: Array, light: Array, top: Array,
@@ -78,7 +78,7 @@ def face_areas(
     nx = across.shape[1]
     west, east = np.empty((nx + 1, 2)), np.empty((2, nx, 2))
     south, north = east[0], east[1]
-    _horizontal_edges(row_lo, c, rim_y, beam, throw, left, bottom, dx, dy, south)
+    _fill_horizontal_edges(row_lo, c, rim_y, beam, throw, left, bottom, dx, dy, south)
     for r in range(row_lo, row_hi):
         qy = bottom + (r + 0.5) * dy
         highest, ray = -math.inf, math.nan
@@ -93,7 +93,7 @@ def face_areas(
                 ray, _, _, t, west[k, 0], west[k, 1] = trace_back(beam, left + k * dx, qy, throw, mid, sx, sy, ray)
             highest = t if math.isnan(t) else max(highest, t)
         top[r] = highest
-        _horizontal_edges(r + 1, c, rim_y, beam, throw, left, bottom, dx, dy, north)
+        _fill_horizontal_edges(r + 1, c, rim_y, beam, throw, left, bottom, dx, dy, north)
         for k in range(nx):
             across[r, k] = (west[k + 1, 0] - west[k, 0]) * unit_x
             along[r, k] = (north[k, 1] - south[k, 1]) * unit_y
@@ -107,7 +107,7 @@ def face_areas(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _horizontal_edges(
+def _fill_horizontal_edges(
     e: int, c: Array, rim_y: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, out: Array,
 ) -> None:  # fmt: skip
@@ -128,7 +128,7 @@ def _horizontal_edges(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def corner_points(
+def fill_corner_points(
     row_lo: int, row_hi: int, c: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, px: Array, py: Array,
 ) -> None:  # fmt: skip
@@ -144,7 +144,7 @@ def corner_points(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def heights_on_beam(
+def fill_heights(
     row_lo: int, row_hi: int, path: Array, qx: Array, qy: Array, x: Array, y: Array, throw: float, beam: Beam, t: Array
 ) -> None:
     """Solve phase(p, t) + |(q, H) - (p, t)| = path for t (my, mx) at p = (x[k], y[r]); q and path are (my, mx).

@@ -48,7 +48,7 @@ def add_border(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def preimage_areas(
+def fill_preimage_areas(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
     throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
@@ -137,7 +137,7 @@ def preimage_areas(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def preimages_of_corners(
+def fill_corner_preimages(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
     throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, px: Array, py: Array,

@@ -24,8 +24,8 @@ from optics.light import Beam, meet
 from optics.outline import dim_outside, lower_outside, rim_curves
 from optics.spline import Array, BicubicSpline
 from optics.threads import run_on_rows
-from optics.transport.beam_path import corner_points, face_areas, heights_on_beam, trace_back
-from optics.transport.even_light import preimage_areas, preimages_of_corners, rim_slopes
+from optics.transport.beam_path import fill_corner_points, fill_face_areas, fill_heights, trace_back
+from optics.transport.even_light import fill_corner_preimages, fill_preimage_areas, rim_slopes
 from optics.transport.rims import Rims, corner_rays, solve_rims
 
 
@@ -62,13 +62,13 @@ class Preimages:
         if self.even:
             rim_x, rim_y = rim_slopes(c, self.bench)
             run_on_rows(
-                preimage_areas, c.shape[0],
+                fill_preimage_areas, c.shape[0],
                 c, rim_x, rim_y, *self._arguments, self.across, self.along, self.mixed, self._top,
             )  # fmt: skip
             return self._greatest_height(c)
         ghosts, rims = self._add_border(c)
         run_on_rows(
-            face_areas, c.shape[0],
+            fill_face_areas, c.shape[0],
             ghosts, rims.points_x, rims.points_y, self._beam, *self._frame, *self._units,
             self.across, self.along, self.mixed, self.light, self._top,
         )  # fmt: skip
@@ -87,10 +87,10 @@ class Preimages:
         ny, nx = c.shape
         px, py = np.empty((ny + 1, nx + 1)), np.empty((ny + 1, nx + 1))
         if self.even:
-            run_on_rows(preimages_of_corners, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
+            run_on_rows(fill_corner_preimages, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
             return px, py
         ghosts, rims = self._add_border(c)
-        run_on_rows(corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
+        run_on_rows(fill_corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
         for points, of in ((px, 3), (py, 4)):
             for side in (0, -1):
                 points[:, side] = _between(rims.points_x[side, :, of])
@@ -212,7 +212,7 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
         qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy
         path = spline.heights_mm(qx, qy) + bench.base_path_mm(qx, qy)
         part = np.empty_like(path)
-        run_on_rows(heights_on_beam, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
+        run_on_rows(fill_heights, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
         t[rows] = part
     if not np.isfinite(t).all():
         raise NoSurfaceError(lost_share=float(np.mean(~np.isfinite(t))))

@@ -16,7 +16,7 @@ from optics.bench import Bench
 from optics.light import Beam, meet
 from optics.outline import RimCurves
 from optics.spline import Array
-from optics.transport.beam_path import heights_on_beam, trace_back
+from optics.transport.beam_path import fill_heights, trace_back
 
 _NEWTON_STEPS = 40
 _CLOSE_ENOUGH_MM = 1e-10
@@ -69,7 +69,7 @@ def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, floa
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _side(
+def _solve_side(
     beam: Beam, throw: float, upright: bool, q_across: float, q_along: Array, edge: Array, half: float,
     tangential: Array, curve: Array, cells_per_mm: float, most: float, slope: Array, points: Array,
 ) -> None:  # fmt: skip
@@ -122,14 +122,14 @@ def solve_rims(c: Array, bench: Bench, beam: Beam, curves: RimCurves) -> Rims:
             edge = c[:, -side]
             along = _tangential(edge + sign * dx * old_x[side], corner_y[:, side], dy, bench)
             q = s.left_mm + side * s.width_mm
-            _side(
+            _solve_side(
                 beam, bench.throw_mm, True, q, qy, edge, sign * dx, along,
                 curves.x_of_y[at], curves.cells_per_mm_y, most, rims.slope_x[side], rims.points_x[side],
             )  # fmt: skip
             edge = c[-side]
             along = _tangential(edge + sign * dy * old_y[side], corner_x[side], dx, bench)
             q = s.bottom_mm + side * s.height_mm
-            _side(
+            _solve_side(
                 beam, bench.throw_mm, False, q, qx, edge, sign * dy, along,
                 curves.y_of_x[at], curves.cells_per_mm_x, most, rims.slope_y[side], rims.points_y[side],
             )  # fmt: skip
@@ -153,7 +153,7 @@ def corner_rays(c: Array, bench: Bench, beam: Beam) -> tuple[Array, Array, Array
     t, sx, sy = np.empty((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
     for _ in range(4):
         path = nearest + half * sx * s.width_mm / nx + half[:, None] * sy * s.height_mm / ny
-        heights_on_beam(0, 2, path, qx, qy, px, py, bench.throw_mm, beam, t)
+        fill_heights(0, 2, path, qx, qy, px, py, bench.throw_mm, beam, t)
         aside_x, aside_y = qx - px, qy - py[:, None]
         ray = np.sqrt(aside_x**2 + aside_y**2 + (bench.throw_mm - t) ** 2)
         sx, sy = aside_x / ray, aside_y / ray

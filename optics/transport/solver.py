@@ -177,7 +177,7 @@ def _solve_level(
             misses = level.evaluate(c)
             piston = _piston(misses, bench, skim_mm)
         moved = c + step * level.step() - level.preimages.path_per_height * (misses.top_mm + skim_mm)
-        c = memory.next_iterate(moved, misses.residual, piston * math.sqrt(g.size))
+        c = memory.find_next(moved, misses.residual, piston * math.sqrt(g.size))
     record = LevelRecord(pixels=g.shape[1], iterations=iteration, rms=best_rms, turned=best_turned)
     return best, record, reflected
 

@@ -29,7 +29,7 @@ _EVENED = 1.0  # weight of 1 beside w; 0.3 and 3 take a few steps more, w alone 
 
 
 @njit(cache=True, nogil=True)
-def _monotone_residual(
+def _fill_residual(
     row_lo: int, row_hi: int, across: Array, along: Array, mixed: Array, light: Array, g: Array,
     residual: Array, sums: Array,
 ) -> None:  # fmt: skip
@@ -109,9 +109,7 @@ class TransportLevel:
         """Return how far c is from the aim; `step` then says which way that is."""
         p, rows = self.preimages, c.shape[0]
         top_mm = p.evaluate(c)
-        run_on_rows(
-            _monotone_residual, rows, p.across, p.along, p.mixed, p.light, self.target, self._residual, self._sums
-        )
+        run_on_rows(_fill_residual, rows, p.across, p.along, p.mixed, p.light, self.target, self._residual, self._sums)
         mean, square, turned = self._sums.sum(axis=0) / c.size
         run_on_rows(_level_out, rows, p.across, p.along, p.light, mean, self._residual, self._even)
         return Misses(self._residual, math.sqrt(max(square - mean * mean, 0.0)), float(turned), top_mm)

@@ -15,7 +15,7 @@ from numba import njit
 from optics.light import Beam, leave, meet, strength_on_face
 from optics.refraction import tangent_per_slope
 from optics.spline import Array, slope_weights, spline_weights
-from optics.tubes.spread import close_off, densities, edges_of_row, pixels_of, triangle_area
+from optics.tubes.spread import add_edges, close_off, fill_densities, fill_pixels, triangle_area
 
 
 class Aim(NamedTuple):
@@ -40,7 +40,7 @@ def combine_rows(coefs: Array, cell: int, g: float, dy: float, value: Array, slo
 
 
 @njit(cache=True, nogil=True)
-def _surface_row(coefs: Array, cell: int, g: float, dx: float, dy: float, sub: int, jet: Array) -> None:
+def _fill_surface_row(coefs: Array, cell: int, g: float, dx: float, dy: float, sub: int, jet: Array) -> None:
     """Compute jet (3, columns + 1): height and both slopes on the lattice row at fraction g of a row of cells."""
     cells = coefs.shape[1] - 3
     value, slope = np.empty(cells + 3), np.empty(cells + 3)
@@ -87,7 +87,7 @@ def _follow_beam(jet: Array, x0: float, step: float, y: float, beam: Beam, aim: 
 
 
 @njit(cache=True, nogil=True)
-def _light_of_row(below: Array, above: Array, cover: Array, sub: int, light: Array) -> None:
+def _fill_light_row(below: Array, above: Array, cover: Array, sub: int, light: Array) -> None:
     """Compute light (2, columns) of triangles a b d and a d c of each square: face area x mean strength x covered
     share.
     """
@@ -120,7 +120,7 @@ def trace_rows(
     even = is_even(beam)
     for k in range(row_lo, row_hi):
         cell, y = min(k // sub, rows - 1), y0 + k / sub * dy
-        _surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
+        _fill_surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
         if even:
             _follow_vertical(jet, x0, dx / sub, y, beam.refractive_index, aim, hit)
         else:
@@ -129,7 +129,7 @@ def trace_rows(
 
 
 @njit(cache=True, nogil=True)
-def light_of_rows(
+def fill_light(
     row_lo: int, row_hi: int, coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int,
     beam: Beam, aim: Aim, cover: Array, light: Array,
 ) -> None:  # fmt: skip
@@ -139,12 +139,12 @@ def light_of_rows(
     below, above = np.empty((3, columns + 1)), np.empty((3, columns + 1))
     for k in range(row_lo, row_hi + 1):
         cell = min(k // sub, rows - 1)
-        _surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
+        _fill_surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
         _follow_beam(jet, x0, dx / sub, y0 + k / sub * dy, beam, aim, hit, above)
         if k > row_lo:
             if cover.size > 1:
                 shares = cover[(k - 1) // sub]
-            _light_of_row(below, above, shares, sub, light[k - 1])
+            _fill_light_row(below, above, shares, sub, light[k - 1])
         below, above = above, below
 
 
@@ -169,23 +169,23 @@ def follow_tubes(
     total = reflected = 0.0
     for k in range(row_lo * sub, row_hi * sub + 1):
         cell, y = min(k // sub, rows - 1), y0 + k / sub * dy
-        _surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
+        _fill_surface_row(coefs, cell, k / sub - cell, dx, dy, sub, jet)
         if even:
             _follow_vertical(jet, x0, dx / sub, y, beam.refractive_index, aim, above)
         else:
             _follow_beam(jet, x0, dx / sub, y, beam, aim, above, face_above)
-        pixels_of(above, ny, nx, p_above, k_above)
+        fill_pixels(above, ny, nx, p_above, k_above)
         if k > row_lo * sub:
             if cover.size > 1:
                 shares = cover[(k - 1) // sub]
             if not even:
-                _light_of_row(face_below, face_above, shares, sub, light)
+                _fill_light_row(face_below, face_above, shares, sub, light)
             else:
                 for c in range(columns):
                     light[:, c] = 0.5 * dx * dy / (sub * sub) * shares[c // sub]
             total += light.sum()
-            reflected += densities(below, above, light, density, acc)
-            edges_of_row(below, above, p_below, p_above, k_below, k_above, density, beneath, acc, flat)
+            reflected += fill_densities(below, above, light, density, acc)
+            add_edges(below, above, p_below, p_above, k_below, k_above, density, beneath, acc, flat)
         below, above = above, below
         face_below, face_above = face_above, face_below
         p_below, p_above = p_above, p_below

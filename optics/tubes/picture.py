@@ -16,7 +16,7 @@ from optics.light import Beam
 from optics.spline import Array
 from optics.threads import run_on_rows, thread_count
 from optics.tubes.gradient import pull_tubes
-from optics.tubes.lattice import is_even, light_of_rows, trace_rows
+from optics.tubes.lattice import fill_light, is_even, trace_rows
 from optics.tubes.rays import fit_transposed
 from optics.tubes.spread import spread_tubes
 
@@ -129,5 +129,5 @@ class TubePicture:
         if is_even(beam) and cover.size == 1:
             return np.full((1, 1, 1), 0.5 * dx * dy)
         light = np.empty((self.rows, 2, self.columns))
-        run_on_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
+        run_on_rows(fill_light, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
         return light

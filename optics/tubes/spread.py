@@ -22,7 +22,7 @@ def triangle_area(xa: float, ya: float, xb: float, yb: float, xc: float, yc: flo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def densities(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
+def fill_densities(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
     """Compute density (2, columns) of the two triangles of each square [light per pixel area]; return light reflected.
 
     Negative where a triangle arrives turned over, so that its coverage counts up. A triangle without an area on the
@@ -36,11 +36,11 @@ def densities(below: Array, above: Array, light: Array, density: Array, acc: Arr
         density[0, c] = light[0, c] / lower
         density[1, c] = light[1, c] / upper
         odd = odd or not (abs(lower) >= POINT_AREA) or not (abs(upper) >= POINT_AREA)
-    return _odd_triangles(below, above, light, density, acc) if odd else 0.0
+    return _fill_odd_triangles(below, above, light, density, acc) if odd else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _odd_triangles(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
+def _fill_odd_triangles(below: Array, above: Array, light: Array, density: Array, acc: Array) -> float:
     reflected = 0.0
     for c in range(light.shape[1]):
         for k in range(2):
@@ -57,7 +57,7 @@ def _odd_triangles(below: Array, above: Array, light: Array, density: Array, acc
 
 
 @njit(cache=True, nogil=True)
-def pixels_of(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Array) -> None:
+def fill_pixels(hit: Array, ny: int, nx: int, pixel: NDArray[np.int64], corner: Array) -> None:
     """Compute pixel (columns + 1,): where in the flat acc the pixel is that a ray hits, -1: none; corner (2, ..): x,
     y.
     """
@@ -103,7 +103,7 @@ def _add_edge_between(
 
 
 @njit(cache=True, nogil=True)
-def edges_of_row(
+def add_edges(
     below: Array, above: Array, p_below: NDArray[np.int64], p_above: NDArray[np.int64], k_below: Array, k_above: Array,
     density: Array, beneath: Array, acc: Array, flat: Array,
 ) -> None:  # fmt: skip
@@ -163,12 +163,12 @@ def spread_tubes(row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Ar
     beneath, flat = np.zeros(columns), acc.reshape(-1)
     for k in range(row_lo, row_hi + 1):
         above[0], above[1] = hit_x[k], hit_y[k]
-        pixels_of(above, ny, nx, p_above, k_above)
+        fill_pixels(above, ny, nx, p_above, k_above)
         if k > row_lo:
             if light.size > 1:
                 own[:] = light[k - 1]
-            densities(below, above, own, density, acc)
-            edges_of_row(below, above, p_below, p_above, k_below, k_above, density, beneath, acc, flat)
+            fill_densities(below, above, own, density, acc)
+            add_edges(below, above, p_below, p_above, k_below, k_above, density, beneath, acc, flat)
         below, above = above, below
         p_below, p_above = p_above, p_below
         k_below, k_above = k_above, k_below

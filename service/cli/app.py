@@ -15,7 +15,7 @@ app = typer.Typer(
 )
 
 
-def version() -> None:
+def print_version() -> None:
     """Print the version."""
     from importlib import metadata
 
@@ -24,6 +24,6 @@ def version() -> None:
 
 make.register(app)
 check.register(app)
-app.command()(version)
+app.command("version")(print_version)
 for module in (plan_options, coupon, look, mill, tokens, jobs, serve):
     module.register(app)

@@ -16,10 +16,10 @@ from service.processes.kernel_cache import JOBS
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command()(coupon)
+    app.command("coupon")(draw_coupon)
 
 
-def coupon(
+def draw_coupon(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the test piece.")],
     photo: Annotated[
         Path | None,

@@ -85,14 +85,14 @@ def get(
 
 
 @jobs_app.callback()
-def jobs(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def take_server(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """The jobs of a server; without a further word: the latest."""
     if context.invoked_subcommand is None:
-        jobs_list(server=server, token_file=token_file)
+        list_jobs(server=server, token_file=token_file)
 
 
 @jobs_app.command("list")
-def jobs_list(
+def list_jobs(
     state: StateOption = None, limit: LimitOption = 20, server: ServerOption = None, token_file: TokenOption = None
 ) -> None:
     """The latest jobs."""
@@ -103,7 +103,7 @@ def jobs_list(
 
 
 @jobs_app.command("show")
-def jobs_show(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def show_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """One job: state, stages, programs."""
     from service.client.jobs import job_lines
 
@@ -112,7 +112,7 @@ def jobs_show(job: JobArgument, server: ServerOption = None, token_file: TokenOp
 
 
 @jobs_app.command("follow")
-def jobs_follow(
+def follow_job(
     job: JobArgument, server: ServerOption = None, token_file: TokenOption = None, quiet: QuietOption = False
 ) -> None:
     """Watch a job until it has ended; exit code 1 if it did not succeed."""
@@ -122,19 +122,19 @@ def jobs_follow(
 
 
 @jobs_app.command("cancel")
-def jobs_cancel(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def cancel_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """End a job."""
     _send_command(job, "cancel", server, token_file)
 
 
 @jobs_app.command("retry")
-def jobs_retry(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def retry_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Start a failed or cancelled job again; what it had finished is kept."""
     _send_command(job, "retry", server, token_file)
 
 
 @jobs_app.command("delete")
-def jobs_delete(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def delete_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Forget a job that has ended, and its files."""
     with _connect(server, token_file) as link:
         link.delete(f"/v1/jobs/{job}")

@@ -32,8 +32,10 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the command line."""
-    for command in (make, design, cam, caustic):
-        app.command()(command)
+    app.command()(make)
+    app.command()(design)
+    app.command("cam")(make_programs)
+    app.command("caustic")(simulate_caustic)
 
 
 def make(
@@ -88,7 +90,7 @@ def design(
     _print_summary(output, report, quiet)
 
 
-def cam(
+def make_programs(
     folder: FolderArgument,
     spec: SpecOption = None,
     preset: PresetOption = None,
@@ -102,11 +104,11 @@ def cam(
 
     resolved = resolve_for_lens(folder, file=spec, preset=preset, overrides=set_ or ())
     with report_progress(quiet) as reporter:
-        report = pipeline.cam(folder, resolved, reporter=reporter)
+        report = pipeline.make_programs(folder, resolved, reporter=reporter)
     _print_summary(folder, report, quiet)
 
 
-def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
+def simulate_caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
     """Simulate the light of an earlier design again: scores, caustic, through-focus."""
     from service.job import pipeline
     from service.job.spec.loading import load_stored_job
@@ -114,7 +116,7 @@ def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
 
     stored = load_stored_job(folder)
     with report_progress(quiet) as reporter:
-        report = pipeline.caustic(folder, stored, reporter=reporter)
+        report = pipeline.simulate_caustic(folder, stored, reporter=reporter)
     _print_summary(folder, report, quiet)
 
 

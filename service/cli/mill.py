@@ -28,13 +28,13 @@ PortOption = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the command line."""
-    app.command()(mill)
+    app.command("mill")(run_agent)
     app.command()(stream)
-    app.command("sim-mill")(sim_mill)
-    app.command()(machines)
+    app.command("sim-mill")(run_simulated_mill)
+    app.command("machines")(list_machines)
 
 
-def mill(
+def run_agent(
     machine: MachineOption,
     port: PortOption = None,
     host: Annotated[str, typer.Option("--host", help="Address to serve on.")] = "127.0.0.1",
@@ -100,7 +100,7 @@ def stream(
         stream_program(order)
 
 
-def sim_mill(
+def run_simulated_mill(
     pty: Annotated[bool, typer.Option("--pty", help="Offer a pseudo terminal (the default).")] = False,
     tcp: Annotated[str | None, typer.Option("--tcp", metavar="HOST:PORT", help="Offer a TCP port instead.")] = None,
     firmware: Annotated[str, typer.Option("--firmware", help="grbl11, grblhal, fluidnc or grbl11-echo.")] = "grbl11",
@@ -137,7 +137,7 @@ def sim_mill(
             raise InputError(str(error)) from None
 
 
-def machines(
+def list_machines(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One machine, in full.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Check profiles; with NAME its port, too.")] = False,
 ) -> None:

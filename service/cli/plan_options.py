@@ -17,7 +17,7 @@ ToolsOption = Annotated[Path | None, typer.Option("--tools", metavar="FILE", hel
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the command line."""
     app.command()(plan)
-    app.command()(tools)
+    app.command("tools")(list_tools)
 
 
 def plan(
@@ -54,7 +54,7 @@ def plan(
             print(line)
 
 
-def tools(
+def list_tools(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A library to read and show.")] = None,
 ) -> None:
     """List the ball end mills that plans choose from."""

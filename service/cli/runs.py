@@ -28,14 +28,14 @@ def register(app: typer.Typer) -> None:
 
 
 @runs_app.callback()
-def runs(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def take_server(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """The runs of a server; without a further word: the latest."""
     if context.invoked_subcommand is None:
-        runs_list(server=server, token_file=token_file)
+        list_runs(server=server, token_file=token_file)
 
 
 @runs_app.command("list")
-def runs_list(
+def list_runs(
     machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Of this mill only.")] = None,
     server: ServerOption = None,
     token_file: TokenOption = None,
@@ -48,7 +48,7 @@ def runs_list(
 
 
 @runs_app.command("show")
-def runs_show(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def show_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """One run: state, tool, stock, zero."""
     from service.client.runs import run_lines
 
@@ -57,7 +57,7 @@ def runs_show(run: RunArgument, server: ServerOption = None, token_file: TokenOp
 
 
 @runs_app.command("park")
-def runs_park(
+def park_run(
     job: JobArgument,
     machine: Annotated[str, typer.Option("--machine", metavar="NAME", help="The mill.")],
     program: Annotated[
@@ -78,7 +78,7 @@ def runs_park(
 
 
 @runs_app.command("start")
-def runs_start(
+def start_run(
     run: RunArgument,
     confirm: ConfirmOption = None,
     operator: OperatorOption = None,
@@ -91,7 +91,7 @@ def runs_start(
 
 
 @runs_app.command("recover")
-def runs_recover(
+def recover_run(
     run: RunArgument,
     confirm: ConfirmOption = None,
     operator: OperatorOption = None,
@@ -104,13 +104,13 @@ def runs_recover(
 
 
 @runs_app.command("hold")
-def runs_hold(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def hold_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Let the mill stand still. Not an emergency stop."""
     _stop(run, "hold", server, token_file)
 
 
 @runs_app.command("resume")
-def runs_resume(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def resume_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Go on after a hold."""
     from service.client.runs import state_line
 
@@ -120,13 +120,13 @@ def runs_resume(run: RunArgument, server: ServerOption = None, token_file: Token
 
 
 @runs_app.command("abort")
-def runs_abort(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def abort_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """End a run."""
     _stop(run, "abort", server, token_file)
 
 
 @runs_app.command("follow")
-def runs_follow(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+def follow_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Watch a run until it has ended; exit code 1 if it was not finished."""
     with _connect(server, token_file) as link:
         link.get(f"/v1/runs/{run}")

@@ -45,7 +45,7 @@ service_commands = typer.Typer(
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the command line."""
     app.command()(serve)
-    app.command()(worker)
+    app.command("worker")(run_worker)
     app.add_typer(service_commands)
 
 
@@ -88,7 +88,7 @@ def serve(
     )
 
 
-def worker(
+def run_worker(
     data: DataOption = None,
     slots: SlotsOption = None,
     database_url: DatabaseOption = None,
@@ -141,8 +141,8 @@ def install(
         print(line)
 
 
-@service_commands.command()
-def backup(
+@service_commands.command("backup")
+def back_up(
     target: Annotated[Path, typer.Argument(metavar="FILE.tar", help="The backup; - is standard output.")],
     data: DataOption = None,
 ) -> None:

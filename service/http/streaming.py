@@ -46,7 +46,7 @@ async def send_piece(send: Send, body: bytes, *, more: bool = True) -> None:
     await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
 
 
-async def while_connected(receive: Receive, writing: Coroutine[None, None, None]) -> None:
+async def write_while_connected(receive: Receive, writing: Coroutine[None, None, None]) -> None:
     """Write until all is written or the other side is gone; both tasks have ended when this returns."""
     tasks = (asyncio.ensure_future(_await_disconnect(receive)), asyncio.ensure_future(writing))
     try:

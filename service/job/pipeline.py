@@ -91,17 +91,17 @@ def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter,
     return folder_job.so_far.report
 
 
-def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
+def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
     """Write programs for the lens in a job's folder."""
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _job(output, job, reporter, keep=kept) as folder_job:
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
         folder_job.work(lambda context: require_fit_in_stock(context, lens))
         if job.spec.to_be_planned:
-            from service.job.stages.passes import passes_for_lens
+            from service.job.stages.passes import plan_passes_for_lens
 
             folder_job.desk[job_files.MAP] = load_target(output / job_files.MAP)
-            folder_job.work(passes_for_lens)
+            folder_job.work(plan_passes_for_lens)
         folder_job.work(_note_shortage)
         for stage in folder_job.so_far.stages():
             if stage == _LAST:
@@ -111,7 +111,7 @@ def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]
     return folder_job.so_far.report
 
 
-def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
+def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
     """Return the light behind the lens in a job's folder, simulated again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]

@@ -104,7 +104,11 @@ class LocalStore:
         return place if place.is_file() else None
 
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
-        with contextlib.suppress(MissingObjectError), _translate_errors("cannot delete"), self._lock(fcntl.LOCK_EX):
+        with (
+            contextlib.suppress(MissingObjectError),
+            _translate_errors("cannot delete"),
+            self._take_lock(fcntl.LOCK_EX),
+        ):
             if stored_before is None or self.head(sha256).stored_at < stored_before:
                 self._place(sha256).unlink(missing_ok=True)
 
@@ -134,7 +138,7 @@ class LocalStore:
     def _link(self, path: Path, sha256: str, size: int) -> bool:
         """Link; False where this file system does not link."""
         target = self._prepare_place(sha256)
-        with self._lock(fcntl.LOCK_SH):
+        with self._take_lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 try:
                     os.link(path, target)
@@ -150,7 +154,7 @@ class LocalStore:
 
     def _rename(self, part: Path, sha256: str, size: int) -> None:
         target = self._prepare_place(sha256)
-        with self._lock(fcntl.LOCK_SH):
+        with self._take_lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 part.rename(target)
         _sync_folder(target.parent)
@@ -163,7 +167,7 @@ class LocalStore:
         return target
 
     @contextlib.contextmanager
-    def _lock(self, kind: int) -> Iterator[None]:
+    def _take_lock(self, kind: int) -> Iterator[None]:
         with self._guard.open("rb") as guard:
             fcntl.flock(guard, kind)
             yield

@@ -52,12 +52,12 @@ def render_setup_pdf(setup: Mapping[str, Any], picture: bytes | None) -> bytes:
     top = _draw_head(paper, setup, title, picture)
     top = _draw_programs(paper, setup["passes"], top) + _GAP
     _draw_columns(paper, setup, top)
-    return paper.pdf(known(title))
+    return paper.render_pdf(known(title))
 
 
 def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: bytes | None) -> float:
     """Draw name, facts, verdict, and the picture at the right; return where the rest begins."""
-    right = WIDTH - _EDGE if picture is None else paper.picture(picture, WIDTH - _EDGE, _EDGE, _PICTURE) - _GAP
+    right = WIDTH - _EDGE if picture is None else paper.draw_picture(picture, WIDTH - _EDGE, _EDGE, _PICTURE) - _GAP
     y = _EDGE
     verdict = {"good": _GREEN, "bad": _RED}.get(setup["verdict"][0], INK)
     parts = (
@@ -69,7 +69,7 @@ def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: byte
         words = [(word, bold) for word in text.split()] if bold else words_of(text)
         for words_of_line in _at_most(list(wrap(words, right - _EDGE, size)), most):
             y += 1.2 * size
-            paper.line(_EDGE, y, words_of_line, size, colour)
+            paper.write_line(_EDGE, y, words_of_line, size, colour)
         y += 4
     return max(y, _EDGE + (0 if picture is None else _PICTURE)) + 10
 
@@ -90,13 +90,13 @@ def _draw_programs(paper: Paper, passes: Sequence[Mapping[str, Any]], top: float
     for k, cells in enumerate(rows):
         x, base = _EDGE, top + (k + 0.72) * height
         if k % 2:
-            paper.box(_EDGE, top + k * height, WIDTH - 2 * _EDGE, height, facecolor="#eef2f6", edgecolor="none")
+            paper.draw_box(_EDGE, top + k * height, WIDTH - 2 * _EDGE, height, facecolor="#eef2f6", edgecolor="none")
         for at, (words, (_, width)) in enumerate(zip(cells, _COLUMNS, strict=True)):
             left, strong = at < _LEFT_COLUMNS, k > 0 and at in (1, 2)
             wanted = 7.5 if k == 0 else min(9.5, 0.66 * height)
             size = min(wanted, wanted * (width - 5) / max(width_of(words, strong, wanted), 1.0))
             look: dict[str, Any] = {"bold": strong, "colour": INK if k else _SOFT, "anchor": "start" if left else "end"}
-            paper.text(x if left else x + width, base, words, size, **look)
+            paper.write(x if left else x + width, base, words, size, **look)
             x += width
     return top + len(rows) * height
 
@@ -133,7 +133,7 @@ def _draw_columns(paper: Paper, setup: Mapping[str, Any], top: float) -> None:
         if len(lines) <= split + second:
             break
     for k, view in enumerate(views):
-        paper.svg(view, _EDGE, top + sum(map(_height, views[:k])), _scale(view))
+        paper.draw_svg(view, _EDGE, top + sum(map(_height, views[:k])), _scale(view))
     _write(paper, lines[:split], _EDGE, below, size)
     _write(paper, lines[split : split + second], _EDGE + _COLUMN + _GAP, top, size)
 
@@ -176,9 +176,9 @@ def _write(paper: Paper, lines: Sequence[_Line], x: float, top: float, size: flo
     for k, line in enumerate(lines):
         y = top + (k + 0.85) * _LEADING * size
         if line.mark:
-            paper.text(x, y, line.mark, size, bold=line.is_loud, colour=_RED if line.is_loud else INK)
+            paper.write(x, y, line.mark, size, bold=line.is_loud, colour=_RED if line.is_loud else INK)
         indent, colour = (0.0, _RED if line.is_loud else INK) if line.is_title else (1.3 * size, INK)
-        paper.line(x + indent, y, line.words, size, colour)
+        paper.write_line(x + indent, y, line.words, size, colour)
 
 
 def _lines(setup: Mapping[str, Any], size: float, most: int) -> Iterator[_Line]:

@@ -26,7 +26,7 @@ def choose_passes(context: StageContext) -> None:
         _tell(context, plan_for_picture(context.job, target, on_progress=on_progress))
 
 
-def passes_for_lens(context: StageContext) -> None:
+def plan_passes_for_lens(context: StageContext) -> None:
     """Plan passes for a lens that exists; report `plan`, plan.png."""
     lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
     with context.watch.stage("plan") as on_progress:

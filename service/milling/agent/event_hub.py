@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from starlette.types import Receive, Scope, Send
 
 from service.http.problems import Problem, problem_response
-from service.http.streaming import PING, begin_events, compact_json, event_bytes, send_piece, while_connected
+from service.http.streaming import PING, begin_events, compact_json, event_bytes, send_piece, write_while_connected
 
 _QUEUE = 256
 
@@ -124,7 +124,7 @@ class HubStream:
             await problem_response(problem)(scope, receive, send)
             return
         try:
-            await while_connected(receive, self._write(reader, first, send))
+            await write_while_connected(receive, self._write(reader, first, send))
         finally:
             self._hub.leave(reader)
 

@@ -66,7 +66,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)
         stack.callback(connector.close_unused)
-        _first_link(connector, settings.port_url)
+        _open_first_link(connector, settings.port_url)
         thread.start()
         asyncio.run(_serve(settings, profile, connector, thread, listener, catch_stop or _catch_stop_signals))
 
@@ -92,7 +92,7 @@ def bound_socket(host: str, port: int) -> socket.socket:
     return listener
 
 
-def _first_link(connector: Connector, url: str) -> None:
+def _open_first_link(connector: Connector, url: str) -> None:
     """Open the port now. One that is busy or makes no sense ends the agent; one that is not there yet is waited for."""
     try:
         connector.open_now()

@@ -39,7 +39,7 @@ from service.server.api.routes import (
     tools,
 )
 from service.server.api.services import Services
-from service.server.fleet.notifications import Delivery, watch_mills, ways_out
+from service.server.fleet.notifications import Delivery, list_ways_out, watch_mills
 
 _ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
 
@@ -109,7 +109,7 @@ def make_app(services: Services) -> FastAPI:
 async def _life(services: Services) -> AsyncIterator[None]:
     """Look at runs as long as the server serves; then end streams and links to the mills' agents."""
     behind = [services.fleet.watch(), services.stop_access.keep_fresh()]
-    if ways := ways_out(services.settings):
+    if ways := list_ways_out(services.settings):
         delivery = Delivery(ways)
         behind += [delivery.run(), watch_mills(services.fleet, delivery.tell)]
     tasks = [asyncio.create_task(work) for work in behind]

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.server.api.shared_call import SharedCall
 from service.server.database.connection import begin_reading, clock
 from service.server.database.counters import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
-from service.server.database.jobs import count_jobs, oldest_queued_at
+from service.server.database.jobs import count_jobs, find_oldest_queued_at
 from service.server.database.states import StageState
 from service.server.database.tables import executors, runs
 
@@ -74,7 +74,7 @@ def _jobs(connection: sa.Connection, counted: Mapping[Counter, float]) -> Iterat
     for state, number in count_jobs(counted).items():
         states.add_metric([str(state)], number)
     yield states
-    now, oldest = clock(connection), oldest_queued_at(connection)
+    now, oldest = clock(connection), find_oldest_queued_at(connection)
     age_s = 0.0 if oldest is None else max(0.0, now - oldest)
     yield _single("causticmill_queue_age_seconds", "How long the oldest waiting job waits", age_s)
     yield _single("causticmill_recoveries", "Claims of jobs beyond the first", counted.get(RECOVERIES, 0.0))

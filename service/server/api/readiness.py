@@ -31,7 +31,12 @@ class Readiness:
         self._settings = settings
         self._engine = database
         self._artifacts = store
-        parts = {"database": self._database, "store": self._store, "worker": self._worker, "disk": self._disk}
+        parts = {
+            "database": self._check_database,
+            "store": self._store,
+            "worker": self._check_worker,
+            "disk": self._check_disk,
+        }
         self._checks = {name: SharedCall(partial(_check, name, check)) for name, check in parts.items()}
 
     async def checks(self) -> dict[str, str]:
@@ -39,7 +44,7 @@ class Readiness:
         words = await asyncio.gather(*map(_answer, self._checks.values()))
         return dict(zip(self._checks, words, strict=True))
 
-    def _database(self) -> None:
+    def _check_database(self) -> None:
         with begin_writing(self._engine) as connection:
             row = {"principal": "", "kind": "ready", "key": "", "request_sha256": "", "resource_id": ""}
             put_rows(connection, idempotency_keys, [row | {"created_at": clock(connection)}])
@@ -47,14 +52,14 @@ class Readiness:
     def _store(self) -> None:
         self._artifacts.check()
 
-    def _worker(self) -> None:
+    def _check_worker(self) -> None:
         lease_s = self._settings.lease_s
         with begin_reading(self._engine) as connection:
             live = executors.c.seen_at > clock(connection) - lease_s
             if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
                 raise _WrongError(f"no worker was heard of for {lease_s:g} s; jobs wait")
 
-    def _disk(self) -> None:
+    def _check_disk(self) -> None:
         settings = self._settings
         free_mb = shutil.disk_usage(settings.data).free / 1e6
         if free_mb < settings.free_disk_mb:

@@ -123,7 +123,7 @@ class JobBook:
         query = sa.select(*_SUMMARY).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
         with begin_reading(self.database) as connection:
             if before is not None:
-                query = query.where(place < sa.tuple_(_summary(connection, before).created_at, before))
+                query = query.where(place < sa.tuple_(_summarise(connection, before).created_at, before))
             queries = [query.where(jobs.c.state == str(state)) for state in set(states)] or [query]
             found = [JobListRow.of(row) for one in queries for row in connection.execute(one).mappings()]
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
@@ -137,7 +137,7 @@ class JobBook:
     def report_so_far(self, job: Job) -> dict[str, Any] | None:
         """Return report.json of the stages that are done in this attempt; a job that has ended has it itself."""
         with begin_reading(self.database) as connection:
-            return _reports_so_far(connection, [job.id]).get(job.id)
+            return _read_reports(connection, [job.id]).get(job.id)
 
     def add_report(self, job: Job) -> Job:
         """Return the job; where it has not ended, with what its finished stages report."""
@@ -148,7 +148,7 @@ class JobBook:
         with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}
-            reports = _reports_so_far(connection, [job.id for job in found.values() if _is_without_report(job)])
+            reports = _read_reports(connection, [job.id for job in found.values() if _is_without_report(job)])
             programs = list_offered_programs(connection, found)
         found |= {job_id: replace(found[job_id], report=report) for job_id, report in reports.items()}
         return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
@@ -217,7 +217,7 @@ def drop_job(connection: sa.Connection, job: Job) -> None:
     add_to_counters(connection, {state_counter(job.state): -1})
 
 
-def oldest_queued_at(connection: sa.Connection) -> float | None:
+def find_oldest_queued_at(connection: sa.Connection) -> float | None:
     """Return since when the job that has waited longest waits: the first of each priority is asked for."""
     waiting = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == str(JobState.QUEUED))
     firsts = [connection.execute(waiting.where(jobs.c.priority == p)).scalar() for p in PRIORITIES.values()]
@@ -240,7 +240,7 @@ def _is_without_report(job: Job) -> bool:
     return job.report is None and job.started_at is not None
 
 
-def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
+def _read_reports(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
     """Return by job, where there is any, report.json of the stages that are done in its present attempt."""
     if not job_ids:
         return {}
@@ -259,7 +259,7 @@ def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict
     return {job_id: report for job_id, report in merged.items() if report}
 
 
-def _summary(connection: sa.Connection, job_id: str) -> JobListRow:
+def _summarise(connection: sa.Connection, job_id: str) -> JobListRow:
     row = connection.execute(sa.select(*_SUMMARY).where(jobs.c.id == job_id)).mappings().first()
     if row is None:
         raise UnknownJobError(job_id)

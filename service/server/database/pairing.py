@@ -76,7 +76,7 @@ class PairingBook:
         address : what the try is counted by; counts_for_all: in the budget of all addresses, too
         WrongCodeError, NoCodeError; TooManyTriesError: it was not looked at.
         """
-        alive = self._live()
+        alive = self._find_live()
         if not alive:
             raise NoCodeError
         with begin_writing(self._engine) as connection:
@@ -90,9 +90,9 @@ class PairingBook:
 
     def is_live(self, offer: str) -> bool:
         """Return whether the code of this offer is still taken."""
-        return any(row["id"] == offer.partition(":")[0] for row in self._live())
+        return any(row["id"] == offer.partition(":")[0] for row in self._find_live())
 
-    def _live(self) -> list[Any]:
+    def _find_live(self) -> list[Any]:
         with begin_reading(self._engine) as connection:
             return list(connection.execute(select(pairings).where(pairings.c.expires_at > self._clock())).mappings())
 

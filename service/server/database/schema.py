@@ -37,7 +37,7 @@ def upgrade_schema(database: sa.Engine, *, allowed: str | None = None) -> None:
     allowed : the version to which PostgreSQL's tables may be brought although they hold jobs; InputError otherwise
     """
     with begin_reading(database) as connection:
-        if _version_in(connection) == HEAD:
+        if _read_version(connection) == HEAD:
             return
     from alembic import command
 
@@ -76,12 +76,12 @@ def alembic_config() -> Config:
 def _version(database: sa.Engine) -> tuple[str | None, str]:
     try:
         with begin_reading(database) as connection:
-            return _version_in(connection), ""
+            return _read_version(connection), ""
     except sa.exc.OperationalError as error:
         return None, str(error.orig)
 
 
-def _version_in(connection: sa.Connection) -> str | None:
+def _read_version(connection: sa.Connection) -> str | None:
     if not sa.inspect(connection).has_table(_TABLE.name):
         return None
     return connection.execute(sa.select(_TABLE.c.version_num)).scalar()
@@ -89,7 +89,7 @@ def _version_in(connection: sa.Connection) -> str | None:
 
 def _keep_way_back(connection: sa.Connection, allowed: str | None) -> None:
     """Make the copy, or see that a person has. Nobody else upgrades meanwhile: the connection holds the lock."""
-    found = _version_in(connection)
+    found = _read_version(connection)
     if found is None or found == HEAD:
         return
     if is_sqlite(connection):
@@ -108,7 +108,7 @@ def _keep_way_back(connection: sa.Connection, allowed: str | None) -> None:
 def _require_known(connection: sa.Connection, config: Config) -> None:
     from alembic.script import ScriptDirectory
 
-    found = _version_in(connection)
+    found = _read_version(connection)
     known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
     if found is not None and found not in known:
         raise FailedError(f"the database was made by a newer causticmill (its tables have version {found})")

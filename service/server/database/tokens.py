@@ -78,7 +78,7 @@ class TokenBook:
             raise InputError("expires: allowed: a time from now on, within a hundred years")
         token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=expires_at)
         with begin_writing(self.engine) as connection:
-            if name in _live_names(connection, now):
+            if name in _list_live_names(connection, now):
                 raise InputError(f"name '{name}': there is a token of this name; revoke that one or take another name")
             return token, _insert(connection, token)
 
@@ -91,7 +91,7 @@ class TokenBook:
         now, wanted = self._clock(), check_scopes(scopes)
         with begin_writing(self.engine) as connection:
             connection.execute(delete(tokens).where(tokens.c.paired, tokens.c.expires_at < now - _ENDED_KEPT_S))
-            taken = _live_names(connection, now)
+            taken = _list_live_names(connection, now)
             names = itertools.chain([person], (f"{person} {number}" for number in itertools.count(2)))
             name = next(name for name in names if name not in taken)
             token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=now + life_s, paired=True)
@@ -190,7 +190,7 @@ def check_scopes(scopes: Iterable[str]) -> frozenset[str]:
     return frozenset(str(TokenScope(word)) for word in wanted)
 
 
-def _live_names(connection: Connection, now: float) -> frozenset[str]:
+def _list_live_names(connection: Connection, now: float) -> frozenset[str]:
     return frozenset(found.name for found in map(_token, connection.execute(_ALL).mappings()) if found.live(now))
 
 

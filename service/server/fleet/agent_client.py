@@ -89,15 +89,15 @@ class AgentLink:
         self._address: tuple[str, str] | None = None  # where the right agent is, and its token
         self._last_address: tuple[str, str] | None = None  # where it was met last: good enough for a stop
         self._finding = asyncio.Lock()
-        self.feed = AgentFeed(self.events, AgentAwayError)
+        self.feed = AgentFeed(self.open_events, AgentAwayError)
 
     async def get(self, path: str, *, timeout_s: float = ASK_S) -> Json:
-        return await self._told("GET", path, timeout_s=timeout_s)
+        return await self._tell("GET", path, timeout_s=timeout_s)
 
     async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
-        return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
+        return await self._tell("POST", path, timeout_s=timeout_s, json=body or {})
 
-    async def once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
+    async def send_once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
         """Send as `post`, but not even one that certainly did not arrive is sent again: an order is for now or for
         never.
         """
@@ -106,7 +106,7 @@ class AgentLink:
     async def delete(self, path: str, *, headers: Json) -> Json:
         return await self._request("DELETE", path, timeout_s=ASK_S, headers=headers)
 
-    async def urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
+    async def send_urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
         """Send a stop: to do it twice is better than not at all, so one that failed is sent once more.
 
         It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
@@ -119,7 +119,7 @@ class AgentLink:
                         return await self._ask_at(
                             self._last_address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
                         )
-                self._address = self._last_address = await self._found()
+                self._address = self._last_address = await self._find()
                 return await self._ask_at(self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers)
         except TimeoutError:
             words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
@@ -127,34 +127,34 @@ class AgentLink:
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}
-        return await self._told("PUT", path, timeout_s=TELL_S, content=content, headers=headers)
+        return await self._tell("PUT", path, timeout_s=TELL_S, content=content, headers=headers)
 
     @asynccontextmanager
-    async def events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
+    async def open_events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
         """Open the lines of the agent's event stream."""
-        url, token = await self.address()
+        url, token = await self.find_address()
         headers = {"Authorization": f"Bearer {token}"} | ({"Last-Event-ID": last_id} if last_id else {})
         timeout = httpx.Timeout(_QUIET_S, connect=_CONNECT_S)
         try:
             async with self._client().stream("GET", f"{url}/v1/events", headers=headers, timeout=timeout) as answer:
                 if answer.status_code != 200:
-                    raise self._refusal(answer.status_code, await _whole(answer, self.machine.name))
-                yield _lines(answer, self.machine.name)
+                    raise self._refusal(answer.status_code, await _read_whole(answer, self.machine.name))
+                yield _read_lines(answer, self.machine.name)
         except _HTTP_ERRORS as error:
             self._address = None
             raise self._make_unreached(error) from None
 
-    async def address(self) -> tuple[str, str]:
+    async def find_address(self) -> tuple[str, str]:
         """Return the address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
         if self._address is None:
             async with self._finding:
                 if self._address is None:
-                    self._address = self._last_address = await self._found()
+                    self._address = self._last_address = await self._find()
         return self._address
 
     # ------------------------------------------------------------------
 
-    async def _found(self) -> tuple[str, str]:
+    async def _find(self) -> tuple[str, str]:
         last: AgentAwayError | None = None
         for url, token_file in self._candidates():
             try:
@@ -195,7 +195,7 @@ class AgentLink:
             there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
             raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}", ServerCode.AGENT_OTHER)
 
-    async def _told(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+    async def _tell(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         """Send; one that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent
         again.
         """
@@ -208,7 +208,7 @@ class AgentLink:
             return await self._request(method, path, timeout_s=timeout_s, **more)
 
     async def _request(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
-        return await self._ask_at(await self.address(), method, path, timeout_s=timeout_s, **more)
+        return await self._ask_at(await self.find_address(), method, path, timeout_s=timeout_s, **more)
 
     async def _ask_at(self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         url, token = address
@@ -234,7 +234,7 @@ class AgentLink:
         timeout = httpx.Timeout(within_s, connect=_CONNECT_S)
         async with asyncio.timeout(None if "content" in more else within_s + _CONNECT_S):
             async with self._client().stream(method, url, headers=own, timeout=timeout, **more) as answer:
-                return answer.status_code, await _whole(answer, self.machine.name)
+                return answer.status_code, await _read_whole(answer, self.machine.name)
 
     def _refusal(self, status: int, content: bytes) -> Problem:
         """Return the agent's own refusal; what is between it and us only is not the caller's fault."""
@@ -264,7 +264,7 @@ class AgentLink:
         return AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"reason": reason}, sent=sent)
 
 
-async def _whole(answer: httpx.Response, machine: str) -> bytes:
+async def _read_whole(answer: httpx.Response, machine: str) -> bytes:
     content = bytearray()
     async for piece in answer.aiter_raw():
         content += piece
@@ -273,7 +273,7 @@ async def _whole(answer: httpx.Response, machine: str) -> bytes:
     return bytes(content)
 
 
-async def _lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
+async def _read_lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
     """Yield lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
     rest = b""
     async for piece in answer.aiter_raw():

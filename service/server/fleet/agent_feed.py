@@ -38,7 +38,7 @@ class AgentFeed:
         self._status: Message = {}
         self._catching_up = asyncio.Semaphore(_CATCH_UP)
 
-    async def messages(self, last_id: str) -> AsyncGenerator[Message]:
+    async def follow(self, last_id: str) -> AsyncGenerator[Message]:
         """Yield those after last_id, then how things stand, then each new one; ends with the error for a broken
         stream.
         """
@@ -103,7 +103,7 @@ def known_id(text: str) -> str:
     return text if _EVENT_ID.fullmatch(text) else ""
 
 
-async def until(
+async def iterate_until(
     ending: asyncio.Event, messages: AsyncGenerator[Message], *, tick_s: float | None = None
 ) -> AsyncGenerator[Message | None]:
     """Yield the messages, as long as the server does not end; None each time that none has come for `tick_s`."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
-from service.server.fleet.registry import KnownMachine, known_machines, local_folder
+from service.server.fleet.registry import KnownMachine, local_folder, read_machines
 from service.settings import PREFIX, ServerSettings
 
 LOG_FILE = "agent.log"
@@ -25,7 +25,7 @@ _LONGEST_LOG_BYTES = 5_000_000
 
 def start_agents(settings: ServerSettings) -> list[tuple[str, str]]:
     """Start what does not run yet; machine and what became of it, in words, one for each. Does not wait for them."""
-    machines, _ = known_machines(settings)
+    machines, _ = read_machines(settings)
     own = [machine for machine in machines.values() if not machine.remote and not machine.simulated]
     return [(machine.name, _start(settings, machine)) for machine in own]
 
@@ -56,7 +56,7 @@ def is_owned(folder: Path) -> bool:
         return False
     try:
         owner = os.pread(descriptor, 32, 0).strip()
-        if not owner.isdigit() or not _lives(int(owner)):
+        if not owner.isdigit() or not _is_alive(int(owner)):
             return False
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
@@ -66,7 +66,7 @@ def is_owned(folder: Path) -> bool:
     return False
 
 
-def _lives(pid: int) -> bool:
+def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
     except OSError as error:

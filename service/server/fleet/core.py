@@ -17,7 +17,7 @@ from service.server.database.jobs import JobBook
 from service.server.database.runs import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError, make_reason
 from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
-from service.server.fleet.registry import KnownMachine, known_machines
+from service.server.fleet.registry import KnownMachine, read_machines
 from service.settings import ServerSettings
 from service.store.base import Store
 
@@ -67,17 +67,17 @@ class FleetCore:
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._threads, lambda: function(*arguments, **named))
 
-    async def machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
-        return await self.do(known_machines, self.settings)
+    async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        return await self.do(read_machines, self.settings)
 
-    async def machine(self, name: str) -> KnownMachine:
+    async def find_machine(self, name: str) -> KnownMachine:
         """Return the machine; Problem 404 where there is none of this name."""
-        known, _ = await self.machines()
+        known, _ = await self.list_machines()
         if name not in known:
             raise no_machine(name, known)
         return known[name]
 
-    def link(self, machine: KnownMachine) -> AgentLink:
+    def get_link(self, machine: KnownMachine) -> AgentLink:
         """Return the link to its agent; a new one where the machine has changed."""
         found = self.links.get(machine.name)
         if found is None or found.machine != machine:
@@ -90,10 +90,10 @@ class FleetCore:
 
     async def renew_link(self, machine: str) -> AgentLink:
         """Return the link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
-        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, known_machines, self.settings)
+        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
         if machine not in known:
             raise no_machine(machine, known)
-        return self.link(known[machine])
+        return self.get_link(known[machine])
 
     def remember(self, run: RunRow) -> RunRow:
         """Return where this run is, so that a stop of it asks no database."""
@@ -104,32 +104,32 @@ class FleetCore:
             self.known_runs[run.id] = run
         return run
 
-    async def row(self, run_id: str) -> RunRow:
+    async def get_row(self, run_id: str) -> RunRow:
         """Return the run by the database. Problem 404 where there is none."""
         try:
             return await self.do(self.runs.get, run_id)
         except UnknownRunError as error:
             raise Problem(404, str(error), field="run") from None
 
-    async def link_of(self, run: RunRow) -> AgentLink:
+    async def find_link(self, run: RunRow) -> AgentLink:
         """Return the link to the agent that has this run."""
         try:
-            return self.known_link(run.machine) or self.link(await self.machine(run.machine))
+            return self.known_link(run.machine) or self.get_link(await self.find_machine(run.machine))
         except Problem as gone:
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
-    async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
+    async def look_at(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
         """Return the run as its agent has it now, written down where that is news."""
-        seen = await self._seen(run, timeout_s=timeout_s)
+        seen = await self._look_at(run, timeout_s=timeout_s)
         (self.live_runs.add if seen.run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
         return seen
 
-    async def _seen(self, run: RunRow, *, timeout_s: float) -> Seen:
+    async def _look_at(self, run: RunRow, *, timeout_s: float) -> Seen:
         self.remember(run)
         if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
             return Seen(run)
         try:
-            link = await self.link_of(run)
+            link = await self.find_link(run)
             view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
         except AgentAwayError as away:
             return Seen(run, away.problem())

@@ -63,7 +63,7 @@ class Fleet:
         while not await self._core.await_end(every_s):
             try:
                 rows = await self._core.do(self._core.runs.open_ones)
-                await asyncio.gather(*map(self._now, rows))
+                await asyncio.gather(*map(self._repair_and_look, rows))
             except Exception as error:  # the database or a mill is away, or an agent talks nonsense
                 _log.warning("runs were not looked at", error=printable(str(error))[:200])
 
@@ -79,33 +79,33 @@ class Fleet:
 
     # ------------------------------------------------------------------ machines
 
-    async def machines(self) -> MachineList:
-        known, problems = await self._core.machines()
-        rows = await asyncio.gather(*(self._machine(machine) for machine in known.values()))
+    async def list_machines(self) -> MachineList:
+        known, problems = await self._core.list_machines()
+        rows = await asyncio.gather(*(self._describe_machine(machine) for machine in known.values()))
         return MachineList(machines=rows, problems=problems)
 
-    async def machine(self, name: str) -> MachineView:
-        return await self._machine(await self._core.machine(name))
+    async def get_machine(self, name: str) -> MachineView:
+        return await self._describe_machine(await self._core.find_machine(name))
 
     async def take_picture(self, name: str) -> bytes:
         """Return a JPEG of the camera beside that mill."""
-        machine = await self._core.machine(name)
+        machine = await self._core.find_machine(name)
         if not machine.camera:
             raise Problem(404, f"there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are")
         return await self._cameras.take_picture(machine.camera)
 
-    async def _machine(self, machine: KnownMachine) -> MachineView:
+    async def _describe_machine(self, machine: KnownMachine) -> MachineView:
         status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)
         try:
-            status = await self._core.link(machine).get("/v1/status")
-            run = None if run is None else (await self._now(run)).run
+            status = await self._core.get_link(machine).get("/v1/status")
+            run = None if run is None else (await self._repair_and_look(run)).run
         except (AgentAwayError, Problem) as error:
             away = as_problem(error)
         return make_machine_view(machine, status, away, run if run is not None and run.open else None)
 
-    async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
+    async def follow_machine(self, name: str, last_id: str) -> AsyncIterator[bytes]:
         """Return what a mill does and what happens at it, as server-sent events without an end."""
-        machine = await self._core.machine(name)
+        machine = await self._core.find_machine(name)
         return self._follow(MachineEvents(self._core, machine, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------ runs
@@ -120,54 +120,56 @@ class Fleet:
         context: OrderContext,
     ) -> tuple[RunView, bool]:
         """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
-        known = await self._core.machine(machine)
+        known = await self._core.find_machine(machine)
         with contextlib.suppress(AgentAwayError):
-            await self._core.link(known).once("/v1/lease/check", {}, timeout_s=ASK_S, headers=context.headers())
+            await self._core.get_link(known).send_once(
+                "/v1/lease/check", {}, timeout_s=ASK_S, headers=context.headers()
+            )
         run = await self._handovers.begin(known, job_id, program, by, key)
         run = self._core.remember(await self._handovers.finish(run, known))
-        return await self._shown(Seen(run)), run.state != PREPARING
+        return await self._make_view(Seen(run)), run.state != PREPARING
 
-    async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> list[RunView]:
+    async def list_runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> list[RunView]:
         """Return runs, newest first; open ones as their agents have them now."""
         try:
             rows = await self._core.do(self._core.runs.list_rows, machine=machine, job=job, limit=limit, before=before)
         except UnknownRunError as error:
             raise Problem(422, str(error), field="cursor") from None
-        seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
+        seen = await asyncio.gather(*(self._repair_and_look(run) if run.open else _keep_as_it_is(run) for run in rows))
         around = await self._core.do(self._read_surroundings, [one.run for one in seen])
         return list(map(make_run_view, seen, around))
 
-    async def run(self, run_id: str) -> RunView:
-        return await self._shown(await self._now(await self._core.row(run_id)))
+    async def get_run(self, run_id: str) -> RunView:
+        return await self._make_view(await self._repair_and_look(await self._core.get_row(run_id)))
 
-    async def recovery(self, run_id: str, caller: str) -> RecoveryView:
-        return await self._controls.recovery(run_id, caller)
+    async def plan_recovery(self, run_id: str, caller: str) -> RecoveryView:
+        return await self._controls.plan_recovery(run_id, caller)
 
     async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
         context = await self._controls.require_grant(run_id, context)
-        run = await self._core.row(run_id)
-        return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
+        run = await self._core.get_row(run_id)
+        return await self._make_view(await self._controls.start(run_id, said, await self._read_around(run), context))
 
     async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
-        return await self._shown(await self._controls.recover(run_id, said, context))
+        return await self._make_view(await self._controls.recover(run_id, said, context))
 
     async def resume(self, run_id: str, context: OrderContext) -> RunView:
-        return await self._shown(await self._controls.resume(run_id, context))
+        return await self._make_view(await self._controls.resume(run_id, context))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunView:
         seen = await self.stops.stop_run(run_id, stop, context)
-        return make_run_view(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
+        return make_run_view(seen, await self.stops.wait_briefly(self._read_around(seen.run), Surroundings()))
 
-    async def past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
+    async def list_past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
         """Return who ordered what at this mill, newest first."""
-        link = self._core.link(await self._core.machine(machine))
+        link = self._core.get_link(await self._core.find_machine(machine))
         from_number = "" if before is None else f"&before={before}"
         told = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
         return parse_reply(PastOrders, told, machine)
 
-    async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
+    async def follow_run(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """Return the run's server-sent events; None where it was over when the reader last heard of it."""
-        seen = await self._now(await self._core.row(run_id))
+        seen = await self._repair_and_look(await self._core.get_row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
         return self._follow(RunEvents(self._core, seen, known_id(last_id)).stream())
@@ -188,13 +190,13 @@ class Fleet:
         finally:
             self._followers -= 1
 
-    async def _now(self, run: RunRow) -> Seen:
-        return await self._core.seen((await self._handovers.repair(Seen(run))).run)
+    async def _repair_and_look(self, run: RunRow) -> Seen:
+        return await self._core.look_at((await self._handovers.repair(Seen(run))).run)
 
-    async def _shown(self, seen: Seen) -> RunView:
-        return make_run_view(seen, await self._around(seen.run))
+    async def _make_view(self, seen: Seen) -> RunView:
+        return make_run_view(seen, await self._read_around(seen.run))
 
-    async def _around(self, run: RunRow) -> Surroundings:
+    async def _read_around(self, run: RunRow) -> Surroundings:
         """Return what is around a run, whose job may be gone by now."""
         return (await self._core.do(self._read_surroundings, [run]))[0]
 
@@ -216,5 +218,5 @@ class Fleet:
         ]
 
 
-async def _as_it_is(run: RunRow) -> Seen:
+async def _keep_as_it_is(run: RunRow) -> Seen:
     return Seen(run)

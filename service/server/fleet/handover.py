@@ -48,9 +48,9 @@ class Handovers:
         core = self._core
         if key is not None and (before := await core.do(core.runs.find_made_before, key, asked)) is not None:
             return before
-        program = await self._chosen(machine, job_id, wanted)
+        program = await self._choose_program(machine, job_id, wanted)
         if (other := await core.do(core.runs.open_on, machine.name)) is not None:
-            await core.seen(other)  # it may have ended since anybody asked
+            await core.look_at(other)  # it may have ended since anybody asked
         new = NewRun(
             machine=machine.name, job_id=job_id, program=program.name, number=program.number, sha256=program.sha256,
             created_by=by, key=key, request_sha256=asked,
@@ -94,7 +94,7 @@ class Handovers:
         if seen.run.state != PREPARING or not seen.run.open:
             return seen
         try:
-            task = self.go_on(seen.run, await self._core.machine(seen.run.machine))
+            task = self.go_on(seen.run, await self._core.find_machine(seen.run.machine))
         except Problem as gone:
             return Seen(seen.run, gone)
         await asyncio.wait({task}, timeout=0.2)
@@ -109,7 +109,7 @@ class Handovers:
 
     # ------------------------------------------------------------------
 
-    async def _chosen(self, machine: KnownMachine, job_id: str, wanted: int | str | None) -> Program:
+    async def _choose_program(self, machine: KnownMachine, job_id: str, wanted: int | str | None) -> Program:
         core = self._core
         try:
             job: Job = await core.do(core.jobs.get, job_id)
@@ -131,7 +131,7 @@ class Handovers:
 
     async def _hand_over(self, run: RunRow, machine: KnownMachine) -> None:
         """Hand over; AgentAwayError leaves the run as it is, to be gone on with; a refusal closes it."""
-        link, posted = self._core.link(machine), False
+        link, posted = self._core.get_link(machine), False
         try:
             await self._bring(link, run)
             posted = True

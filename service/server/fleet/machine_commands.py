@@ -54,16 +54,16 @@ class Orders:
         self, machine: str, context: OrderContext, operator: str, *, take_over: bool
     ) -> tuple[ControlView, bool]:
         """Take control of a machine; return it and whether it is new. Problem 409 where another person has it."""
-        link = self._core.link(await self._core.machine(machine))
+        link = self._core.get_link(await self._core.find_machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
-        lease = await require_answer(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
+        lease = await require_answer(link.send_once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
         secret = str(lease.get("control", ""))
         control = ControlView(**dict(parse_holder(lease)), control=secret, expires_s=LEASE_S)
         return control, secret != context.control
 
     async def release(self, machine: str, context: OrderContext) -> None:
         """Release control, if it was the caller who had it. Problem 409 where it is somebody else's."""
-        link = self._core.link(await self._core.machine(machine))
+        link = self._core.get_link(await self._core.find_machine(machine))
         await require_answer(link.delete("/v1/lease", headers=context.headers()))
 
     # ------------------------------------------------------------------ orders
@@ -72,7 +72,7 @@ class Orders:
         """Ask for a grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped
         since the caller has seen this stop count.
         """
-        link = self._core.link(await self._core.machine(machine))
+        link = self._core.get_link(await self._core.find_machine(machine))
         return parse_reply(GrantView, await require_answer(self._ask_grant(link, context, stops)), machine)
 
     async def require_grant(self, machine: str, context: OrderContext) -> OrderContext:
@@ -87,8 +87,8 @@ class Orders:
         it.
         """
         context = await self.require_grant(machine, context)
-        link = self._core.link(await self._core.machine(machine))
-        sending = link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
+        link = self._core.get_link(await self._core.find_machine(machine))
+        sending = link.send_once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
         return make_order_view(machine, what, await require_answer(sending, what))
 
     # ------------------------------------------------------------------
@@ -111,7 +111,7 @@ class Orders:
         body = {} if stops is None else {"stops": stops}
         left_s = ASK_S - (self._clock() - context.arrived_s)
         if left_s > 0:
-            granted = await link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
+            granted = await link.send_once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
             if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
                 words = "the mill was stopped since: the order was not sent"
                 raise Problem(409, words, field="machine", code=Refusal.STOPPED)

@@ -16,7 +16,7 @@ from service.http.problems import Problem, ServerCode
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, as_problem
-from service.server.fleet.agent_feed import AGAIN_S, Message, known_id, until
+from service.server.fleet.agent_feed import AGAIN_S, Message, iterate_until, known_id
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore
 from service.server.fleet.registry import KnownMachine
@@ -48,47 +48,47 @@ class MachineEvents:
         yield FIRST
         while not core.ending.is_set():
             try:
-                async for piece in self._live():
+                async for piece in self._follow_live():
                     yield piece
                 away = Problem(503, "the event stream of its agent has ended", code=ServerCode.AGENT_SILENT)
             except (AgentAwayError, Problem) as error:
                 away = as_problem(error)
             self._status = None
-            yield await self._state(away, fresh=True) or PING
+            yield await self._make_state(away, fresh=True) or PING
             if await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
                 return
             self._failures += 1
             with contextlib.suppress(Problem):  # its profile is gone: it is told of as it was
-                self._machine = await core.machine(self._machine.name)
+                self._machine = await core.find_machine(self._machine.name)
 
-    async def _live(self) -> AsyncGenerator[bytes]:
+    async def _follow_live(self) -> AsyncGenerator[bytes]:
         """Yield as long as the agent's stream goes on."""
-        link = self._core.link(self._machine)
+        link = self._core.get_link(self._machine)
         self._status = await link.get("/v1/status")
-        yield await self._state(fresh=True)
-        messages = until(self._core.ending, link.feed.messages(self._last_id), tick_s=_TICK_S)
+        yield await self._make_state(fresh=True)
+        messages = iterate_until(self._core.ending, link.feed.follow(self._last_id), tick_s=_TICK_S)
         async with contextlib.aclosing(messages):
             async for message in messages:
                 self._failures = 0
                 if message is not None:
-                    for entry in await self._history(link):
+                    for entry in await self._read_history(link):
                         yield entry
                     self._last_id = known_id(message.get("id", "")) or self._last_id
-                if piece := await self._piece(message):
+                if piece := await self._read_piece(message):
                     yield piece
 
-    async def _piece(self, message: Message | None) -> bytes:
+    async def _read_piece(self, message: Message | None) -> bytes:
         if not message or "data" not in message:
-            return await self._state()
+            return await self._make_state()
         data = json_object(message["data"].encode(), self._machine.name)
         if message.get("event") == "status":
             self._status = data
-            return await self._state()
-        return self._entry(data, self._last_id)
+            return await self._make_state()
+        return self._make_entry(data, self._last_id)
 
     # ------------------------------------------------------------------ what happened
 
-    async def _history(self, link: AgentLink) -> list[bytes]:
+    async def _read_history(self, link: AgentLink) -> list[bytes]:
         """Return what the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is
         lost.
         """
@@ -98,9 +98,9 @@ class MachineEvents:
         self._remembered = True
         if not isinstance(entries, list):
             return []
-        return [piece for entry in entries if isinstance(entry, dict) and (piece := self._entry(entry))]
+        return [piece for entry in entries if isinstance(entry, dict) and (piece := self._make_entry(entry))]
 
-    def _entry(self, entry: Json, event_id: str = "") -> bytes:
+    def _make_entry(self, entry: Json, event_id: str = "") -> bytes:
         """Return the event of an entry; nothing for one that was told already."""
         place = (_number(entry, "at_s"), _number(entry, "number"))
         if place != (0.0, 0.0) and place <= self._told:
@@ -110,13 +110,13 @@ class MachineEvents:
 
     # ------------------------------------------------------------------ how it stands
 
-    async def _state(self, away: Problem | None = None, *, fresh: bool = False) -> bytes:
+    async def _make_state(self, away: Problem | None = None, *, fresh: bool = False) -> bytes:
         """Return a `status` where it is news, a comment now and then, else nothing."""
         now_s = time.monotonic()
         view = table(self._status or {}, "run")
         if fresh or now_s > self._looked_s + _TICK_S or self._run_is_news(view):
             self._looked_s = now_s
-            self._run = await self._open_run(view)
+            self._run = await self._find_open_run(view)
         run = self._run
         if run is not None and _is_about(view, run):
             run = replace(run, view=run_view(view, self._machine.name))
@@ -133,7 +133,7 @@ class MachineEvents:
         known = None if self._run is None else (self._run.agent_run, self._run.state)
         return bool(view) and known != (view.get("id"), view.get("state"))
 
-    async def _open_run(self, view: Json) -> RunRow | None:
+    async def _find_open_run(self, view: Json) -> RunRow | None:
         """Return the run that has the mill; what the agent says of it is written down where that is news."""
         runs = self._core.runs
         run = await self._core.do(runs.open_on, self._machine.name)

@@ -110,8 +110,8 @@ async def watch_mills(
     watch = MillWatch()
     while True:
         try:
-            runs = await fleet.runs(machine=None, job=None, limit=_RUNS, before=None)
-            for one in watch.compare((await fleet.machines()).machines, runs):
+            runs = await fleet.list_runs(machine=None, job=None, limit=_RUNS, before=None)
+            for one in watch.compare((await fleet.list_machines()).machines, runs):
                 await tell(one)
         except Exception as error:  # the database is away, or an agent talks nonsense
             _log.warning("mills were not looked at", error=printable(str(error))[:200])
@@ -153,7 +153,7 @@ class Delivery:
                 await asyncio.sleep(wait_s)
 
 
-def ways_out(settings: ServerSettings) -> dict[str, Send]:
+def list_ways_out(settings: ServerSettings) -> dict[str, Send]:
     """Return the ways that are set up."""
     ways: dict[str, Send] = {}
     if url := settings.notify_url:

@@ -54,7 +54,7 @@ class KnownMachine:
         return bool(self.url)
 
 
-def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], list[str]]:
+def read_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], list[str]]:
     """Return the machines by name, sorted, and what is wrong with the list of remote ones."""
     found = {machine.name: machine for machine in _local_machines(settings)}
     problems: list[str] = []

@@ -77,7 +77,7 @@ class Controls:
             raise Problem(409, words, field="plan", code=Refusal.PLAN)
         context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id, fresh=True)
-        seen = await self._core.seen(run)
+        seen = await self._core.look_at(run)
         if seen.away:
             raise seen.away
         was_open = seen.run.open
@@ -91,13 +91,13 @@ class Controls:
             return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)
         finally:
             if not was_open:  # as its agent has it now: closed again where nothing came of it
-                await self._core.seen(await self._core.row(run_id))
+                await self._core.look_at(await self._core.get_row(run_id))
 
-    async def recovery(self, run_id: str, caller: str) -> RecoveryView:
+    async def plan_recovery(self, run_id: str, caller: str) -> RecoveryView:
         """Return how the run would go on now; what the caller has been shown."""
         run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
-        told = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
+        told = await require_answer((await self._find_link(run)).get(path, timeout_s=_PLAN_S))
         plan = parse_reply(RecoveryView, told | {"run": run.id}, run.machine)
         while len(self._plans_shown) >= _MOST_KNOWN:
             del self._plans_shown[next(iter(self._plans_shown))]
@@ -110,26 +110,26 @@ class Controls:
         """Return the run, with the agent's own id of it."""
         if not fresh and (known := self._core.known_runs.get(run_id)) is not None:
             return known
-        run = await self._core.row(run_id)
+        run = await self._core.get_row(run_id)
         if run.agent_run is None:
             raise not_handed_over(run)
         return self._core.remember(run)
 
-    async def _link(self, run: RunRow) -> AgentLink:
-        return await require_answer(self._core.link_of(run))
+    async def _find_link(self, run: RunRow) -> AgentLink:
+        return await require_answer(self._core.find_link(run))
 
     async def _send_once(
         self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
     ) -> Seen:
         """Send once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
-        link = await self._link(run)
+        link = await self._find_link(run)
         try:
             path = f"/v1/runs/{run.agent_run}:{action}"
-            view = await link.once(path, body, timeout_s=_TELL_S, headers=context.headers())
+            view = await link.send_once(path, body, timeout_s=_TELL_S, headers=context.headers())
         except AgentAwayError as away:
             if not away.sent:
                 raise away.problem() from None
-            seen = await self._core.seen(run)
+            seen = await self._core.look_at(run)
             if seen.away:
                 raise away.problem(action) from None
             if went_on(seen.run.state):
@@ -142,6 +142,6 @@ class Controls:
     async def _write_view(self, run: RunRow, view: Json) -> Seen:
         return Seen(
             await self._core.do(
-                self._core.runs.record_report, await self._core.row(run.id), run_view(view, run.machine)
+                self._core.runs.record_report, await self._core.get_row(run.id), run_view(view, run.machine)
             )
         )

@@ -16,7 +16,7 @@ from service.http.problems import Problem
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentAwayError, Json, as_problem
-from service.server.fleet.agent_feed import AGAIN_S, Message, known_id, until
+from service.server.fleet.agent_feed import AGAIN_S, Message, iterate_until, known_id
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore, Seen
 from service.server.fleet.representation import make_live_run
@@ -43,7 +43,7 @@ class RunEvents:
         while self._shown.open and not core.ending.is_set():
             away: Problem | None = None
             try:
-                async for piece in self._live():
+                async for piece in self._follow_live():
                     yield piece
                 if not self._shown.open:
                     return
@@ -51,14 +51,14 @@ class RunEvents:
                 away = as_problem(error)
             await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
-            seen = self._seen = await self._now()
+            seen = self._seen = await self._look_again()
             now = make_live_run(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else None)))
             yield _run_event(now) if now != self._shown else PING
             self._shown = now
 
-    async def _live(self) -> AsyncIterator[bytes]:
+    async def _follow_live(self) -> AsyncIterator[bytes]:
         """Yield as long as the agent's stream goes on and the run has not ended."""
-        async for message in until(self._core.ending, _of_agent(self._core, self._seen.run, self._last_id)):
+        async for message in iterate_until(self._core.ending, _follow_agent(self._core, self._seen.run, self._last_id)):
             if message is None:
                 continue
             self._failures, self._last_id = 0, known_id(message.get("id", "")) or self._last_id
@@ -72,7 +72,7 @@ class RunEvents:
             elif (now := _told(self._seen.run, table(data, "run")) or await self._look()) != self._shown:
                 self._shown = now
                 if not now.open:
-                    await self._now()  # written down before the reader learns of it
+                    await self._look_again()  # written down before the reader learns of it
                 yield _run_event(now, self._last_id)
             if not self._shown.open:
                 return
@@ -82,18 +82,18 @@ class RunEvents:
         if time.monotonic() - self._looked_s < _LOOK_S:
             return self._shown
         self._looked_s = time.monotonic()
-        return make_live_run(await self._now())
+        return make_live_run(await self._look_again())
 
-    async def _now(self) -> Seen:
-        return await self._core.seen(await self._core.do(self._core.runs.get, self._seen.run.id))
+    async def _look_again(self) -> Seen:
+        return await self._core.look_at(await self._core.do(self._core.runs.get, self._seen.run.id))
 
 
-async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
+async def _follow_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
     """Yield the messages of the agent's stream."""
     if run.agent_run is None:
         raise AgentAwayError("the run is being prepared")
-    link = await core.link_of(run)
-    async with contextlib.aclosing(link.feed.messages(last_id)) as messages:
+    link = await core.find_link(run)
+    async with contextlib.aclosing(link.feed.follow(last_id)) as messages:
         async for message in messages:
             yield message
 

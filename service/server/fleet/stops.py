@@ -40,10 +40,10 @@ class Stops:
         path = f"/v1/control/{stop.value}"
         known = self._core.known_link(machine)
         if known is None:
-            known = await self._present_link(machine, None)
-            answer = await require_answer(known.urgent(path, headers=context.headers()), stop)
+            known = await self._find_present_link(machine, None)
+            answer = await require_answer(known.send_urgent(path, headers=context.headers()), stop)
             return make_order_view(machine, stop.value, answer)
-        sending = self._go_on(known.urgent(path, headers=context.headers()))
+        sending = self._go_on(known.send_urgent(path, headers=context.headers()))
         present = self._go_on(self._stop_present(machine, known, path, context))
         await asyncio.wait({present}, timeout=_LOOK_S)
         waiting: set[asyncio.Future[Any]] = {sending, present}
@@ -56,8 +56,8 @@ class Stops:
         self, machine: str, known: AgentLink, path: str, context: OrderContext
     ) -> asyncio.Future[Json] | None:
         """Send the stop to where the mill's agent is now; None where that is the known one."""
-        present = await self._present_link(machine, known)
-        return None if present is known else self._go_on(present.urgent(path, headers=context.headers()))
+        present = await self._find_present_link(machine, known)
+        return None if present is known else self._go_on(present.send_urgent(path, headers=context.headers()))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
         """Stop as `stop_machine` the mill that has this run. Problem 404, 409 where the run is not on its mill.
@@ -87,29 +87,29 @@ class Stops:
 
     async def _stop_known(self, run: RunRow, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         path = f"/v1/runs/{run.agent_run}:{stop.value}"
-        link = self._core.known_link(run.machine) or await self._present_link(run.machine, None)
-        return run, await require_answer(link.urgent(path, headers=context.headers()), stop)
+        link = self._core.known_link(run.machine) or await self._find_present_link(run.machine, None)
+        return run, await require_answer(link.send_urgent(path, headers=context.headers()), stop)
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         """Ask all agents for a run that this process has not seen yet, by our id. Problem where none of them has it."""
         path = f"/v1/runs/{run_id}:{stop.value}"
-        links = await self._all_links()
+        links = await self._list_links()
         answers = await asyncio.gather(
-            *(link.urgent(path, headers=context.headers()) for link in links), return_exceptions=True
+            *(link.send_urgent(path, headers=context.headers()) for link in links), return_exceptions=True
         )
         for link, answer in zip(links, answers, strict=True):
             if isinstance(answer, dict):
                 row = self._core.do(self._core.runs.get, run_id)
                 return await self.wait_briefly(row, _make_row(run_id, link, answer)), answer
         refused = next((one for one in answers if isinstance(one, Problem) and one.status == 409), None)
-        run = await self._core.row(run_id)
+        run = await self._core.get_row(run_id)
         if run.agent_run is None:
             raise not_handed_over(run)
         away = next((one for one in answers if isinstance(one, AgentAwayError)), None)
         unknown = Problem(404, f"no agent knows run {run_id}", field="run", code=ServerCode.RUN_UNKNOWN)
         raise refused or (away.problem(stop) if away else unknown)
 
-    async def _present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
+    async def _find_present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """Return the link by the profiles as they are now; the known one where that takes too long."""
         looking = self._go_on(self._core.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
@@ -118,23 +118,23 @@ class Stops:
             return known
         return looking.result()
 
-    async def _all_links(self) -> list[AgentLink]:
-        known, _ = await self._core.machines()
-        return [self._core.link(machine) for machine in known.values()]
+    async def _list_links(self) -> list[AgentLink]:
+        known, _ = await self._core.list_machines()
+        return [self._core.get_link(machine) for machine in known.values()]
 
     async def _give_up(self, run_id: str, problem: Problem) -> Seen:
-        run = await self._core.row(run_id)
+        run = await self._core.get_row(run_id)
         if run.agent_run is None and run.open:
             await self._close(run, "taken back before it was handed over")
-            return Seen(await self._core.row(run_id))
-        seen = await self._core.seen(run)
+            return Seen(await self._core.get_row(run_id))
+        seen = await self._core.look_at(run)
         if seen.away or not seen.run.open or seen.run.state not in (PARKED, INTERRUPTED):
             if not seen.away and not seen.run.open and run.agent_run is not None:
                 return seen
             raise problem
         words, values = f"given up while its agent had it as {seen.run.state}", {"state": seen.run.state}
         await self._close(run, words, make_reason(ServerCode.RUN_GIVEN_UP, values))
-        return Seen(await self._core.row(run_id))
+        return Seen(await self._core.get_row(run_id))
 
     async def _close(self, run: RunRow, words: str, reason: Json | None = None) -> None:
         await self._core.do(self._core.runs.close, run.id, ABORTED, words, reason)

@@ -113,7 +113,7 @@ class LeaseRenewer:
                 log.warning("no beat", error=str(error).splitlines()[0], safe=self._lease.is_safe())
 
 
-def live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
+def list_live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
     """Return the workers that were heard of within a lease."""
     query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
     return set(connection.execute(query).scalars())

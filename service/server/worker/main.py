@@ -31,7 +31,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
         keep_private(settings.data)  # before the process from which stages are forked
         processes = StageProcesses(settings, entry=entry)
         try:
-            if _jobs_wait(settings):
+            if _has_waiting_jobs(settings):
                 processes.warm()
             _work(settings, processes, end, prepare=settings.prepare and entry == STAGE_ENTRY)
         finally:
@@ -82,7 +82,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
         raise FailedError(f"the database cannot be used: {reason}") from None
 
 
-def _jobs_wait(settings: ServerSettings) -> bool:
+def _has_waiting_jobs(settings: ServerSettings) -> bool:
     """Return whether there are jobs to go on with, without any library, where the database is a file; else no."""
     try:
         with closing(sqlite3.connect(f"file:{settings.sqlite}?mode=ro", uri=True, timeout=0.1)) as database:

@@ -20,7 +20,7 @@ from service.server.database.records import Job, Json, UnknownJobError
 from service.server.database.states import JobState
 from service.server.database.tables import jobs
 from service.server.queue.engine import JobEngine, Ticket
-from service.server.worker.lease import live_executors
+from service.server.worker.lease import list_live_executors
 
 CHUNK = 200
 GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
@@ -52,7 +52,7 @@ class Reconciler:
     def reconcile(self) -> None:
         """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
         self.release_claims()
-        queued = self._next_queued()
+        queued = self._find_next_queued()
         self._submit_unknown(queued)
         self._engine.pick_up()
         live = self._take_over_dead()
@@ -76,7 +76,7 @@ class Reconciler:
                     interrupt_tries(connection, job, at=at)
                     change_job(connection, job, owner=None, fence=job.fence + 1)
 
-    def _next_queued(self) -> Queued:
+    def _find_next_queued(self) -> Queued:
         """Return the jobs of the queue after those of the turn before, with their priorities; from its head after its
         end.
         """
@@ -106,7 +106,7 @@ class Reconciler:
         """Run elsewhere the tickets begun by workers that are not heard of any more; return the live workers."""
         owners = set(self._engine.find_owners().values())
         with begin_reading(self._database) as connection:
-            live = live_executors(connection, self._lease_s) | {self._executor}
+            live = list_live_executors(connection, self._lease_s) | {self._executor}
         if dead := sorted(owners - live):
             log.info("taking over", executors=dead)
             self._engine.take_over(dead)

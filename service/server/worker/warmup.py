@@ -91,11 +91,11 @@ def main(part: str, parent: int) -> int:
 
 
 def _warm_lenses(folder: Path) -> None:
-    from service.job.pipeline import caustic
+    from service.job.pipeline import simulate_caustic
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    caustic(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
+    simulate_caustic(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
 
 
 def _warm_jobs(folder: Path) -> None:
@@ -115,11 +115,11 @@ def _warm_jobs(folder: Path) -> None:
 
 
 def _warm_programs(folder: Path) -> None:
-    from service.job.pipeline import cam
+    from service.job.pipeline import make_programs
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    cam(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
+    make_programs(folder / "dome", _resolve_small_job(), reporter=QuietReporter())
 
 
 def _put_dome(folder: Path) -> None:

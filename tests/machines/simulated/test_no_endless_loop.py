@@ -61,8 +61,8 @@ def test_a_model_caught_in_a_loop_says_so() -> None:
     mill = SimulatedMill(GRBL_11)
 
     def again() -> None:
-        mill.at(mill.now_s, again)
+        mill.call_at(mill.now_s, again)
 
-    mill.at(2.0, again)
+    mill.call_at(2.0, again)
     with pytest.raises(AssertionError, match=r"stands still at 2\.0"):
         mill.advance(3.0)

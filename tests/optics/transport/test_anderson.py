@@ -20,7 +20,7 @@ def iterates(matrix: np.ndarray, aim: np.ndarray, steps: int, depth: int) -> lis
     for _ in range(steps):
         miss = aim - matrix @ x
         misses.append(float(np.linalg.norm(miss)))
-        x = memory.next_iterate(x + miss, miss.astype(np.float32), 0.0)
+        x = memory.find_next(x + miss, miss.astype(np.float32), 0.0)
     return misses
 
 
@@ -47,7 +47,7 @@ def test_the_further_component_counts() -> None:
     memory, x = Anderson(5, 4, np.float64), np.zeros(5)
     for _ in range(3):
         miss = 2.0 - x[0]
-        x = memory.next_iterate(x + 0.1 * miss, np.zeros(5, np.float32), miss)
+        x = memory.find_next(x + 0.1 * miss, np.zeros(5, np.float32), miss)
     np.testing.assert_allclose(x, 2.0, atol=1e-9)
 
 
@@ -62,7 +62,7 @@ def test_bytes_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch, threads
         rng = np.random.default_rng(0)
         memory, shape = Anderson(300 * 321, 4, np.float32), (300, 321)
         for _ in range(7):
-            x = memory.next_iterate(rng.normal(size=shape), rng.normal(size=shape).astype(np.float32), 0.1)
+            x = memory.find_next(rng.normal(size=shape), rng.normal(size=shape).astype(np.float32), 0.1)
         return x.tobytes()
 
     assert mixed(threads) == mixed(5)

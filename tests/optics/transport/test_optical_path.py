@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optics.bench import Bench
 from optics.light import Beam, Light, leave, meet, strength_on_face
-from optics.transport.beam_path import heights_on_beam, trace_back
+from optics.transport.beam_path import fill_heights, trace_back
 
 WIDTH, THROW = 50.0, 120.0
 aside = st.floats(-0.2, 0.2)
@@ -46,7 +46,7 @@ def test_a_ray_is_traced_back_to_where_it_left(
     np.testing.assert_allclose(found, (ray, *point, face_x, face_y), atol=1e-7)
     t = np.empty((1, 1))
     x, y, qx, qy, path = (np.array([value]) for value in (point[0], point[1], q[0], q[1], phase + ray))
-    heights_on_beam(0, 1, path[None], qx[None], qy[None], x, y, THROW, beam, t)
+    fill_heights(0, 1, path[None], qx[None], qy[None], x, y, THROW, beam, t)
     assert t[0, 0] == pytest.approx(point[2], abs=1e-7)
 
 

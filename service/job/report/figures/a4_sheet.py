@@ -43,7 +43,7 @@ class Paper:
         self._axes.axis("off")
         self._order = 0
 
-    def pdf(self, title: str) -> bytes:
+    def render_pdf(self, title: str) -> bytes:
         """Return the file; in fonts that text can be copied from, without the date."""
         self._axes.set(xlim=(0, WIDTH), ylim=(HEIGHT, 0))
         buffer = io.BytesIO()
@@ -52,41 +52,41 @@ class Paper:
             self._figure.savefig(buffer, format="pdf", metadata=metadata)
         return buffer.getvalue()
 
-    def text(
+    def write(
         self, x: float, y: float, words: str, size: float, *, bold: bool = False, colour: str = INK,
         anchor: str = "start", turned_deg: float = 0.0,
     ) -> None:  # fmt: skip
         align = {"start": "left", "middle": "center", "end": "right"}[anchor]
         self._axes.text(
             x, y, known(words), fontproperties=_font(bold, size), color=colour, ha=align, va="baseline",
-            rotation=turned_deg, rotation_mode="anchor", parse_math=False, zorder=self._next(),
+            rotation=turned_deg, rotation_mode="anchor", parse_math=False, zorder=self._take_order(),
         )  # fmt: skip
 
-    def line(self, x: float, y: float, words: Sequence[Word], size: float, colour: str = INK) -> None:
+    def write_line(self, x: float, y: float, words: Sequence[Word], size: float, colour: str = INK) -> None:
         """Write words of one line."""
         start = 0
         for end in range(1, len(words) + 1):
             bold = words[start][1]
             if end == len(words) or words[end][1] != bold:
                 run = " ".join(word for word, _ in words[start:end])
-                self.text(x, y, run, size, bold=bold, colour=colour)
+                self.write(x, y, run, size, bold=bold, colour=colour)
                 x += width_of(run, bold, size) + _SPACE * size
                 start = end
 
-    def polygon(self, points: Sequence[tuple[float, float]], **look: Any) -> None:
-        self._axes.add_patch(Polygon(points, zorder=self._next(), **look))
+    def draw_polygon(self, points: Sequence[tuple[float, float]], **look: Any) -> None:
+        self._axes.add_patch(Polygon(points, zorder=self._take_order(), **look))
 
-    def box(self, x: float, y: float, width: float, height: float, **look: Any) -> None:
-        self.polygon([(x, y), (x + width, y), (x + width, y + height), (x, y + height)], **look)
+    def draw_box(self, x: float, y: float, width: float, height: float, **look: Any) -> None:
+        self.draw_polygon([(x, y), (x + width, y), (x + width, y + height), (x, y + height)], **look)
 
-    def arrow(self, start: tuple[float, float], end: tuple[float, float], style: str, **look: Any) -> None:
-        arrow = FancyArrowPatch(start, end, arrowstyle=style, shrinkA=0, shrinkB=0, zorder=self._next(), **look)
+    def draw_arrow(self, start: tuple[float, float], end: tuple[float, float], style: str, **look: Any) -> None:
+        arrow = FancyArrowPatch(start, end, arrowstyle=style, shrinkA=0, shrinkB=0, zorder=self._take_order(), **look)
         self._axes.add_patch(arrow)
 
-    def curve(self, path: Curve, **look: Any) -> None:
-        self._axes.add_patch(PathPatch(path, zorder=self._next(), **look))
+    def draw_curve(self, path: Curve, **look: Any) -> None:
+        self._axes.add_patch(PathPatch(path, zorder=self._take_order(), **look))
 
-    def picture(self, png: bytes, right: float, top: float, side: float) -> float:
+    def draw_picture(self, png: bytes, right: float, top: float, side: float) -> float:
         """Draw a picture into a square's upper right; return how far left it reaches."""
         with Image.open(io.BytesIO(png)) as opened:
             shown = opened.convert("L")
@@ -97,12 +97,12 @@ class Paper:
         self._axes.imshow(levels, cmap="gray", vmin=0, vmax=255, extent=place, aspect="auto", interpolation="none")
         return right - wide
 
-    def svg(self, drawing: str, x: float, y: float, scale: float) -> None:
+    def draw_svg(self, drawing: str, x: float, y: float, scale: float) -> None:
         """Draw what `service.job.report.drawing` draws."""
         for node in fromstring(drawing):
             _Drawn(self, x, y, scale).draw(node)
 
-    def _next(self) -> int:
+    def _take_order(self) -> int:
         self._order += 1
         return self._order
 
@@ -119,22 +119,22 @@ class _Drawn:
         match node.tag:
             case "rect":
                 x, y, w, h = (float(get[key]) for key in ("x", "y", "width", "height"))
-                self._paper.polygon(self._at([(x, y), (x + w, y), (x + w, y + h), (x, y + h)]), **self._look(get))
+                self._paper.draw_polygon(self._at([(x, y), (x + w, y), (x + w, y + h), (x, y + h)]), **self._look(get))
             case "polygon":
-                self._paper.polygon(self._at(_numbers(get["points"])), **self._look(get))
+                self._paper.draw_polygon(self._at(_numbers(get["points"])), **self._look(get))
             case "circle":
                 turn = np.linspace(0, 2 * np.pi, 25)
                 around = float(get["r"]) * np.column_stack([np.cos(turn), np.sin(turn)])
                 centre = float(get["cx"]), float(get["cy"])
-                self._paper.polygon(self._at(centre + around), **self._look(get))
+                self._paper.draw_polygon(self._at(centre + around), **self._look(get))
             case "line":
-                self._line(get)
+                self._draw_line(get)
             case "path":
-                self._paper.curve(self._curve(get["d"]), **self._look(get))
+                self._paper.draw_curve(self._curve(get["d"]), **self._look(get))
             case "text":
-                self._text(node, (float(get["x"]), float(get["y"])), 0.0)
+                self._write_text(node, (float(get["x"]), float(get["y"])), 0.0)
             case "g":
-                self._text(node[0], _numbers(get["transform"].split(")")[0].partition("(")[2])[0], 90.0)
+                self._write_text(node[0], _numbers(get["transform"].split(")")[0].partition("(")[2])[0], 90.0)
 
     def _at(self, points: object) -> list[tuple[float, float]]:
         placed = self._origin + self._scale * np.asarray(points, dtype=float)
@@ -148,11 +148,11 @@ class _Drawn:
             look |= {"facecolor": "none", "edgecolor": "#5b6b7a", "linewidth": 0.0, "hatch": "//////"}
         return look | ({"linestyle": (0, tuple(dashes))} if dashes else {})
 
-    def _line(self, get: Mapping[str, str]) -> None:
+    def _draw_line(self, get: Mapping[str, str]) -> None:
         start, end = self._at([(float(get[f"x{k}"]), float(get[f"y{k}"])) for k in (1, 2)])
         style = ("<|" if "marker-start" in get else "") + "-" + ("|>" if "marker-end" in get else "")
         look = self._look(get) | {"facecolor": get["stroke"], "mutation_scale": 11 * self._scale}
-        self._paper.arrow(start, end, style, **look)
+        self._paper.draw_arrow(start, end, style, **look)
 
     def _curve(self, steps: str) -> Curve:
         points: list[tuple[float, float]] = []
@@ -162,10 +162,10 @@ class _Drawn:
             codes += [_CODES[kind]] * _POINTS[kind] if kind != "Z" else [Curve.CLOSEPOLY]
         return Curve(self._at(points), codes)
 
-    def _text(self, node: Element, at: tuple[float, float], turned_deg: float) -> None:
+    def _write_text(self, node: Element, at: tuple[float, float], turned_deg: float) -> None:
         [(x, y)], get = self._at([at]), node.attrib
         look: dict[str, Any] = {"colour": get["fill"], "anchor": get["text-anchor"]}
-        self._paper.text(x, y, node.text or "", self._scale * float(get["font-size"]), turned_deg=turned_deg, **look)
+        self._paper.write(x, y, node.text or "", self._scale * float(get["font-size"]), turned_deg=turned_deg, **look)
 
 
 def _numbers(text: str) -> list[tuple[float, float]]:

@@ -32,7 +32,7 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
     figure = new_figure(wide * columns + 0.2, tall + 3.9)
     above, below = np.atleast_1d(np.asarray(figure.subfigures(2, 1, height_ratios=(tall + 0.85, 3.05))))
     panels = above.subplots(1, columns, squeeze=False)[0]
-    _picture(panels[0], picture_from_irradiance(target, viewed_from=viewed_from), white, "Picture wanted", "")
+    _draw_picture(panels[0], picture_from_irradiance(target, viewed_from=viewed_from), white, "Picture wanted", "")
     for axes, one in zip(panels[1:], shown, strict=True):
         score = planned.score(one)
         title = f"{duration(3600 * one.hours)}: SSIM {score.ssim:.2f}, {one.psnr_db:.1f} dB"
@@ -40,8 +40,8 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
             filter(None, (rest_words(one), f"blur {one.blur_mm:.2g} mm"))
         )
         picture = picture_from_irradiance(planned.picture(one), viewed_from=viewed_from)
-        _picture(axes, picture, white, title, words, marked=one is planned.chosen)
-    _curve(below.subplots(), planned)
+        _draw_picture(axes, picture, white, title, words, marked=one is planned.chosen)
+    _draw_curve(below.subplots(), planned)
     return png_bytes(figure)
 
 
@@ -51,7 +51,9 @@ def _shown(planned: Planned) -> list[Candidate]:
     return [one for one in planned.plan.front if one in chosen]
 
 
-def _picture(axes: Axes, picture: np.ndarray, white: float, title: str, words: str, *, marked: bool = False) -> None:
+def _draw_picture(
+    axes: Axes, picture: np.ndarray, white: float, title: str, words: str, *, marked: bool = False
+) -> None:
     show_light(axes, picture, white, interpolation="nearest")
     axes.set_title(title, fontsize=10, color=_MARK if marked else _INK, fontweight="bold" if marked else "normal")
     axes.set_xlabel(words, fontsize=8.5, color=_INK)
@@ -60,7 +62,7 @@ def _picture(axes: Axes, picture: np.ndarray, white: float, title: str, words: s
         spine.set(color=_MARK if marked else "0.8", linewidth=2.0 if marked else 0.6)
 
 
-def _curve(axes: Axes, planned: Planned) -> None:
+def _draw_curve(axes: Axes, planned: Planned) -> None:
     front, chosen = planned.plan.front, planned.chosen
     hours, psnr = [one.hours for one in front], [one.psnr_db for one in front]
     axes.plot(hours, psnr, "-", color=_QUIET, linewidth=1.2, zorder=1)

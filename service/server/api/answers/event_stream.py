@@ -8,7 +8,7 @@ import contextlib
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.http.streaming import HEARTBEAT_S, PING, begin_events, send_piece, while_connected
+from service.http.streaming import HEARTBEAT_S, PING, begin_events, send_piece, write_while_connected
 from service.server.api.answers.event_feed import Feed, Follower
 from service.server.database.jobs import JobBook
 from service.server.database.records import UnknownJobError
@@ -29,7 +29,7 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async with self._feed.follow(self._job_id, self._after) as follower:
-            await while_connected(receive, self._write(follower, send))
+            await write_while_connected(receive, self._write(follower, send))
 
     async def _write(self, follower: Follower, send: Send) -> None:
         await begin_events(send)

@@ -37,7 +37,7 @@ class RequestBody:
         while self._more:
             try:
                 async with asyncio.timeout(self._wait_s):
-                    piece = await self._piece()
+                    piece = await self._receive_piece()
             except TimeoutError:
                 raise Problem(408, f"nothing came for {self._wait_s:g} s in the middle of the request") from None
             taken += len(piece)
@@ -54,9 +54,9 @@ class RequestBody:
         with contextlib.suppress(TimeoutError, ClientDisconnect):
             async with asyncio.timeout(_LINGER_S):
                 while self._more and taken < _LINGER_BYTES:
-                    taken += len(await self._piece())
+                    taken += len(await self._receive_piece())
 
-    async def _piece(self) -> bytes:
+    async def _receive_piece(self) -> bytes:
         message = await self._request.receive()
         if message["type"] != "http.request":
             self._more = False

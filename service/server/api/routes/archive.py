@@ -68,7 +68,7 @@ async def archive(
         return Response(headers=headers, media_type="application/zip")
     for file in files:
         await asyncio.to_thread(services.store.head, file.sha256)  # refused now, not in the middle
-    pieces = _zip(services.store, files)
+    pieces = _write_zip(services.store, files)
     return StreamingResponse(iterate_in_threads(pieces), headers=headers, media_type="application/zip")
 
 
@@ -89,7 +89,7 @@ class _Outlet:
         return held
 
 
-def _zip(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
+def _write_zip(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
     outlet = _Outlet()
     with zipfile.ZipFile(outlet, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:  # type: ignore[call-overload]
         for file in files:

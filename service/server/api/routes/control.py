@@ -127,7 +127,7 @@ async def events(
     what happens at it. It goes on while the mill's agent is away. A reader who comes back with the id of the last event
     misses nothing that the agent remembers; a new one is told the latest of it.
     """
-    stream = await services_of(request).fleet.machine_events(machine, last_event_id or "")
+    stream = await services_of(request).fleet.follow_machine(machine, last_event_id or "")
     return StreamingResponse(stream, headers=EVENT_HEADERS)
 
 

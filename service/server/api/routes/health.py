@@ -16,19 +16,19 @@ from service.server.schemas.jobs import Alive, Ready
 router = APIRouter(tags=["operations"])
 
 
-async def _here_or_known(request: Request) -> None:
+async def _require_here_or_known(request: Request) -> None:
     """Admit callers on this computer, or with any token."""
     if not is_open_here(request):
         await require()(request, None)
 
 
-async def _here_or_admin(request: Request) -> None:
+async def _require_here_or_admin(request: Request) -> None:
     if not is_open_here(request):
         await require(ADMIN)(request, None)
 
 
-Known = Depends(_here_or_known)
-Admin = Depends(_here_or_admin)
+Known = Depends(_require_here_or_known)
+Admin = Depends(_require_here_or_admin)
 _PLAIN: dict[str, Any] = {
     "text/plain": {"schema": {"type": "string"}, "example": 'causticmill_jobs{state="queued"} 0\n'}
 }

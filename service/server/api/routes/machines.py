@@ -39,7 +39,7 @@ MachineName = Annotated[
 )
 async def list_machines(request: Request, _: Reader) -> MachineList:
     """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
-    return await services_of(request).fleet.machines()
+    return await services_of(request).fleet.list_machines()
 
 
 @router.get(
@@ -48,7 +48,7 @@ async def list_machines(request: Request, _: Reader) -> MachineList:
     responses=answers({200: example(MACHINE_EXAMPLE)}),
 )
 async def look(request: Request, _: Reader, machine: MachineName) -> MachineView:
-    return await services_of(request).fleet.machine(machine)
+    return await services_of(request).fleet.get_machine(machine)
 
 
 @router.get(
@@ -78,7 +78,7 @@ async def list_orders(
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> PastOrders:
     """Orders and stops, newest first: when, whose, from where, and what came of them. Kept by the mill's agent."""
-    return await services_of(request).fleet.past_orders(machine, before, limit)
+    return await services_of(request).fleet.list_past_orders(machine, before, limit)
 
 
 @router.post(

@@ -20,7 +20,7 @@ from service.server.api.routes.artifacts import Asked, byte_answers, send_artifa
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
-from service.server.fleet.registry import KnownMachine, known_machines
+from service.server.fleet.registry import KnownMachine, read_machines
 from service.server.schemas.jobs import (
     JOB_EXAMPLE,
     PROFILE_EXAMPLE,
@@ -128,7 +128,7 @@ def _read_profiles(settings: ServerSettings) -> ProfileList:
     for name in profile_names():
         with contextlib.suppress(ProfileError):
             profiles.append(load_profile(name))
-    mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
+    mills = mills_by_profile(read_machines(settings)[0].values(), profiles)
     stated, built_in = read_stated_profiles(), profile_names(())
     return ProfileList(
         profiles=[

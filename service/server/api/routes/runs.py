@@ -47,7 +47,7 @@ async def list_runs(
     cursor: Annotated[UUID | None, Query(description="id of the last run of the page before")] = None,
 ) -> RunList:
     before, of_job = (None if one is None else str(one) for one in (cursor, job))
-    found = await services_of(request).fleet.runs(machine=machine, job=of_job, limit=limit, before=before)
+    found = await services_of(request).fleet.list_runs(machine=machine, job=of_job, limit=limit, before=before)
     chosen = {"machine": machine, "job": job, "limit": limit, "cursor": found[-1].id if found else None}
     address = "/v1/runs?" + urlencode({key: value for key, value in chosen.items() if value is not None})
     return RunList(runs=found, next=address if len(found) == limit else None)
@@ -61,7 +61,7 @@ async def list_runs(
 async def look(request: Request, response: Response, _: Reader, run_id: RunId) -> RunView:
     """As its agent has it now; with `unreachable`: as it was last known."""
     response.headers["Cache-Control"] = "no-cache"
-    return await services_of(request).fleet.run(str(run_id))
+    return await services_of(request).fleet.get_run(str(run_id))
 
 
 @router.get(
@@ -79,7 +79,7 @@ async def events(
 
     The stream goes on while the agent is away (`unreachable` in `run`), and ends with the run.
     """
-    stream = await services_of(request).fleet.events(str(run_id), last_event_id or "")
+    stream = await services_of(request).fleet.follow_run(str(run_id), last_event_id or "")
     if stream is None:
         return Response(status_code=204)
     return StreamingResponse(stream, headers=EVENT_HEADERS)
@@ -93,7 +93,7 @@ async def events(
 )
 async def recovery(request: Request, principal: Operator, run_id: RunId) -> RecoveryView:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""
-    return await services_of(request).fleet.recovery(str(run_id), principal.name)
+    return await services_of(request).fleet.plan_recovery(str(run_id), principal.name)
 
 
 @router.post("/v1/runs/{id:uuid}:start", summary="Start a parked run", **_ORDER)

@@ -63,7 +63,7 @@ def _context(socket: WebSocket, services: Services, secret: str) -> OrderContext
 async def _serve(socket: WebSocket, services: Services, context: OrderContext) -> None:
     await _make_room()
     _open[id(socket)] = socket
-    beating = asyncio.create_task(_beat(socket))
+    beating = asyncio.create_task(_send_beats(socket))
     under_way: set[asyncio.Task[None]] = set()
     try:
         await socket.send_json({"ready": True})
@@ -92,7 +92,7 @@ async def _stop(socket: WebSocket, services: Services, context: OrderContext, as
         await socket.send_json(answer)
 
 
-async def _beat(socket: WebSocket) -> None:
+async def _send_beats(socket: WebSocket) -> None:
     number = 0
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
         while True:

@@ -195,7 +195,7 @@ def test_a_page_of_runs_takes_as_many_queries_for_a_hundred_as_for_two(many: sa.
     async def count_queries(limit: int) -> int:
         fleet = Fleet(farm, many, open_store(farm), JobBook(many))
         with recorded(many) as queries:
-            page = await fleet.runs(machine=None, job=None, limit=limit, before=run_id(limit))
+            page = await fleet.list_runs(machine=None, job=None, limit=limit, before=run_id(limit))
         await fleet.aclose()
         assert [run.id for run in page] == [run_id(number) for number in reversed(range(limit))]
         assert all(run.setup for run in page)

@@ -15,7 +15,7 @@ import pytest
 from service.errors import InputError
 from service.milling.agent.card import CARD_FILE, read_card
 from service.server.fleet.agent_launcher import start_agents
-from service.server.fleet.registry import known_machines, remote_machines
+from service.server.fleet.registry import read_machines, remote_machines
 from service.settings import ServerSettings
 from tests.service.milling.agent.process import AgentProcess
 from tests.service.mills import Bench, bench
@@ -178,7 +178,7 @@ def test_nothing_goes_to_an_agent_elsewhere_in_the_clear(tmp_path: Path, url: st
 
 def test_no_profile_of_ones_own_means_no_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own_folders(monkeypatch, tmp_path)
-    assert known_machines(ServerSettings(data=tmp_path)) == ({}, [])
+    assert read_machines(ServerSettings(data=tmp_path)) == ({}, [])
 
 
 @pytest.mark.thorough

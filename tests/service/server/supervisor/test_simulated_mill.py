@@ -122,12 +122,12 @@ def test_nothing_of_it_is_left_when_the_server_ends(workshop: tuple[Serving, htt
 
 
 def test_a_persons_own_mill_of_that_name_is_not_taken_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from service.server.fleet.registry import known_machines
+    from service.server.fleet.registry import read_machines
     from service.settings import ServerSettings
 
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
     (tmp_path / "machines").mkdir()
     (tmp_path / "machines/simulated.toml").write_text('extends = "grbl"\n[link]\nport = "/dev/ttyUSB0"\n')
-    known, problems = known_machines(ServerSettings(data=tmp_path / "data", simulated_mill=True))
+    known, problems = read_machines(ServerSettings(data=tmp_path / "data", simulated_mill=True))
     assert not known["simulated"].simulated and "simulated" in problems[0]
-    assert "simulated" not in known_machines(ServerSettings(data=tmp_path / "data"))[0] or problems
+    assert "simulated" not in read_machines(ServerSettings(data=tmp_path / "data"))[0] or problems

@@ -14,7 +14,7 @@ from service.server.database.records import NewJob
 from service.server.database.states import JobState
 from service.server.database.tables import executors
 from service.server.queue.engine import Fenced, Ticket
-from service.server.worker.lease import Lease, LeaseRenewer, NameTakenError, live_executors
+from service.server.worker.lease import Lease, LeaseRenewer, NameTakenError, list_live_executors
 from tests.waiting import PATIENCE_S
 
 NEW = NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
@@ -82,13 +82,13 @@ def test_the_time_that_a_beat_took_counts_against_it(database: sa.Engine) -> Non
 def test_others_are_alive_for_a_whole_lease_by_the_databases_clock(database: sa.Engine) -> None:
     lease(database).take()
     with begin_writing(database) as connection:
-        assert live_executors(connection, 10.0) == {"a"}
+        assert list_live_executors(connection, 10.0) == {"a"}
     age(database, "a", 9.0)
     with begin_writing(database) as connection:
-        assert live_executors(connection, 10.0) == {"a"}
+        assert list_live_executors(connection, 10.0) == {"a"}
     age(database, "a", 11.0)
     with begin_writing(database) as connection:
-        assert live_executors(connection, 10.0) == set()
+        assert list_live_executors(connection, 10.0) == set()
 
 
 def test_who_starts_under_a_name_ends_the_one_who_had_it(database: sa.Engine) -> None:
