@@ -19,7 +19,7 @@ from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
-from cam.planning.written_time import first_pass_s, rows_s
+from cam.planning.written_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
 DOUBLING_DB = 0.75
@@ -162,10 +162,16 @@ def make_plan(
 
 
 def find_candidates(
-    shop: Shop, lenses: Mapping[float, LensForm], light: Light, *, fillings: Mapping[float, Filled]
+    shop: Shop,
+    lenses: Mapping[float, LensForm],
+    light: Light,
+    *,
+    fillings: Mapping[float, Filled],
+    quickly: bool = False,
 ) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
     """Return all candidates, each with the light's guess, and the tools left out, each with the reason.
 
+    quickly : their times from fewer moves, within a tenth or two minutes
     NoPlanError where all are left out.
     """
     left_out: list[tuple[str, str]] = []
@@ -181,8 +187,8 @@ def find_candidates(
             continue
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
         if rough is None or rough.form is not form:
-            rough = Roughing(form=form, shop=shop, like=rough)
-        candidates += _generate_candidates(tool, rough, rests, light)
+            rough = Roughing(form=form, shop=shop, like=rough, quickly=quickly)
+        candidates += _generate_candidates(tool, rough, rests, light, FEW_ROWS if quickly else ROWS)
     if not candidates:
         raise NoPlanError(tuple(left_out))
     return candidates, tuple(left_out)
@@ -291,14 +297,16 @@ def _find_misfit(tool: Tool, form: LensForm) -> str | None:
     return f"its ball fits {100 * share:.1f} % of the lens; {100 * LEAST_FIT:.0f} % are needed"
 
 
-def _generate_candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
+def _generate_candidates(
+    tool: Tool, rough: Roughing, rests: RestWork, light: Light, made_rows: int
+) -> Iterator[Candidate]:
     """Yield every finish with a tool, alone and, where it leaves anything, with a rest pass."""
     for finish in _generate_finishes(tool, rough.shop):
         if rough.plan_before(finish) is None:
             continue
-        yield _make_candidate(rough, tool, finish, None, light)
+        yield _make_candidate(rough, tool, finish, None, light, made_rows)
         if (rest := rests.plan_after(finish)) is not None:
-            yield _make_candidate(rough, tool, finish, rest, light)
+            yield _make_candidate(rough, tool, finish, rest, light, made_rows)
 
 
 def _generate_finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
@@ -313,11 +321,13 @@ def _generate_finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
                 )  # fmt: skip
 
 
-def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
+def _make_candidate(
+    rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light, made_rows: int
+) -> Candidate:
     before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
-    own_s = rows_s(form, finish, shop.mill, shop.digits) + before.layers_s(form, finish, shop)
+    own_s = rows_s(form, finish, shop.mill, shop.digits, made_rows=made_rows) + before.layers_s(form, finish, shop)
     slopes = shop.slopes(form, finish)
     after = () if rest is None else (rest,)
     marks = Marks(spec=finish, slopes=slopes, rest=None if rest is None else Marks(spec=rest.spec, slopes=rest.slopes))

@@ -19,6 +19,7 @@ _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
 _GUESS_SHARE = 1.25  # of the least guess: first passes of tools beyond it are not made
 _STEEP_SHARE = 0.8  # of the pitch that a coarse lens allows: a fine one is steeper
+_STAIRS_SHARE = 0.35  # of a whole layer's time: what stairs of flat ends ask for; 0.16 to 0.49 of six jobs
 _CHANGE_S = 300.0  # that one more tool must spare
 _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 """What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
@@ -28,30 +29,37 @@ _LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
 class Before:
     """Passes before the finish, and the deepest stock that they leave to it, measured along Z.
 
-    form : that the first was made for
+    form    : that the first was made for
+    quickly : what flat ends leave to be cut in layers is guessed
     """
 
     passes: tuple[PassSpec, ...]
     seconds: tuple[float, ...]
     depth_mm: float
     form: LensForm
+    quickly: bool = False
 
     def layers_s(self, form: LensForm, after: PassSpec, shop: Shop) -> float:
         """Return the seconds that the next pass takes for more of it than one move may take off."""
         last = self.passes[-1]
         if last.is_ball:
             return finish_layers_s(form, after, self.depth_mm, shop.mill)
+        if self.quickly:
+            stairs_mm = last.pitch_mm * float(form.slopes[-1]) / 2
+            return _STAIRS_SHARE * finish_layers_s(form, after, last.stock_to_leave_mm + stairs_mm, shop.mill)
         return layers_after_s(self.form, after, last, shop.mill, safe_z_mm=shop.safe_z_mm)
 
 
 class Roughing:
     """The quickest way from the block to a lens's finish, asked for again and again.
 
-    like : for a lens that differs only by what balls leave of it: first passes take as long
+    like    : for a lens that differs only by what balls leave of it: first passes take as long
+    quickly : one first pass is made, and others guessed to be off by as much
     """
 
-    def __init__(self, *, form: LensForm, shop: Shop, like: Roughing | None = None) -> None:
-        self.form, self.shop = form, shop
+    def __init__(self, *, form: LensForm, shop: Shop, like: Roughing | None = None, quickly: bool = False) -> None:
+        self.form, self.shop, self._quickly = form, shop, quickly
+        self._off: list[float] = [] if like is None else like._off
         self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
         self._firsts: dict[Tool, Before] = {} if like is None else like._firsts
         self._guesses_s: dict[Tool, float] = {} if like is None else like._guesses_s
@@ -146,13 +154,21 @@ class Roughing:
             seconds = rows_s(self.form, spec, self.shop.mill)
             seconds += after[0].layers_s(self.form, spec, self.shop)
         else:
-            seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
+            seconds = self._time_first_s(spec)
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),
             depth_mm=self._depth_mm(spec),
             form=after[0].form if after else self.form,
+            quickly=self._quickly,
         )
+
+    def _time_first_s(self, spec: PassSpec) -> float:
+        if self._quickly and self._off:
+            return self._off[0] * planes_s(self.form, spec, self.shop.mill)
+        seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
+        self._off.append(seconds / planes_s(self.form, spec, self.shop.mill))
+        return seconds
 
     def _depth_mm(self, spec: PassSpec) -> float:
         """Return the deepest stock after a pass, along Z."""

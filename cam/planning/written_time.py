@@ -36,7 +36,7 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
-_ROWS = 40  # of a pass that are made; half as many are off by up to 4 %
+ROWS, FEW_ROWS = 40, 12  # of a pass that are made; half as many are off by up to 4 %, of a coarse lens by 0.2 %
 _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
@@ -154,7 +154,9 @@ def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
     return replace(coarse, rim_mm=lens.rim_mm)
 
 
-def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None) -> float:
+def rows_s(
+    form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None, *, made_rows: int = ROWS
+) -> float:
     """Return the seconds of a pass's exact rows, or of its one connected path.
 
     digits : on which the vertices of a finishing pass are put; None: where they are
@@ -162,7 +164,10 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | No
     like = replace(spec, strategy="raster", pitch_mm=min(_PITCHES_MM, key=lambda one: abs(log(one / spec.pitch_mm))))
     if spec.finishes:
         rounding = None if digits is None else Rounding(digits=digits, pitch_mm=like.pitch_mm)
-        slowness, turns_s = _sampled_s_per_mm(form, like, mill, rounding), turn_s(spec, mill) - turn_s(like, mill)
+        slowness, turns_s = (
+            _sampled_s_per_mm(form, like, mill, rounding, made_rows),
+            turn_s(spec, mill) - turn_s(like, mill),
+        )
     else:  # chords are long, and the feed sets the time
         slowness, turns_s = slowness_s_per_mm(form, spec, mill), turn_s(spec, mill)
     if spec.strategy == "contour":
@@ -180,9 +185,11 @@ def _spans_mm(form: LensForm, spec: PassSpec) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=256)
-def _sampled_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics, rounding: Rounding | None) -> float:
+def _sampled_s_per_mm(
+    form: LensForm, spec: PassSpec, mill: Kinematics, rounding: Rounding | None, made_rows: int
+) -> float:
     """Return the time of rows by their length in plan, their turns included."""
-    rows = _sampled_rows(form, replace(spec, pitch_mm=spec.radius_mm))  # the same for all pitches
+    rows = _sampled_rows(form, replace(spec, pitch_mm=spec.radius_mm), made_rows)  # the same for all pitches
     paths: Iterable[Path] = _join(rows, spec, 10.0**-_DECIMALS if rounding is None else rounding.digits.z_mm)
     if rounding is not None and rounding.matters:
         paths = on_raster(paths, rounding)
@@ -217,7 +224,7 @@ def _join(rows: tuple[Array, ...], spec: PassSpec, z_mm: float) -> Iterator[Path
 
 
 @lru_cache(maxsize=32)
-def _sampled_rows(form: LensForm, spec: PassSpec) -> tuple[Array, ...]:
+def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array, ...]:
     """Return vertices (n, 3) of rows evenly spread over lens and run-out."""
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
     surface = ToolSurface.over(lens, radius_mm=spec.radius_mm)
@@ -225,7 +232,7 @@ def _sampled_rows(form: LensForm, spec: PassSpec) -> tuple[Array, ...]:
     length_mm, across_mm = _spans_mm(form, spec)
     out = np.empty((most_vertices(length_mm, rule), 3))
     rows = []
-    for y in on_ticks((np.arange(_ROWS) + 0.5) / _ROWS * across_mm - spec.radius_mm):
+    for y in on_ticks((np.arange(made_rows) + 0.5) / made_rows * across_mm - spec.radius_mm):
         filled = march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)
         rows.append(out[:filled].copy())
     return tuple(rows)

@@ -42,7 +42,7 @@ from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, de
 from service.job.planning.finished_light import blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import LensFacts, measure_lens
-from service.job.planning.lenses import compute_passes, design_for_finishes, simplify
+from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
@@ -205,7 +205,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
         settings=settings,
         design=design,
         facts=measure_lens(lens),
-        form=LensForm.of(lens),
+        form=form_of(lens),
         missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
     )

@@ -74,7 +74,7 @@ def predict_designs(
     def shape_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
         made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
         missed = made.best.caustic.irradiance - aim
-        return _Shaped(form=LensForm.of(made.best.lens), missed=missed, fits=not made.is_shaped)
+        return _Shaped(form=form_of(made.best.lens), missed=missed, fits=not made.is_shaped)
 
     def redesign(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
         aim = _coarser(aim)
@@ -153,6 +153,14 @@ def compute_passes(
         return correct_lens(target, settings, first=first())
     key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
     return _compute_once(_Wanted(key=key, make=lambda: correct_lens(target, settings, first=first())))
+
+
+def form_of(lens: Heightfield) -> LensForm:
+    """Return its form: of a small lens the same as before, with all that is known of how long its passes take."""
+    return _form_once(lens) if lens.z_mm.size <= 2 * _SMALL else LensForm.of(lens)
+
+
+_form_once = lru_cache(maxsize=32)(LensForm.of)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

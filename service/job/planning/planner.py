@@ -144,7 +144,9 @@ def _choose_plan(
     goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
     finished: FinishedPlan | None = None
     try:
-        candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
+        candidates, left_out = find_candidates(
+            shop, light.forms, light, fillings=light.fillings, quickly=whole is not None
+        )
         finishings = list_finishings(job)
         if finishings and whole is None:
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)

@@ -17,7 +17,17 @@ from cam.duration import DurationModel, Kinematics
 from cam.materials import PMMA
 from cam.passes import PAPER_PASSES, PassSpec, Stock, ball_pass
 from cam.planning.pass_time import LensForm
-from cam.planning.planner import DOUBLING_DB, Goal, Marks, NoPlanError, Plan, choose, make_plan, time_by_lens
+from cam.planning.planner import (
+    DOUBLING_DB,
+    Goal,
+    Marks,
+    NoPlanError,
+    Plan,
+    choose,
+    find_candidates,
+    make_plan,
+    time_by_lens,
+)
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop
@@ -115,6 +125,16 @@ def test_what_is_flat_roughs_deep_lenses_and_the_hours_after_it_are_true() -> No
     assert first.ok and second.ok
     told_s = before.seconds[0] + rows_s(form, finish, mill) + before.layers_s(form, finish, where)
     assert told_s == pytest.approx(first.time_s + second.time_s, rel=0.04)
+
+
+@pytest.mark.parametrize("height_mm", [0.05, 0.3])
+def test_hours_that_are_found_quickly_are_nearly_those_of_all_moves(height_mm: float) -> None:
+    tools = (*(tool(radius) for radius in (1.0, 2.0, 3.0)), replace(tool(3.0), name="flat", corner_radius_mm=0.0))
+    form, where = LensForm.of(bumps(height_mm)), shop(*tools)
+    lenses = {one.radius_mm: form for one in where.balls}
+    quick, full = (find_candidates(where, lenses, Blur(), fillings={}, quickly=one)[0] for one in (True, False))
+    assert [one.finish for one in quick] == [one.finish for one in full]
+    assert [one.hours for one in quick] == pytest.approx([one.hours for one in full], rel=0.1, abs=2 / 60)
 
 
 def test_no_doubling_of_the_time_gains_more_than_it_is_worth(plan: Plan) -> None:
