@@ -61,6 +61,8 @@ def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> No
     assert place.locator("p").inner_text().count(".") == 1
     expect(page.get_by_role("navigation", name="Which jobs")).to_be_hidden()
     expect(place.get_by_role("button", name="Choose a picture")).to_be_visible()
+    page.get_by_role("group", name="Examples").get_by_role("button", name="Logo").click()
+    expect(page.get_by_label("Name of the job")).to_have_value("logo")
 
 
 def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(opened: Opened) -> None:

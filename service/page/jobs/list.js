@@ -7,6 +7,7 @@ import { t } from "../lib/language.js";
 import { jobName, sentence } from "../lib/words.js";
 import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/draft.js";
+import { gallery } from "../new/gallery.js";
 import { jobCard } from "./card.js";
 import { thumbnails } from "./thumbnails.js";
 
@@ -52,7 +53,7 @@ export default async function view(root, params, app) {
     if (compact === !nothing) return;
     compact = !nothing;
     const words = invitation(nothing ? WHAT : t(" for a new job"));
-    replace(begin, dropPlace({ words, onFile: take, compact }));
+    replace(begin, dropPlace({ words, onFile: take, compact }), nothing && gallery(take));
   };
   await list.start();
   return { leave: list.close };
