@@ -21,6 +21,7 @@ from service.job.spec.resolved import ResolvedJob
 from service.job.stages.context import StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.picture_queue import PictureQueue
+from service.job.stages.preload import DRAWING
 from service.job.stages.so_far import JobSoFar
 from service.job.stages.table import stage_of
 from service.progress import Reporter, Stopwatch
@@ -141,6 +142,7 @@ def _job(
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
     with job_files.stage_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
+        picture_queue.import_first(DRAWING)
         so_far = JobSoFar(job)
         if kept:
             _take_over(so_far, earlier, programs=any(job_files.is_program(name) for name in kept))

@@ -12,6 +12,18 @@ use_current_kernels()  # before numba is imported
 
 from service.job.stages import lens, run  # noqa: E402
 
+DRAWING = (
+    "matplotlib.figure",
+    "matplotlib.axes",
+    "service.job.report.figures.base",
+    "service.job.report.figures.lens",
+    "service.job.report.figures.paths",
+    "service.job.report.figures.tolerances",
+    "service.job.report.figures.wall",
+    "service.job.report.setup_pdf",
+    "fontTools.subset",
+)
+
 LATER = (
     "service.job.stages.light",
     "service.job.stages.programs",
@@ -20,14 +32,8 @@ LATER = (
     "networkx",
     "trimesh",
     "manifold3d",
-    "matplotlib.figure",
-    "matplotlib.axes",
+    *DRAWING,
     "service.job.report.solid",
-    "service.job.report.figures.base",
-    "service.job.report.figures.lens",
-    "service.job.report.figures.paths",
-    "service.job.report.figures.tolerances",
-    "service.job.report.figures.wall",
 )
 
 __all__ = ["LATER", "lens", "run"]
