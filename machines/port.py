@@ -48,7 +48,7 @@ class Port(Protocol):
 
 
 def stable_name(device: str) -> str:
-    """/dev/ttyUSB0 -> /dev/serial/by-id/usb-...: that name is still the same mill after a replug."""
+    """Convert /dev/ttyUSB0 to /dev/serial/by-id/usb-...: that name is still the same mill after a replug."""
     if not device.startswith("/") or not BY_ID.is_dir():
         return device
     try:
@@ -59,7 +59,7 @@ def stable_name(device: str) -> str:
 
 
 def port_names() -> tuple[str, ...]:
-    """Serial ports that exist here, by stable names, with what the device calls itself."""
+    """List serial ports that exist here, by stable names, with what the device calls itself."""
     return tuple(sorted(stable_name(str(port.device)) for port in list_ports.comports()))
 
 
@@ -158,7 +158,7 @@ def _reason(text: str) -> str:
 
 
 def _holder(name: str) -> str:
-    """`1234 (screen)`: the process that has the device open, as far as /proc tells."""
+    """Return `1234 (screen)`: the process that has the device open, as far as /proc tells."""
     try:
         real = os.path.realpath(name)
         for folder in Path("/proc").iterdir():
@@ -201,7 +201,7 @@ class SerialPort:
         return time.monotonic()
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has come; waits at most `timeout_s` for the first byte."""
+        """Return whatever has come; waits at most `timeout_s` for the first byte."""
         try:
             return self._await_bytes(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:

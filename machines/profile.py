@@ -167,7 +167,9 @@ class MachineProfile:
 
 
 def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
-    """Folders of the person's own profiles: $CAUSTICMILL_CONFIG_DIR, $XDG_CONFIG_HOME/causticmill or ~/.config."""
+    """Return the folders of the person's own profiles: $CAUSTICMILL_CONFIG_DIR, $XDG_CONFIG_HOME/causticmill or
+    ~/.config.
+    """
     own, shared = environment.get("CAUSTICMILL_CONFIG_DIR"), environment.get("XDG_CONFIG_HOME")
     if own:
         return (Path(own) / "machines",)
@@ -177,7 +179,9 @@ def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...
 
 
 def find_profiles(folders: Sequence[Path] | None = None) -> dict[str, str]:
-    """File of each profile by name, sorted; a person's own profile takes the place of a built-in of its name."""
+    """Return the file of each profile by name, sorted; a person's own profile takes the place of a built-in of its
+    name.
+    """
     built_in = resources.files("machines") / "profiles"
     found = {e.name.removesuffix(".toml"): str(e) for e in built_in.iterdir() if e.name.endswith(".toml")}
     for folder in reversed(user_folders() if folders is None else folders):
@@ -187,7 +191,7 @@ def find_profiles(folders: Sequence[Path] | None = None) -> dict[str, str]:
 
 
 def find_own_profiles() -> dict[str, str]:
-    """File of each profile that the person has added, by name, sorted."""
+    """Return the file of each profile that the person has added, by name, sorted."""
     own = {str(folder) for folder in user_folders()}
     return {name: file for name, file in find_profiles().items() if str(Path(file).parent) in own}
 
@@ -198,7 +202,7 @@ def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
 
 
 def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachineProfile:
-    """The profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in a file."""
+    """Return the profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in a file."""
     sources = find_profiles(folders)
     if name not in sources:
         raise UnknownProfileError(name, tuple(sources))
@@ -250,7 +254,7 @@ def _check_table(name: str, values: object, rules: Rules) -> dict[str, Any]:
 
 
 def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:
-    """May `name` extend that? BadValueError where it may not."""
+    """Raise BadValueError where `name` may not extend that."""
     chain = (*trail, name)
     others = ", ".join(f"'{other}'" for other in sources if other not in chain)
     if extends in chain:

@@ -46,7 +46,7 @@ RECOVER_CHECKS = START_CHECKS | {"position"}
 
 
 def move_state(before: RunState, after: RunState) -> RunState:
-    """`after`, where the table allows the move; NotAllowedError names both states otherwise."""
+    """Return `after`, where the table allows the move; NotAllowedError names both states otherwise."""
     if after not in TRANSITIONS[before]:
         allowed = ", ".join(sorted(state.value for state in TRANSITIONS[before])) or "nothing"
         raise NotAllowedError(f"a run that is {before.value} cannot become {after.value}; allowed: {allowed}")
@@ -61,7 +61,7 @@ class Confirmation:
     checks: frozenset[str]
 
     def demand(self, needed: frozenset[str], doing: str) -> None:
-        """NotAllowedError naming what was not confirmed."""
+        """Raise NotAllowedError naming what was not confirmed."""
         if not self.operator.strip():
             raise NotAllowedError(f"{doing} needs the operator's name")
         if missing := needed - self.checks:

@@ -59,7 +59,7 @@ class ByteFeed:
         self._ended, self._pending = True, b""
 
     def take(self, most: int) -> bytes:
-        """At most `most` bytes, the next ones; b"" at the end. Reads one block ahead, so that `finished` is known."""
+        """Return the next bytes, at most `most`; b"" at the end. Reads one block ahead, so that `finished` is known."""
         while len(self._pending) <= most and not self._ended:
             line = next(self.lines, None)
             if line is None:
@@ -120,6 +120,6 @@ class Pace:
         self._queued += count
 
     def wait_s(self, now_s: float, queued: int) -> float:
-        """Until at most `queued` bytes wait."""
+        """Return the seconds until at most `queued` bytes wait."""
         self.count_queued(now_s)
         return max(0.0, (self._queued - queued) / self.bytes_per_s)

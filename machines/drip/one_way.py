@@ -61,7 +61,7 @@ class OneWayDriver:
         return b"", b""
 
     def _may_send(self) -> bool:
-        """The far end takes bytes now."""
+        """Return whether the far end takes bytes now."""
         return True
 
     def _receive(self, data: bytes, now_s: float) -> None:

@@ -105,7 +105,7 @@ class Interpreter:
         return Step("rapid", start, end, None, length)
 
     def _general(self, text: bytes) -> Step:
-        """Any block, through the language proper."""
+        """Interpret any block, through the language proper."""
         block = strip_block(text)
         if block == b"%" and self._dialect.percent:
             return Step("none", self._position, self._position)
@@ -180,7 +180,7 @@ class Interpreter:
         return self._vector
 
     def _settle(self) -> None:
-        """Position and "may take the short way" from the vector."""
+        """Set position and "may take the short way" from the vector."""
         v = self._vector
         self._position = _known(v[0], v[1], v[2])
         self._plain = (

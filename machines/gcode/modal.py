@@ -48,7 +48,7 @@ class ModalState:
     ended: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON: only what differs from the defaults."""
+        """Return plain data for JSON: only what differs from the defaults."""
         return {
             name: sorted(value) if isinstance(value, frozenset) else list(value) if isinstance(value, tuple) else value
             for name in _NAMES
@@ -66,7 +66,9 @@ class ModalState:
         return ModalState(**values)
 
     def words(self, *, with_motion: bool = True) -> str:
-        """The blocks' words that bring a controller into this state, motion and position aside: "G21 G90 G17 ..."."""
+        """Return the blocks' words that bring a controller into this state, motion and position aside: "G21 G90 G17
+        ...".
+        """
         modes = [self.units, self.distance, self.plane, self.feed_mode, self.wcs]
         if with_motion and self.motion in ("G0", "G1"):
             modes.append(self.motion)

@@ -26,7 +26,7 @@ DIGEST_BYTES = 16
 
 
 def piece_digest(data: bytes | memoryview) -> str:
-    """Digest of one piece of a program."""
+    """Return the digest of one piece of a program."""
     return hashlib.blake2b(data, digest_size=DIGEST_BYTES).hexdigest()
 
 
@@ -58,7 +58,7 @@ class ProgramIndex:
         return max(0, bisect_right(self._line_numbers, line) - 1)
 
     def end_of(self, entry: int) -> int:
-        """Byte offset at which the piece of this entry ends."""
+        """Return the byte offset at which the piece of this entry ends."""
         return self.entries[entry + 1].offset if entry + 1 < len(self.entries) else self.bytes
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,7 +84,9 @@ class ProgramReader:
         self.index = index
 
     def lines(self, from_line: int = 1) -> Iterator[ProgramLine]:
-        """Blocks from line `from_line` on: no comment, no blank, upper case. ProgramChangedError at a changed piece."""
+        """Yield blocks from line `from_line` on: no comment, no blank, upper case. ProgramChangedError at a changed
+        piece.
+        """
         first = self.index.before(from_line)
         with self._open() as file:
             for number in range(first, len(self.index.entries)):
@@ -129,7 +131,7 @@ class ProgramReader:
 
 
 def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[ProgramLine]:
-    """Blocks of one piece. A piece without comments, blanks or lower case needs no work on its lines."""
+    """Yield the blocks of one piece. A piece without comments, blanks or lower case needs no work on its lines."""
     strip: Callable[[bytes], bytes] = strip_block
     plain, keeps_percent = False, True
     if dialect == "rml-1":  # its own language: as it stands, and ; ends a command

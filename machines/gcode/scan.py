@@ -96,7 +96,7 @@ class ProgramScan:
         )
 
     def batches(self, chunks: Iterable[bytes]) -> Iterator[ScanBatch]:
-        """Entries of the program; ProgramRefusedError at the first line that may not run."""
+        """Yield entries of the program; ProgramRefusedError at the first line that may not run."""
         rest = b""
         self._open_piece(0)
         for chunk, is_last in _with_last(chunks):
@@ -194,7 +194,7 @@ def _rules(dialect: Dialect) -> np.ndarray:
 
 
 def _with_last(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
-    """Each chunk with "no more after it"; at least one, possibly empty."""
+    """Yield each chunk with "no more after it"; at least one, possibly empty."""
     held = b""
     for chunk in chunks:
         if held:

@@ -26,7 +26,9 @@ def note_event(events, which, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def is_plain(state):  # type: ignore[no-untyped-def]
-    """Absolute, in mm, feeds per minute, not ended: straight moves may take the short way."""
+    """Return whether blocks are absolute, in mm, with feeds per minute, and the program is not ended: straight moves
+    may take the short way.
+    """
     metric = state[language.MM] == 1.0 and state[language.FEED_MODE] == 94.0
     return metric and state[language.ABSOLUTE] == 1.0 and state[language.ENDED] == 0.0
 

@@ -55,7 +55,7 @@ class Step:
         return self._nearest(point_mm)[0]
 
     def _nearest(self, point_mm: tuple[float, float, float]) -> tuple[float, float]:
-        """Fraction and squared distance of the straight move."""
+        """Return fraction and squared distance of the straight move."""
         dot = length2 = 0.0
         known = []
         for start, end, point in zip(self.start_mm, self.end_mm, point_mm, strict=True):
@@ -92,7 +92,7 @@ class Arc:
         return 1.0 if along - sweep < full - along else 0.0
 
     def distance_mm(self, point_mm: tuple[float, float, float], start_mm: Position, end_mm: Position) -> float:
-        """Nearest of: the place at the point's own angle, the start, the end."""
+        """Return the distance to the nearest of: the place at the point's own angle, the start, the end."""
         shares = {self.fraction(point_mm), 0.0, 1.0}
         return min(self._distance_at(share, point_mm, start_mm, end_mm) for share in shares)
 

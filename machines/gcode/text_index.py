@@ -36,7 +36,7 @@ class TextIndex:
         )
 
     def cut_into_pieces(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
-        """The chunks as they are; on the way they are cut into pieces. ProgramRefusedError at a line too long."""
+        """Yield the chunks as they are; on the way they are cut into pieces. ProgramRefusedError at a line too long."""
         rest = b""
         for chunk in chunks:
             yield chunk

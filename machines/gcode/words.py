@@ -19,14 +19,16 @@ class BadTextError(Exception):
 
 
 def strip_block(text: bytes) -> bytes:
-    """The block without comments and blanks, in upper case. A ( that is never closed stays, and is refused later."""
+    """Return the block without comments and blanks, in upper case. A ( that is never closed stays, and is refused
+    later.
+    """
     if b";" in text or b"(" in text:
         text = _without_comments(text)
     return text.translate(None, _BLANKS).upper()
 
 
 def _without_comments(text: bytes) -> bytes:
-    """( ends at the first ), ; at the line end; each hides the other, as in GRBL's protocol.c."""
+    """Remove comments: ( ends at the first ), ; at the line end; each hides the other, as in GRBL's protocol.c."""
     kept = b""
     while True:
         opening, semicolon = text.find(b"("), text.find(b";")
@@ -51,7 +53,7 @@ def split_words(block: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def _what_is_wrong(block: bytes) -> int:
-    """Refusal code of the first place that is no word."""
+    """Return the refusal code of the first place that is no word."""
     at = 0
     while match := _WORD.match(block, at):
         at = match.end()
@@ -67,7 +69,9 @@ _AT_START = {
 
 
 def strip_ends(text: bytes) -> bytes:
-    """A line of another language than G-code: as it stands, without the blanks and the tape's end marks around it."""
+    """Return a line of another language than G-code as it stands, without the blanks and the tape's end marks around
+    it.
+    """
     return text.strip(b" \t\r\n\x0b\x0c\x1a\x00")
 
 

@@ -77,10 +77,10 @@ SPINDLE_ON_ALARMS = frozenset({4, 5, 11, 12, 13})
 
 
 def error_words(number: int) -> str:
-    """`error:20 (G or M code not supported: ...)`."""
+    """Return `error:20 (G or M code not supported: ...)`."""
     return f"error:{number} ({ERRORS.get(number, 'not in the list of GRBL 1.1: see the manual of this controller')})"
 
 
 def alarm_words(number: int) -> str:
-    """`ALARM:2 (move would leave the travel ...)`."""
+    """Return `ALARM:2 (move would leave the travel ...)`."""
     return f"ALARM:{number} ({ALARMS.get(number, 'not in the list of GRBL 1.1: see the manual of this controller')})"

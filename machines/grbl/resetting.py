@@ -33,17 +33,17 @@ class ResetSequence:
 
     @staticmethod
     def at_standstill(now_s: float) -> ResetSequence:
-        """Once: where no banner comes, the session looks again whether the mill stands."""
+        """Reset once: where no banner comes, the session looks again whether the mill stands."""
         return ResetSequence(now_s)
 
     @staticmethod
     def after_critical_alarm(now_s: float) -> ResetSequence:
-        """When the controller has said that it waits for one, or must have; then until it hears."""
+        """Reset when the controller has said that it waits for one, or must have; then until it hears."""
         return ResetSequence(now_s, first_s=MESSAGE_S, again_s=AGAIN_S)
 
     @staticmethod
     def by_a_person(now_s: float) -> ResetSequence:
-        """To a controller that answers nothing: whether it stands is not known, so the position is not kept."""
+        """Reset a controller that answers nothing: whether it stands is not known, so the position is not kept."""
         return ResetSequence(now_s, again_s=AGAIN_S, ours=False)
 
     @property

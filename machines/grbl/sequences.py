@@ -66,7 +66,7 @@ CommandSequence = Generator[Ask | WaitStill, Answer, Outcome]
 
 
 def identify(banner: str) -> CommandSequence:
-    """$I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
+    """Ask $I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
     heard: list[replies.Reply] = []
     version = Answer("not asked")
     for _ in range(3):
@@ -85,7 +85,8 @@ def identify(banner: str) -> CommandSequence:
 
 
 def _ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
-    """What the controller says to this twice in the same words: a byte lost on the way makes 300 mm of travel 0 mm.
+    """Return what the controller says to this twice in the same words: a byte lost on the way makes 300 mm of travel 0
+    mm.
 
     Nothing, where it does not answer twice running.
     """

@@ -153,7 +153,9 @@ _STATE_GROUPS = tuple(
 
 
 def is_parser_state(words: str) -> bool:
-    """[GC:] as a controller says it: words only, and one of each modal group that a program depends on."""
+    """Return whether this is [GC:] as a controller says it: words only, and one of each modal group that a program
+    depends on.
+    """
     parts = words.split()
     return all(map(_STATE_WORD.fullmatch, parts)) and all(len(group & set(parts)) == 1 for group in _STATE_GROUPS)
 
@@ -164,7 +166,7 @@ def _firmware(words: str) -> str:
 
 
 def _buffers(options: str) -> tuple[int | None, int | None]:
-    """`V,15,128` -> (15, 128). FluidNC tells letters only."""
+    """Parse `V,15,128` -> (15, 128). FluidNC tells letters only."""
     parts = options.split(",")
     if len(parts) < 3 or not (parts[1].isdecimal() and parts[2].isdecimal()):
         return None, None

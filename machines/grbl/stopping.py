@@ -218,7 +218,7 @@ class StopControl:
             self._hold_again(now_s)
 
     def _settle(self, report: Status, now_s: float) -> None:
-        """While stopping: is it certain that the mill stands?"""
+        """Find out, while stopping, whether it is certain that the mill stands."""
         stream, position = self.streamer.stream, self.link.view.work_mm
         if stream is not None and position is not None and report.state in ("Run", "Hold"):
             stream.tracker.take_report(position)

@@ -156,7 +156,7 @@ class StreamMonitor:
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, line, now_s)
 
     def _finish(self, stream: Stream, report: Status, now_s: float) -> None:
-        """Everything is sent, answered and executed: does the mill stand where the program ends?"""
+        """Check, once everything is sent, answered and executed, that the mill stands where the program ends."""
         last, position = stream.tracker.last_move, self.link.view.work_mm
         if report.state == "Idle" and last is not None and position is not None and not last.probes:
             away = max((abs(p - e) for p, e in zip(position, last.end_mm, strict=True) if e is not None), default=0.0)

@@ -85,7 +85,8 @@ class SilenceClock:
 
 
 def motion_time_s(step: Step, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
-    """Longest time for one move: every block of it from rest to rest, at the rate and acceleration of the weakest axis.
+    """Return the longest time for one move: every block of it from rest to rest, at the rate and acceleration of the
+    weakest axis.
 
     L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
     """
@@ -152,7 +153,7 @@ def longest_wait_s(
 
 
 def _pause_s(step: Step, settings: ControllerSettings) -> float:
-    """Standing still on purpose: a dwell, or a spindle that speeds up or runs down."""
+    """Return how long it stands still on purpose: a dwell, or a spindle that speeds up or runs down."""
     if step.pause_s:
         return DWELL_SLACK * step.pause_s
     if not step.waits_for_empty_buffer or step.ends_program:
@@ -161,7 +162,8 @@ def _pause_s(step: Step, settings: ControllerSettings) -> float:
 
 
 def longest_homing_s(settings: ControllerSettings) -> float:
-    """Longest time $H may take: each axis searches 1.5 times its travel at $25, then at $24 over the pull-off $27.
+    """Return the longest time $H may take: each axis searches 1.5 times its travel at $25, then at $24 over the
+    pull-off $27.
 
     Without these settings: five minutes.
     """

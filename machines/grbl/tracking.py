@@ -53,7 +53,7 @@ class Sight:
 
 
 def _apart_mm(a: Position, b: Position) -> float:
-    """Distance along the axes that both tell."""
+    """Return the distance along the axes that both tell."""
     return sum((q - p) ** 2 for p, q in zip(a, b, strict=True) if p is not None and q is not None) ** 0.5
 
 

@@ -48,7 +48,7 @@ class Syncer(Protocol):
         ...
 
     def hasten(self) -> None:
-        """Have everything written made safe soon, without waiting for it."""
+        """Let everything written be made safe soon, without waiting for it."""
         ...
 
     def let_go(self) -> None:

@@ -37,7 +37,7 @@ class JournalContent:
 
 
 def encode(record: Mapping[str, Any]) -> bytes:
-    """One line of a journal."""
+    """Encode one line of a journal."""
     text = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
@@ -55,7 +55,7 @@ def decode(line: bytes) -> dict[str, Any] | None:
 
 
 def records_in(data: bytes) -> Iterator[dict[str, Any]]:
-    """Whole records up to the first that is not, or that does not follow the one before it."""
+    """Return whole records up to the first that is not, or that does not follow the one before it."""
     expected = None
     start = 0
     while (end := data.find(b"\n", start)) >= 0:
@@ -149,12 +149,12 @@ class Journal:
             raise JournalError(self._failure)
 
     def hasten(self) -> None:
-        """Have everything appended made safe soon, without waiting: `failure` tells if it could not be."""
+        """Let everything appended be made safe soon, without waiting: `failure` tells if it could not be."""
         if self._file is not None and not self.failure:
             self._syncer.hasten()
 
     def repair(self) -> None:
-        """After a failure: begin a new file with the whole state. JournalError if the disk still refuses."""
+        """Begin, after a failure, a new file with the whole state. JournalError if the disk still refuses."""
         if self.failure:
             self._rotate()
 

@@ -170,18 +170,20 @@ def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None)
 
 
 def _way(by_mm: Triple) -> str:
-    """As in "X +10 mm, Z -0.5 mm"."""
+    """Word it as in "X +10 mm, Z -0.5 mm"."""
     moved = ((axis, round(by, 3)) for axis, by in zip(_AXES, by_mm, strict=True))
     return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or "by nothing"
 
 
 def _together(axes: str) -> str:
-    """As in "X, Y and Z"."""
+    """Join as in "X, Y and Z"."""
     return " and ".join((", ".join(axes[:-1]), axes[-1])) if len(axes) > 1 else axes
 
 
 def describe_effect(text: str) -> str:
-    """What the line would change, as the end of a sentence that begins with it; "" where it need not be asked for."""
+    """Return what the line would change, as the end of a sentence that begins with it; "" where it need not be asked
+    for.
+    """
     line = strip_block(text.encode("ascii", "replace")).decode()
     parts = (
         [_normalize_setting(line)] if line[:1] in ("$", "[", "#") else [_word(*found) for found in _WORD.findall(line)]
@@ -193,7 +195,7 @@ def describe_effect(text: str) -> str:
 
 
 def _normalize_setting(line: str) -> str:
-    """$020=0.0 is $20=0 to a controller."""
+    """Normalise: $020=0.0 is $20=0 to a controller."""
     if found := _SETTING.fullmatch(line):
         number, value = found.groups()
         return f"${_plain(number)}={_plain(value) if re.fullmatch(_NUMBER, value) else value}"
@@ -201,7 +203,7 @@ def _normalize_setting(line: str) -> str:
 
 
 def _word(letter: str, number: str) -> str:
-    """G092.10 is G92.1 to a controller."""
+    """Normalise a word: G092.10 is G92.1 to a controller."""
     return f"{letter}{_plain(number)}"
 
 

@@ -68,7 +68,9 @@ class MillCycle:
         self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
-        """Settings, offsets and parser state, read now; None where the link does not tell or the mill is not idle."""
+        """Return settings, offsets and parser state, read now; None where the link does not tell or the mill is not
+        idle.
+        """
         driver = self.context.link.driver
         if driver is None or driver.status.state not in (MillState.IDLE, MillState.ALARM):
             return None

@@ -143,7 +143,7 @@ class Mill:
         self._begin(lambda: self._starter.start(run_id, confirmation, self._order, setup=setup))
 
     def plan_recovery(self, run_id: str) -> RecoveryPlan:
-        """How the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
+        """Plan how the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
         run = self._runs.get(run_id)
         plan, _, _ = self._planner.plan(run)
         self._runs.let_rest(run)
@@ -205,7 +205,7 @@ class Mill:
     # ------------------------------------------------------------------ ending
 
     def require_closable(self, *, detach: bool = False) -> None:
-        """NotAllowedError while the mill moves under a live run, unless it may go on unwatched."""
+        """Raise NotAllowedError while the mill moves under a live run, unless it may go on unwatched."""
         run = self._runs.live
         if detach or run is None or self.status.state not in _MOVES:
             return

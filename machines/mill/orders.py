@@ -175,7 +175,7 @@ class OrderGate:
             return True
 
     def require_free(self, shown: str = "") -> None:
-        """OrderRefusedError where somebody else has control."""
+        """Raise OrderRefusedError where somebody else has control."""
         with self._lock:
             self._require_own_lease(shown)
 

@@ -87,7 +87,7 @@ class Run:
     # ------------------------------------------------------------------ what is written
 
     def write(self, kind: str, **fields: Any) -> None:
-        """Into the record, and to the journal. The record keeps it even where the disk does not."""
+        """Write into the record and to the journal. The record keeps it even where the disk does not."""
         self.record.update(fields)
         self._view = None
         self.journal.append(kind, **fields)
@@ -169,7 +169,7 @@ class Run:
     # ------------------------------------------------------------------ time
 
     def _time_left_s(self) -> float | None:
-        """Pre-flight's estimate, scaled by how the run has kept to it since it was last started."""
+        """Return pre-flight's estimate, scaled by how the run has kept to it since it was last started."""
         lines, total_s = int(self.record.get("lines", 0)), float(self.record.get("time_s", 0.0))
         if not lines or not total_s or self.state is RunState.FINISHED:
             return None
@@ -179,7 +179,9 @@ class Run:
         return left * total_s * (self._moving_s / expected_s if known else 1.0)
 
     def take_back(self, fields: dict[str, Any]) -> None:
-        """A start that did not come about. Where the disk refuses this too, its next good record will have it."""
+        """Take back a start that did not come about. Where the disk refuses this too, its next good record will have
+        it.
+        """
         with contextlib.suppress(JournalError):
             self.write("run", **fields)
 

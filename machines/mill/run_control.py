@@ -158,7 +158,7 @@ class RunControl:
         run.move(state, words, **mark, **where, **more)
 
     def hold_without_journal(self, run: Run, error: JournalError) -> None:
-        """Without a journal nothing may run: hold, and say why. Resume tries the disk again.
+        """Hold, and say why: without a journal nothing may run. Resume tries the disk again.
 
         Asked again at every look: a cycle start at the machine must not go on without a journal either.
         """

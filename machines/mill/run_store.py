@@ -75,7 +75,9 @@ class RunFolders:
         return self.folder / run_id
 
     def new_id(self, wall_s: float, sha256: str) -> str:
-        """Unique in this folder, and sorts behind all that are there, even after the wall clock was set back."""
+        """Return a name that is unique in this folder and sorts behind all that are there, even after the wall clock
+        was set back.
+        """
         newest_s = max((calendar.timegm(time.strptime(name[:15], _TIME)) for name in self._names()), default=0)
         return time.strftime(_TIME, time.gmtime(max(wall_s, newest_s + 1))) + f"-{sha256[:6]}"
 
@@ -96,7 +98,7 @@ class RunFolders:
         return True
 
     def save_facts(self, run_id: str, facts: Preflight) -> None:
-        """preflight.json, whole or not at all."""
+        """Write preflight.json, whole or not at all."""
         folder = self.path(run_id)
         part = folder / "preflight.part"
         try:

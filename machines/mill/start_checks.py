@@ -164,7 +164,7 @@ def _box(points: Sequence[tuple[float | None, float | None, float | None]]) -> B
 
 
 def _first_outside(facts: Preflight, reader: ProgramReader, settings: ControllerSettings) -> str:
-    """In words: the first line that leaves the travel."""
+    """Tell in words the first line that leaves the travel."""
     interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
     last = 0
     try:

@@ -73,7 +73,7 @@ class MillThread:
             raise no_answer(timeout_s, taken_back=future.cancel()) from None
 
     def submit(self, function: Callable[[Mill], T]) -> Future[T]:
-        """Have `function` carried out on the owner thread; never waits. `cancel` takes back what has not begun."""
+        """Let the owner thread carry out `function`; never waits. `cancel` takes back what has not begun."""
         return self._put(self._calls, function)
 
     def halt(self, stop: Stop, caller: Caller = NOBODY) -> tuple[bool, Future[None]]:

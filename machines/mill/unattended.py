@@ -61,7 +61,7 @@ class UnattendedRuns:
                 run.record["adrift"] = ""
 
     def note_touch(self, but: Run | None = None) -> None:
-        """Something is done to the mill that may move it or its zero: its place proves nothing more."""
+        """Note that something is done to the mill that may move it or its zero: its place proves nothing more."""
         for run in self._list_unattended():
             if run is not but:
                 run.write("ashore", adrift="")

@@ -87,14 +87,14 @@ def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | N
 
 
 def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
-    """Highest machine Z; None where it is not known."""
+    """Return the highest machine Z; None where it is not known."""
     if settings is None or settings.travel_mm is None:
         return None
     return _reach_mm(settings, settings.travel_mm, 2)[1]
 
 
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
-    """Where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
+    """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 
     To be asked right before a start: offsets change when the work is zeroed. Machine coordinates run from -travel to 0,
     or from 0 to travel for an axis that homes to its low end in a firmware built with a forced origin ($I says Z).

@@ -69,7 +69,7 @@ def warnings(
     ends: bool,
     moves: bool,
 ) -> Iterator[str]:
-    """What the person should know before a start, one sentence each."""
+    """Return what the person should know before a start, one sentence each."""
     if not moves:
         yield "the program moves nothing"
     for slot, word in ((tally.UNITS_ASSUMED, "G20 or G21"), (tally.DISTANCE_ASSUMED, "G90 or G91")):

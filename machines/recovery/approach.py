@@ -15,7 +15,7 @@ from machines.recovery.plan_model import Present, Reentry
 
 
 def height_mm(present: Present, wcs: str) -> float | None:
-    """Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
+    """Return Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
     status, zero_mm = present.status, work_zero_mm(present.offsets or {}, wcs)
     if status.machine_mm is None or zero_mm is None:
         return status.work_mm[2] if status.work_mm is not None else None
@@ -68,7 +68,7 @@ def _mm(value: float) -> str:
 
 
 def find_unreadable(blocks: Sequence[str]) -> Iterator[str]:
-    """Our own blocks go through the same reader as a program: what it refuses is never sent."""
+    """Read our own blocks as a program is read: what it refuses is never sent."""
     interpreter = Interpreter(ModalState())
     for block in blocks:
         try:

@@ -35,7 +35,9 @@ class EntryPoint:
 
 
 def find_entry(reader: ProgramReader, executed_line: int) -> EntryPoint:
-    """One move back from the first line not executed. NoEntryError, or ProgramChangedError from the reader."""
+    """Return the place one move back from the first line not executed. NoEntryError, or ProgramChangedError from the
+    reader.
+    """
     entries = reader.index.entries
     for number in range(reader.index.before(executed_line + 1), -1, -1):
         found = _last_move(reader, entries[number].line, entries[number].state, executed_line)
@@ -48,7 +50,8 @@ def find_entry(reader: ProgramReader, executed_line: int) -> EntryPoint:
 def _last_move(
     reader: ProgramReader, from_line: int, state: ModalState, executed_line: int
 ) -> tuple[int, bytes, str] | None:
-    """The last executed move whose start is known, in the piece from `from_line`; after a tool change, the first there.
+    """Return the last executed move whose start is known, in the piece from `from_line`; after a tool change, the first
+    there.
 
     A tool change (T, M0, M1) is never stepped back over: the overlap would be cut with another tool.
     """

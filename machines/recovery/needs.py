@@ -74,7 +74,8 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
 
 
 def never_restarted(parser_state: str | None, at_start: str | None = None) -> bool:
-    """A restart sets feed, speed and spindle to nothing ($G: M5 F0 S0). What the program has set was never reset.
+    """Return what was never set again: a restart sets feed, speed and spindle to nothing ($G: M5 F0 S0). What the
+    program has set was never reset.
 
     at_start : $G before the program, when it was first started. What stood there already proves nothing: start-up
                blocks ($N0) may have set it.

@@ -119,7 +119,7 @@ class RecoveryPlan:
         }
 
     def with_place(self, problems: tuple[str, ...], *, refused: bool) -> RecoveryPlan:
-        """With what leaves the travel: refused where machine coordinates are certain, else told.
+        """Return the plan with what leaves the travel: refused where machine coordinates are certain, else told.
 
         They are not certain while anything has to be done first: a mill that must be homed counts from anywhere.
         """
@@ -133,7 +133,7 @@ class RecoveryPlan:
         return replace(self, words=(*self.words, *words))
 
     def lines(self, reader: ProgramReader) -> Iterator[ProgramLine]:
-        """All that is sent: the way in (as lines 0), then the program from the overlap line on."""
+        """Yield all that is sent: the way in (as lines 0), then the program from the overlap line on."""
         for block in self.blocks:
             yield ProgramLine(0, 0, block.encode("ascii"))
         program = reader.lines(self.overlap_line)

@@ -120,7 +120,9 @@ class BlockFeed:
             self.sent_line, self.sent_offset = line.number, line.offset
 
     def _refuse_above_the_top(self, line: ProgramLine, travel: Travel) -> None:
-        """Above machine Z0 the mill flattens: all that follows becomes rapids at Z0 (rollingmill's notes)."""
+        """Refuse what lies above machine Z0, which the mill flattens: all that follows becomes rapids at Z0
+        (rollingmill's notes).
+        """
         if self.origin_mm is None or travel.highest_z_mm is None:
             return
         machine_z_mm = travel.highest_z_mm + self.origin_mm[2]
@@ -131,7 +133,7 @@ class BlockFeed:
             )
 
     def _begin_program(self, first: ProgramLine) -> tuple[ProgramLine, ...]:
-        """NC code must begin with % and O and eight digits; a program read from the middle has lost them."""
+        """Begin NC code with % and O and eight digits, as it must; a program read from the middle has lost them."""
         if self._is_rml or first.text[:1] in (b"%", b"("):
             return ()
         mark = ProgramLine(0, first.offset, b"%")

@@ -72,7 +72,7 @@ class JobControl:
         self._still_since_s = now_s
 
     def resume(self, now_s: float) -> bool:
-        """Feed again; False where there is nothing to resume."""
+        """Feed again; return False where there is nothing to resume."""
         if self.feed is None or not self._held or self._aborting:
             return False
         self._held = False

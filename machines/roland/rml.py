@@ -205,7 +205,7 @@ def _widen(span: tuple[float, float] | None, value: float) -> tuple[float, float
 
 
 def _commands(chunks: Iterable[bytes]) -> Iterator[tuple[int, bytes, int]]:
-    """(line, command without ';', bytes of the file up to here); a command may be cut anywhere by the chunks."""
+    """Yield (line, command without ';', bytes of the file up to here); a command may be cut anywhere by the chunks."""
     line, size, rest = 1, 0, b""
     for chunk in chunks:
         size += len(chunk)

@@ -93,7 +93,7 @@ class RolandSerialDriver(OneWayDriver):
         return max(self._pace.count_queued(now_s), self._unsent_of_port() if self._unsent_of_port else 0)
 
     def _may_send(self) -> bool:
-        """The tty has let go of what it had: while CTS is down nothing more is put on top."""
+        """Return whether the tty has let go of what it had: while CTS is down nothing more is put on top."""
         return self._unsent_of_port is None or self._unsent_of_port() < _QUEUED
 
     def _turn(self) -> float:

@@ -28,7 +28,7 @@ class SimulatedArc:
 def arc_from_radius(
     start: Triple, end: Triple, radius: float, plane: tuple[int, int, int], clockwise: bool
 ) -> SimulatedArc:
-    """R form: the shorter of the two arcs, the longer one for a negative radius."""
+    """Return the arc of the R form: the shorter of the two, the longer one for a negative radius."""
     a, b, _ = plane
     dx, dy = end[a] - start[a], end[b] - start[b]
     chord = hypot(dx, dy)
@@ -47,7 +47,9 @@ def arc_from_radius(
 def arc_from_offsets(
     start: Triple, end: Triple, offsets: tuple[float, float], plane: tuple[int, int, int], clockwise: bool
 ) -> SimulatedArc:
-    """I, J, K form; the two radii may differ by 0.005 mm, or by 0.1 % if that is less than 0.5 mm."""
+    """Return the arc of the I, J, K form; the two radii may differ by 0.005 mm, or by 0.1 % if that is less than 0.5
+    mm.
+    """
     a, b, _ = plane
     centre = (start[a] + offsets[0], start[b] + offsets[1])
     radius = hypot(*offsets)

@@ -42,7 +42,7 @@ def carry_out_gcode(fw: Controller, code: bytes) -> Task:
 
 
 def _switch_accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
-    """Spindle and coolant: a change waits for the buffer to run empty."""
+    """Switch spindle and coolant: a change waits for the buffer to run empty."""
     state = fw.interpreter
     if action.modal["spindle"] != state.modal["spindle"]:
         if not dry:
@@ -62,7 +62,7 @@ def _switch_accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
 
 
 def _change_offsets(fw: Controller, action: Action, *, dry: bool) -> Task:
-    """Changes of offsets wait for an empty buffer, those in the EEPROM shut the receiver meanwhile."""
+    """Change offsets once the buffer is empty; those in the EEPROM shut the receiver meanwhile."""
     state, command = fw.interpreter, action.words.non_modal
     if command == "G53" or (command in ("G4", "G28", "G30") and action.modal["wcs"] == state.modal["wcs"]):
         return
@@ -130,7 +130,7 @@ def _move(fw: Controller, move: SimulatedMove) -> Task:
 
 
 def plan(fw: Controller, point: Triple, speed: float, *, rapid: bool, feed: float, kind: str = "program") -> Task:
-    """mc_line: soft limits, room, planner."""
+    """Plan a move as mc_line: soft limits, room, planner."""
     if fw.settings[20] and fw.state != "Jog" and is_out_of_travel(fw, point):
         yield from _raise_soft_limit(fw)
     if fw.state == "Check":
@@ -147,7 +147,7 @@ def is_out_of_travel(fw: Controller, point: Triple) -> bool:
 
 
 def _raise_soft_limit(fw: Controller) -> Task:
-    """Stops in good order, then ALARM:2; the line that asked for it is never answered."""
+    """Stop in good order, then ALARM:2; the line that asked for it is never answered."""
     if fw.state == "Run":
         fw.soft_limit = True
         fw.state, fw.held = "Hold", False
@@ -158,7 +158,7 @@ def _raise_soft_limit(fw: Controller) -> Task:
 
 
 def _run_probe(fw: Controller, move: SimulatedMove) -> Task:
-    """Straight probe. The contact ends the move at once (the real one overshoots by its braking distance)."""
+    """Probe straight. The contact ends the move at once (the real one overshoots by its braking distance)."""
     if fw.state == "Check":
         fw.interpreter.position = move.target
         return

@@ -117,7 +117,7 @@ class Controller:
         return self.critical or self.alarm != 0 or self.state in _SUSPENDED
 
     def busy(self) -> bool:
-        """No line is read now."""
+        """Return whether no line is read now."""
         return self.task is not None or self.is_suspended()
 
     # -- the task of a line ----------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class Controller:
         raise NotImplementedError
 
     def stop_for_limit(self) -> None:
-        """Motion has ended because it would have left the travel."""
+        """Stop: motion has ended because it would have left the travel."""
         raise NotImplementedError
 
     # -- motion has got somewhere ----------------------------------------------------------------------------------
@@ -193,7 +193,7 @@ class Controller:
         self.starved = True
 
     def _end_motion(self, at_s: float) -> None:
-        """Motion has ended."""
+        """Note that motion has ended."""
         self.now_s = at_s
         if self.soft_limit:
             self.soft_limit = False

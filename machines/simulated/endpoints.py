@@ -49,7 +49,7 @@ class Endpoint:
 
     # -- what a kind of endpoint provides --------------------------------------------------------------------------
     def _files(self) -> list[int]:
-        """File numbers to wait on."""
+        """Return file numbers to wait on."""
         raise NotImplementedError
 
     def _receive(self, ready: list[int]) -> bytes:

@@ -63,7 +63,7 @@ class Faults:
     def by_seed(
         cls, seed: int, *, kinds: Iterable[str] = KINDS, count: int = 1, lines: tuple[int, int] = (20, 1000)
     ) -> Faults:
-        """`count` faults of these kinds at random lines in the given range (first, last)."""
+        """Return `count` faults of these kinds at random lines in the given range (first, last)."""
         chance = random.Random(seed)
         kinds = tuple(kinds)
         plan = [_random_fault(chance, chance.choice(kinds), lines) for _ in range(count)]

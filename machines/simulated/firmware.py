@@ -42,7 +42,9 @@ class Firmware(Controller):
             self.begin(self._line_task(code))
 
     def _plain(self, raw: bytes) -> bool:
-        """Straight moves without any other word, the millions of a program: the same as the general way, in short."""
+        """Execute straight moves without any other word, the millions of a program: the same as the general way, in
+        short.
+        """
         match = _PLAIN_MOVE(raw)
         if match is None:
             return False

@@ -74,7 +74,7 @@ class SimulatedInterpreter:
         self.refresh()
 
     def refresh(self) -> None:
-        """Offset of work coordinates (WCO) after a change."""
+        """Compute the offset of work coordinates (WCO) after a change."""
         wcs = self.stored[self.modal["wcs"]]
         self.offset = (wcs[0] + self.g92[0], wcs[1] + self.g92[1], wcs[2] + self.g92[2] + self.tool_length)
 
@@ -136,7 +136,7 @@ class SimulatedInterpreter:
         return given or 0.0
 
     def _run_non_modal(self, action: Action, given: dict[str, float], wcs: Triple, unused: set[str]) -> Triple:
-        """G10, G28, G30, G53, G92; returns the target of any motion."""
+        """Run G10, G28, G30, G53, G92; return the target of any motion."""
         words, command = action.words, action.words.non_modal
         values = words.values
         if command == "G10":

@@ -153,7 +153,7 @@ class SimulatedMill:
                 self._look_for_line()
 
     def call_at(self, when_s: float, what: Callable[[], None]) -> None:
-        """Do this at that simulated time."""
+        """Call this at that simulated time."""
         self._order += 1
         heappush(self._events, (when_s, self._order, what))
 

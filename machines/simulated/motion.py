@@ -60,7 +60,7 @@ class Stepper:
         self.planner.x, self.planner.y, self.planner.z = x, y, z
 
     def start(self, at_s: float) -> None:
-        """Cycle start: execute what the planner holds. Does nothing while moving or without blocks."""
+        """Start the cycle: execute what the planner holds. Does nothing while moving or without blocks."""
         if self.moving:
             return
         self.segments.begin()
@@ -73,7 +73,7 @@ class Stepper:
             self.segments.hold()
 
     def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
-        """Steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
+        """Switch the steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
         x, y, z = self.where(at_s)
         b = self.executing_block
         if b is not None:

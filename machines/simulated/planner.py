@@ -155,7 +155,8 @@ class Planner:
         b.max_entry2 = nominal if nominal < b.junction2 else b.junction2
 
     def _recalculate(self, *, whole: bool = False) -> None:
-        """Entry speeds: backward so that every block can stop or slow down in time, then forward where it speeds up.
+        """Compute entry speeds: backward so that every block can stop or slow down in time, then forward where it
+        speeds up.
 
         The backward pass ends at the first block it does not change: all before it were found from the same figures.
         """

@@ -49,5 +49,5 @@ class Recording:
             self.on_block(segment)
 
     def cuts(self) -> list[CutSegment]:
-        """Program motion at feed, in order."""
+        """Return program motion at feed, in order."""
         return [s for s in self.segments if s.kind == "program" and not s.rapid]

@@ -33,7 +33,7 @@ def end_alarm(fw: Controller) -> None:
 
 
 def reset(fw: Controller) -> None:
-    """Ctrl-X or the reset button: in motion ALARM:6 or ALARM:3, and the banner when that has been said."""
+    """Reset as by Ctrl-X or the reset button: in motion ALARM:6 or ALARM:3, and the banner when that has been said."""
     stop_spindle(fw)
     if fw.alarm:
         fw.reset_pending = True
@@ -47,7 +47,7 @@ def reset(fw: Controller) -> None:
 
 
 def restart(fw: Controller, *, locked: bool) -> None:
-    """Everything but the EEPROM and the stepper position starts anew."""
+    """Start everything anew but the EEPROM and the stepper position."""
     at = (fw.stepper.x, fw.stepper.y, fw.stepper.z)
     fw.on_restart()
     fw.power_on_state()
@@ -107,7 +107,8 @@ def home(fw: Controller) -> Task:
 
 
 def _plan_homing(machine_mm: Triple, settings: Mapping[int, float]) -> Iterator[tuple[Triple, float]]:
-    """Points of the cycle in true machine coordinates with the seconds to get there: Z first, then X and Y together.
+    """Return points of the cycle in true machine coordinates with the seconds to get there: Z first, then X and Y
+    together.
 
     $23: a bit for each axis that homes to its negative end; $24 locate feed, $25 seek feed, $26 debounce,
     $27 pull-off.

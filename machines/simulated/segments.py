@@ -168,7 +168,7 @@ class SegmentBuffer:
         self._phases = phases
 
     def _brake(self, b: PlannedBlock) -> None:
-        """Full braking; the stop lies in this block if its length allows."""
+        """Brake in full; the stop lies in this block if its length allows."""
         left = b.remaining - b.entry2 * 0.5 / b.accel
         if left >= 0.0:
             self._exit = 0.0

@@ -72,7 +72,7 @@ class SerialSide:
             self.incoming.append((first, data))
 
     def _convert_line_ends(self, data: bytes) -> bytes:
-        """CR ends a line as LF does; where CRLF is one line end, the LF after a CR vanishes."""
+        """Convert line ends: CR ends a line as LF does; where CRLF is one line end, the LF after a CR vanishes."""
         if self._twice:
             return data.replace(b"\r", NEWLINE)
         if self._after_cr and data.startswith(NEWLINE):
@@ -101,7 +101,9 @@ class SerialSide:
         return inf
 
     def take_line(self) -> bytes:
-        """The next line. While the main loop waits for it, its bytes do not stay in the ring: they cannot overflow."""
+        """Return the next line. While the main loop waits for it, its bytes do not stay in the ring: they cannot
+        overflow.
+        """
         ring, incoming = self.ring, self.incoming
         if ring:
             k = ring.find(NEWLINE)
@@ -160,7 +162,7 @@ class SerialSide:
         self.realtime = kept
 
     def clear_received(self, at_s: float) -> None:
-        """Empty the ring, as a reset does; what is still on the wire arrives."""
+        """Clear the ring, as a reset does; what is still on the wire arrives."""
         self.admit(at_s)
         self.ring.clear()
 
@@ -180,5 +182,5 @@ class SerialSide:
         self.out.append((self.tx_free_s, data))
 
     def may_go_on_s(self) -> float:
-        """The main loop waits while more than `tx_bytes` are queued."""
+        """Return when the main loop may go on: it waits while more than `tx_bytes` are queued."""
         return self.tx_free_s - self.tx_bytes * self.byte_s

@@ -24,7 +24,7 @@ def cancel_jog(fw: Controller) -> None:
 
 
 def resume(fw: Controller) -> None:
-    """Cycle start, from `~` or the button. Before a hold is complete it is ignored."""
+    """Resume by a cycle start, from `~` or the button. Before a hold is complete it is ignored."""
     if fw.state == "Door" and fw.held and "D" not in fw.pressed:
         fw.door_restoring = True
         fw.spindle_paused = False

@@ -138,7 +138,7 @@ def _restore(fw: Controller, what: str) -> Task:
 
 
 def _jog(fw: Controller, line: str) -> Task:
-    """$J=: its own modes, error:15 outside the travel, several may be queued, cancelled by 0x85."""
+    """Jog by $J=: its own modes, error:15 outside the travel, several may be queued, cancelled by 0x85."""
     if fw.state not in ("Idle", "Jog"):
         raise GcodeError(8)
     if not line.startswith("$J="):

@@ -78,7 +78,7 @@ class Traits:
     settings: Mapping[int, float] = field(default_factory=dict)
 
     def all_settings(self) -> dict[int, float]:
-        """$-settings at power-up."""
+        """Return $-settings at power-up."""
         settings = {**DEFAULT_SETTINGS, **self.settings}
         if self.homing is not None:
             settings[22] = float(self.homing)
