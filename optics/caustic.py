@@ -132,9 +132,9 @@ def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
     """Return the bench's screen of (ny, nx) pixels as kernels take it."""
     screen = bench.screen
     return Aim(
-        throw=bench.throw_mm,
-        left=screen.left_mm,
-        bottom=screen.bottom_mm,
+        throw=float(bench.throw_mm),
+        left=float(screen.left_mm),
+        bottom=float(screen.bottom_mm),
         per_mm_x=pixels[1] / screen.width_mm,
         per_mm_y=pixels[0] / screen.height_mm,
     )

@@ -159,7 +159,7 @@ class FlatRemoval(RemovalGrid):
     ) -> None:
         """Begin as RemovalGrid does. rim_mm: how far a repeated way may lie beside itself, by its digits."""
         super().__init__(stock, radius_mm=radius_mm, rapid_clearance_mm=rapid_clearance_mm, shares=shares, shank=shank)
-        self._corner_mm, self._rim_mm = corner_mm, rim_mm
+        self._corner_mm, self._rim_mm = float(corner_mm), float(rim_mm)
         self._ways = np.zeros((shares, 1))
         self._seen, self._begun = np.full(self.top_mm.shape, -np.inf), self.top_mm.copy()
 

@@ -62,16 +62,16 @@ class RemovalGrid:
         self.x0_mm, self.y0_mm, self.cell_mm = stock.x0_mm, stock.y0_mm, stock.cell_mm
         self.top_mm = stock.top_mm.copy()
         self.cut_by_line = np.zeros(self.top_mm.shape, dtype=np.int32)  # 0: not touched
-        self.radius_mm = radius_mm
+        self.radius_mm = float(radius_mm)
         self.shares = shares
-        self._keep_off_mm = rapid_clearance_mm
+        self._keep_off_mm = float(rapid_clearance_mm)
         self._tile_cells = max(1, round(radius_mm / 2 / stock.cell_mm))
         self._tile_mm = self._tile_cells * self.cell_mm
         self._corners = np.zeros((shares, 5))
         self._crowns = [crowns_of(self.top_mm, share, shares) for share in range(shares)]
         self._owner_line = 0
         self._last_point = np.full(3, np.nan)
-        self._shank_reach_mm, self._flutes_mm = shank or (0.0, math.inf)
+        self._shank_reach_mm, self._flutes_mm = map(float, shank or (0.0, math.inf))
         self.refresh()
 
     def _bounds(self, reach_mm: float) -> Array:

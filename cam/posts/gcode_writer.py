@@ -114,7 +114,7 @@ class ProgramWriter(Writer):
 
     def _lines(self, points_mm: Array, opening: str, closing: str) -> bytes:
         size, _ = write_lines(
-            points_mm,
+            np.ascontiguousarray(points_mm),
             self._state,
             self._decimals,
             self._letters,

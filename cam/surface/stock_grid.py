@@ -46,6 +46,8 @@ class StockGrid:
             raise ValueError(f"a stock cell is {self.cell_mm:g} mm; it must be above 0")
         top_mm.flags.writeable = False
         object.__setattr__(self, "top_mm", top_mm)
+        for name in ("x0_mm", "y0_mm", "cell_mm"):  # kernels are compiled for one kind of number
+            object.__setattr__(self, name, float(getattr(self, name)))
 
     @classmethod
     def block(cls, stock: BlockSize, cell_mm: float | None = None) -> StockGrid:
