@@ -6,6 +6,8 @@ INSTALLED := $(VENV)/.installed
 READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
 MILL := out/demo-mill.txt
+TYPES := tests/page/types
+TSC := $(VENV)/types/node_modules/typescript/bin/tsc
 
 # Bytecode is kept, whatever the environment says: where it is not, each server that a test starts compiles all modules
 # anew (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
@@ -70,6 +72,13 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@$(MAKE) --no-print-directory $(TSC) || true
+	@if [ -f $(TSC) ]; then node $(TSC) --project $(TYPES); else echo "TypeScript could not be installed: the types of the page are not checked"; fi
+
+# By its hash; what it checks are the comments and uses in the page's modules.
+$(TSC): $(TYPES)/package-lock.json
+	mkdir -p $(VENV)/types && cp $(TYPES)/package*.json $(VENV)/types
+	npm ci --prefix $(VENV)/types --no-audit --no-fund --silent && touch $@
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

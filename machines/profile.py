@@ -202,7 +202,9 @@ def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
 
 
 def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachineProfile:
-    """Return the profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in a file."""
+    """Return the profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in
+    a file.
+    """
     sources = find_profiles(folders)
     if name not in sources:
         raise UnknownProfileError(name, tuple(sources))

@@ -32,7 +32,9 @@ LISTEN_S = 0.3  # at most: a line that waits for room in the planner is answered
 
 
 def usable_bytes(rx_bytes: int | None) -> int:
-    """Return how many bytes may be under way to a controller that reports this receive buffer (None: it does not tell)."""
+    """Return how many bytes may be under way to a controller that reports this receive buffer (None: it does
+    not tell).
+    """
     return (rx_bytes or DEFAULT_RX_BYTES) - SPARE_BYTES
 
 

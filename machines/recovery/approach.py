@@ -15,7 +15,9 @@ from machines.recovery.plan_model import Present, Reentry
 
 
 def height_mm(present: Present, wcs: str) -> float | None:
-    """Return Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
+    """Return Z of the tool in the frame the program is entered in, which need not be the one the controller is
+    in now.
+    """
     status, zero_mm = present.status, work_zero_mm(present.offsets or {}, wcs)
     if status.machine_mm is None or zero_mm is None:
         return status.work_mm[2] if status.work_mm is not None else None

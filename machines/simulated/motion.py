@@ -73,7 +73,9 @@ class Stepper:
             self.segments.hold()
 
     def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
-        """Switch the steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
+        """Switch the steppers off in the middle of a motion: where it stood, and in which block. All buffers
+        are gone.
+        """
         x, y, z = self.where(at_s)
         b = self.executing_block
         if b is not None:

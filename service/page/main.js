@@ -10,7 +10,8 @@ import { sentence } from "./lib/words.js";
 import { showMill } from "./machine/chip.js";
 import { watchForNotifications } from "./machine/notify.js";
 
-/** [address, place in the navigation, how the view is loaded] */
+/** Address, place in the navigation, how the view is loaded.
+ * @type {[RegExp, string, () => Promise<{default: Function}>][]} */
 const ROUTES = [
   [/^\/$/, "jobs", () => import("./jobs/list.js")],
   [/^\/new$/, "new", () => import("./new/view.js")],
@@ -109,7 +110,7 @@ function showFault(error, place, app) {
 }
 
 function markPlace(place) {
-  for (const link of document.querySelectorAll(".bar nav a")) {
+  for (const link of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".bar nav a"))) {
     if (link.dataset.place === place) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }

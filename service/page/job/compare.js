@@ -36,6 +36,7 @@ async function load(id) {
   return { job, artifacts: new Map(files.artifacts.map((file) => [file.name, file])) };
 }
 
+/** @param {string[]} names */
 function tellApart([a, b]) {
   return a === b ? [t`${a} (first)`, t`${b} (second)`] : [a, b];
 }
@@ -90,6 +91,7 @@ function figures(sides, names) {
   return h("section", { class: "card", "aria-labelledby": "compare-figures" }, title, table(names, rows, { numbers: true }));
 }
 
+/** @param {any[]} figure */
 function figureRow([what, say, better, value], sides) {
   const found = sides.map((side) => value(side) ?? null);
   if (found.every((each) => each === null)) return null;

@@ -209,6 +209,6 @@ const STAGES = {
 export function stageWords(name, spec) {
   const pass = /^pass-(\d+)$/.exec(name);
   if (!pass) return STAGES[name] ?? name;
-  const row = spec.passes?.[pass[1] - 1];
+  const row = spec.passes?.[Number(pass[1]) - 1];
   return t`Make and check pass ${pass[1]}${row ? ` (${passName(row.name)})` : ""}`;
 }

@@ -53,7 +53,7 @@ function paceOf(stages) {
 
 /** By what it usually takes, and by its own pace: the longer one. One that is late has as long to go as it is late. */
 function ofRunning({ started_at: startedAt, usual_s: usualS }, usual, share, now) {
-  const spent = Math.max(0, (now - new Date(startedAt)) / 1000);
+  const spent = Math.max(0, (now - Date.parse(startedAt)) / 1000);
   const own = share > TELLING ? (spent * (1 - share)) / share : 0;
   const late = share > TELLING ? 0 : Math.max(0, spent - usual);
   return Math.max(usual * (1 - share), own, late, usualS * 0.05);

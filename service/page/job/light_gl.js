@@ -176,6 +176,7 @@ export function turnOf({ turn: [upright, level] }) {
   return [a, b * d, b * c, 0, c, -d, -b, a * d, a * c];
 }
 
+/** @param {number[]} m @param {number[]} v */
 export function times(m, [x, y, z]) {
   return [0, 3, 6].map((row) => m[row] * x + m[row + 1] * y + m[row + 2] * z);
 }

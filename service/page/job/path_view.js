@@ -23,7 +23,8 @@ const LEAST_TOLD = 20_000; // points whose picture tells how fast this browser d
 const HELD_BYTES = 48 << 20; // of each level
 const MOST_SCALE = 2000; // px per mm
 
-/** {node, show(file), time(t), rapids(on), fit(), zoom(factor), at(t), free()}; onDrawn({number, ms, points, sharp}). */
+/** {node, show(file), time(t), rapids(on), fit(), zoom(factor), at(t), free()}; onDrawn({number, ms, points, sharp}).
+ * @param {{label: string, outline: any, onDrawn?: (drawn: object) => void}} options */
 export function pathView({ label, outline, onDrawn = () => {} }) {
   const canvas = h("canvas", { class: "path-canvas" });
   const overlay = pathOverlay();

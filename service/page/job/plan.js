@@ -112,6 +112,7 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
 }
 
 /** What a band of likeness means to an eye, where the line does not go: low ones at the right, high ones at the left. */
+/** @param {any[]} band @param {any} at @param {number} width */
 function bandWords([from, to, words], at, width) {
   const top = at.y(to), foot = at.y(from);
   if (foot - top < LEAST_BAND) return null;

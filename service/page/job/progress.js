@@ -77,7 +77,7 @@ function sentence(job, share, live, link) {
     const doing = job.cancel_requested ? t("Being cancelled") : stage ? stageWords(stage, job.spec) : t("Begins");
     return `${percentUnderWay(share)}: ${doing}.${left}${tail}`;
   }
-  const took = job.started_at && job.ended_at ? hours((new Date(job.ended_at) - new Date(job.started_at)) / 1000) : "";
+  const took = job.started_at && job.ended_at ? hours((Date.parse(job.ended_at) - Date.parse(job.started_at)) / 1000) : "";
   if (job.state === "succeeded") return took ? t`Made in ${took}.` : t("Made.");
   return t`Stopped at ${percent(share)}${took ? t` after ${took}` : ""}.`;
 }

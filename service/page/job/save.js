@@ -9,7 +9,8 @@ import { toast } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { bytes, percent } from "../lib/words.js";
 
-/** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told. */
+/** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told.
+ * @param {{url: string, name: string, size?: number, words: any, plain?: boolean, fetched?: boolean}} options */
 export function saveLink({ url, name, size, words, plain = false, fetched = false }) {
   const link = h("a", { class: plain ? "" : "button", href: url, download: name }, words ?? name);
   link.addEventListener("click", (event) => {

@@ -74,7 +74,7 @@ export function walls(grid, floor) {
   for (let j = 0; j < ny - 1; j++) rim.push([nx - 1, j]);
   for (let i = nx - 1; i > 0; i--) rim.push([i, ny - 1]);
   for (let j = ny - 1; j > 0; j--) rim.push([0, j]);
-  const point = ([i, j]) => [
+  const point = (/** @type {number[]} */ [i, j]) => [
     (i - (nx - 1) / 2) * grid.dx, (j - (ny - 1) / 2) * grid.dy, grid.z0 + grid.dz * grid.steps[j * nx + i],
   ];
   const found = [];

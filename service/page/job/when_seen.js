@@ -1,6 +1,7 @@
 /** Work that waits until somebody can see what it is for. */
 
-/** Calls `work` when the node comes into view, and by `again()` once more if it is; {again(), seen(), end()}. */
+/** Calls `work` when the node comes into view, and by `again()` once more if it is; {again(), seen(), end()}.
+ * @param {(seen: boolean) => void} onChange */
 export function whenSeen(node, work, onChange = () => {}) {
   let seen = false;
   const watch = new IntersectionObserver((entries) => {

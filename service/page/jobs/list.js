@@ -18,7 +18,7 @@ const FILTERS = [
   ["failed", t("Failed"), ["failed", "cancelled"], t("No job failed or was cancelled.")],
 ];
 const NEWEST = (a, b) => (a.created_at < b.created_at ? 1 : -1);
-const WORKS = (a, b) => (b.state === "running") - (a.state === "running");
+const WORKS = (a, b) => Number(b.state === "running") - Number(a.state === "running");
 const SORTS = {
   "": [t("Newest first"), (a, b) => WORKS(a, b) || NEWEST(a, b)],
   old: [t("Oldest first"), (a, b) => NEWEST(b, a)],
@@ -123,7 +123,7 @@ function jobList(states, none, asked) {
     empty: h("p", { class: "dim", hidden: true }),
     more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => loadOlder(PAGE).then(tell) }, t("Show older jobs"))),
     picking: false,
-    onChange: () => {},
+    onChange: (/** @type {object} */ _) => {},
     start,
     close,
     ask,

@@ -37,8 +37,9 @@ let token = "";
 let who = NOBODY;
 let away = false;
 let declined = -Infinity;
+/** @type {Promise<any>} */
 let settled = Promise.resolve();
-let askForKey = async () => false;
+let askForKey = async (/** @type {string} */ _) => false;
 let clockOff_ms = 0;
 const awayListeners = new Set();
 const whoListeners = new Set();
@@ -112,7 +113,8 @@ export const api = {
     pictures.delete(path);
   },
 
-  /** Bytes `from` up to, without, `to` of a file; all of it without them. */
+  /** Bytes `from` up to, without, `to` of a file; all of it without them.
+   * @param {string} path @param {{from?: number, to?: number, signal?: AbortSignal}} part */
   async bytes(path, { from = 0, to, signal } = {}) {
     const part = from > 0 || to !== undefined;
     const headers = part ? { Range: `bytes=${from}-${to === undefined ? "" : to - 1}` } : {};
@@ -183,7 +185,8 @@ function listen(listeners, fn) {
   return () => listeners.delete(fn);
 }
 
-/** options: headers, body, type, signal, cache, keepalive, timeout_ms (0: none), quiet (a 401 asks nobody for a key). */
+/** options: headers, body, type, signal, cache, keepalive, timeout_ms (0: none), quiet (a 401 asks nobody for a key).
+ * @param {any} options */
 async function request(method, path, options = {}) {
   const response = await answer(method, path, options);
   if (response.ok) return response;
@@ -202,7 +205,9 @@ async function getsKey() {
   return given;
 }
 
+/** @param {string} method @param {string} path @param {any} options */
 async function answer(method, path, { headers = {}, body, type, signal, cache, keepalive, timeout_ms = TIMEOUT_MS }) {
+  /** @type {Record<string, string>} */
   const own = { Accept: "application/json", ...headers };
   if (type) own["Content-Type"] = type;
   if (token) own.Authorization = `Bearer ${token}`;
@@ -235,7 +240,7 @@ function isOfAnother(response) {
 
 /** Clocks that agree to a few seconds are taken to be the same: answers tell whole seconds, and take their time. */
 function compareClocks(response) {
-  const off = new Date(response.headers.get("date") ?? NaN) - Date.now();
+  const off = Date.parse(response.headers.get("date") ?? "") - Date.now();
   if (Number.isFinite(off)) clockOff_ms = Math.abs(off) < AGREE_MS ? 0 : off;
 }
 

@@ -44,6 +44,7 @@ export function open({ title, body, actions = [], wide = false }) {
 
 /** As a modal one, but for the mill in the head of the page, which can be held meanwhile. */
 function showBeside(dialog) {
+  /** @type {NodeListOf<HTMLElement>} */
   const rest = document.querySelectorAll(".skip, .bar > :not(#mill), #view");
   for (const part of rest) part.inert = true;
   dialog.addEventListener("close", () => rest.forEach((part) => (part.inert = false)));
@@ -67,6 +68,7 @@ export async function confirm({ title, words, yes, no = t("Cancel"), danger = fa
 /**
  * A sentence at the edge of the page, read out by screen readers. kind: "", "good", "bad"; stays: until it is closed.
  * Returns {close()}.
+ * @param {any} words @param {{kind?: string, action?: {words: string, run: () => void}, stays?: boolean}} options
  */
 export function toast(words, { kind = "", action, stays = false } = {}) {
   const shown = h(

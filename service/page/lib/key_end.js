@@ -39,7 +39,7 @@ export function watchKeyEnd(enter) {
 
 /** Seconds that the token of `who` is still good for; Infinity for one that does not end. */
 function secondsLeft({ expires_at: end }) {
-  return end ? (new Date(end) - api.now()) / 1000 : Infinity;
+  return end ? (Date.parse(end) - api.now()) / 1000 : Infinity;
 }
 
 /** The warning that is due now and was not given yet; null where none is. */

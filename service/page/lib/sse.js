@@ -18,6 +18,7 @@ const HOPELESS = new Set([400, 403, 404, 405, 410, 422]);
 /**
  * follow("/v1/jobs/ID/events", {onEvent(name, data, id), onState(state, words)}) -> {close()}
  * state: "open", "away" (words say so; it is tried again), "ended" (words empty where all went well).
+ * @param {string} path @param {{onEvent: (name: string, data: any, id: string) => void, onState?: (state: string, words?: string) => void}} on
  */
 export function follow(path, { onEvent, onState = () => {} }) {
   let part = null; // of this page in the stream: {token, place, stop}

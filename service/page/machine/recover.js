@@ -119,7 +119,7 @@ function step(title, done, ...content) {
 function needs(link, plan, { raise, words }) {
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words)]);
   const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
-  const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Boolean(other) - Boolean(one));
+  const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Number(Boolean(other)) - Number(Boolean(one)));
   if (!rows.length) return h("p", {}, t("Nothing: the mill stands, its position is sure, its work zero is the same."));
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }

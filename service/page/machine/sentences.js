@@ -197,7 +197,8 @@ const SENTENCES = {
 /** The codes that are told in words of this table. */
 export const CODES = Object.keys(SENTENCES);
 
-/** {brief, whole, parts} of what is told by {code, values, words}. Where no code is known: the words, and nothing brief. */
+/** {brief, whole, parts} of what is told by {code, values, words}. Where no code is known: the words, and nothing brief.
+ * @param {{code?: string, values?: any, words?: string}} told */
 export function tell({ code, values, words }) {
   if (!Object.hasOwn(SENTENCES, code ?? "")) return { brief: "", whole: words ? sentence(words) : "" };
   const made = SENTENCES[code];

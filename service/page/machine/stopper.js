@@ -63,7 +63,8 @@ export class Stopper {
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;
     first.then(() => (answered = true)).catch(() => {});
-    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || aborts !== this.aborts || post());
+    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})])
+      .then(/** @returns {any} */ () => answered || aborts !== this.aborts || post());
     return Promise.any([first, second]);
   }
 }

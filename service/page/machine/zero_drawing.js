@@ -37,6 +37,7 @@ function sizes({ width_mm, height_mm, margin_mm }) {
   return [block, t`${mm(margin_mm)} inside the ${block}`];
 }
 
+/** @param {any} stock @param {string[]} words */
 function drawStock(stock, [block, where], kind = "") {
   const k = Math.min((WIDE - 2 * SIDE) / stock.width_mm, (HIGH - TOP - FOOT) / stock.height_mm);
   const [width, height, margin] = [stock.width_mm, stock.height_mm, stock.margin_mm].map((side) => k * side);

@@ -21,7 +21,7 @@ const YES_NO = [
 /** All but those of the passes. */
 export const SPEC = [...rowsOf(SCHEMA)];
 
-const on = (card) => SPEC.filter((row) => row.card === card).sort((one, other) => Boolean(other.first) - Boolean(one.first));
+const on = (card) => SPEC.filter((row) => row.card === card).sort((one, other) => Number(Boolean(other.first)) - Number(Boolean(one.first)));
 export const [MAIN, LENS, LIGHT, MILL, PICTURE] = ["main", "lens", "light", "mill", "picture"].map(on);
 
 /** [title, rows] of what is folded away: all that stands on no card. */
@@ -39,7 +39,8 @@ export function usualOf(key) {
   return SPEC.find((row) => row.key === key).usual;
 }
 
-/** Rows of a table and of those in it. Lists of lists and of tables have none: they are other values, as JSON. */
+/** Rows of a table and of those in it. Lists of lists and of tables have none: they are other values, as JSON.
+ * @param {any} table @param {{before?: string, title?: string}} within */
 function* rowsOf(table, { before = "", title } = {}) {
   for (const [name, told] of Object.entries(table.properties)) {
     const inner = target(told), key = before + name;

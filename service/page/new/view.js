@@ -134,7 +134,7 @@ function newJob(profiles, app, withMills) {
     foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.why && now.goThere);
   }
 
-  async function begin({ spec, forMore, ...start }) {
+  async function begin(/** @type {any} */ { spec, forMore, ...start }) {
     showSpec(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
     card.show({ kind: "none" });
     ready();
