@@ -231,6 +231,10 @@ PROBE_DEPTH_MM = (0.001, 200.0)
 PROBE_FEED = (1.0, 1000.0)  # [mm/min]
 PLATE_MM = (-100.0, 100.0)
 RETRACT_MM = (0.0, 100.0)
+CORNER_PLATE_MM = (0.0, 100.0)  # its thickness, on the block and beside it
+CUTTER_RADIUS_MM = (0.01, 50.0)
+MARGIN_MM = (0.0, 1000.0)
+BESIDE_MM = (1.0, 100.0)  # up, aside and down to where the side of a plate is touched
 OVERRIDE_PERCENT = (10, 200)  # of feed and spindle
 ZERO_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
 
@@ -256,6 +260,35 @@ class ProbeZ:
     feed_mm_per_min: float = 50.0
     plate_mm: float = 0.0
     retract_mm: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeCorner:
+    """Touch a plate on the block's front left corner from above, left and front; then set the work zero of X, Y, Z.
+
+    The tool begins over the plate, near the corner, and ends there.
+
+    depth_mm         : down to the plate, at most
+    plate_mm         : thickness of the plate, over the block: Z0 is the block's top
+    wall_x_mm        : from the block's left edge out to the face that is touched from the left
+    wall_y_mm        : from its front edge out to the face that is touched from the front
+    cutter_radius_mm : of what touches, where it touches
+    margin_mm        : X0 Y0 lies so far inside the block's left and front edges
+    aside_mm         : left, then forward of the start, where the tool goes down; probed back at most
+    below_mm         : under the plate's top, where its sides are touched
+    retract_mm       : over the plate's top, where the tool goes across
+    """
+
+    depth_mm: float
+    plate_mm: float
+    wall_x_mm: float
+    wall_y_mm: float
+    cutter_radius_mm: float
+    margin_mm: float
+    feed_mm_per_min: float = 100.0
+    aside_mm: float = 20.0
+    below_mm: float = 5.0
+    retract_mm: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,8 +331,8 @@ class SendBlock:
 
 
 Command = (
-    Home | Unlock | Reset | Jog | JogCancel | ProbeZ | SetZero | TrustPosition | Override | CheckMode | ReadSettings
-    | SendBlock
+    Home | Unlock | Reset | Jog | JogCancel | ProbeZ | ProbeCorner | SetZero | TrustPosition | Override | CheckMode
+    | ReadSettings | SendBlock
 )  # fmt: skip
 
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from machines.driver import CheckMode, Command, CommandDone, Home, JogCancel, MillState, Override, TrustPosition
-from machines.grbl import sequences
+from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
 from machines.grbl.codes import error_words
 from machines.grbl.link import GrblLink
 from machines.grbl.overrides import OverrideControl
 from machines.grbl.replies import Push, Reply, Setting, Status
-from machines.grbl.sequences import Answer, Ask, CommandSequence, Outcome, WaitStill
+from machines.grbl.sequences import make_sequence
 from machines.grbl.settings import is_parser_state
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import BANNER_S
@@ -75,7 +75,7 @@ class CommandChannel:
             if isinstance(command, CheckMode) and not command.on:
                 self.banner_due_s = now_s + BANNER_S
             self.command = command
-            self.run(sequences.make_sequence(command, link.view.settings), self._end_command, now_s)
+            self.run(make_sequence(command, link.view.settings), self._end_command, now_s)
 
     def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float) -> None:
         """Begin a sequence."""
@@ -141,7 +141,7 @@ class CommandChannel:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
         except StopIteration as stop:
             self._finish(stop.value, "", now_s)
-        except sequences.SequenceFailedError as failed:
+        except SequenceFailedError as failed:
             self._finish(Outcome(), str(failed), now_s)
         else:
             self._due_s = self.link.silence.spent_s + waiting.timeout_s
@@ -168,5 +168,5 @@ class CommandChannel:
 def _is(reply: Reply, expect: str) -> bool:
     if expect == "$":
         return isinstance(reply, Setting)
-    parser_state = expect == sequences.PARSER_TAG
+    parser_state = expect == PARSER_TAG
     return isinstance(reply, Push) and reply.tag == expect and (not parser_state or is_parser_state(reply.body))

@@ -11,16 +11,19 @@ from machines.driver import (
     JogCancel,
     MillState,
     Override,
+    ProbeCorner,
     ProbeZ,
     ReadSettings,
     Reset,
     SendBlock,
     SetZero,
+    Triple,
     TrustPosition,
     Unlock,
 )
 from machines.errors import NotAllowedError, WrongStateError
 from machines.grbl.overrides import find_refusal
+from machines.grbl.probing import find_reached_mm
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.grbl.streaming import PLAIN
@@ -37,6 +40,7 @@ ALLOWED: dict[type, frozenset[MillState]] = {
     Jog: _IDLE,
     JogCancel: _LINKED,
     ProbeZ: _IDLE,
+    ProbeCorner: _IDLE,
     SetZero: _IDLE,
     TrustPosition: _IDLE | {MillState.HELD},
     Override: _LINKED - {MillState.HOMING, MillState.SLEEP},
@@ -49,7 +53,13 @@ _BESIDE = (JogCancel, Override, TrustPosition)
 
 
 def check_command(
-    command: Command, state: MillState, phase: Phase, settings: ControllerSettings, *, silent: bool
+    command: Command,
+    state: MillState,
+    phase: Phase,
+    settings: ControllerSettings,
+    *,
+    machine_mm: Triple | None,
+    silent: bool,
 ) -> None:
     """Raise NotAllowedError unless the command may be carried out now. silent: nothing answers; then a person may send
     a reset."""
@@ -69,7 +79,7 @@ def check_command(
     if isinstance(command, SendBlock) and not _is_plain(command.text):
         words = f"{name}: '{command.text}' is not a plain block"
         raise NotAllowedError(words, code=MillCode.NO_BLOCK, values={"text": command.text})
-    if refusal := _values(command, settings):
+    if refusal := _values(command, settings, machine_mm):
         raise NotAllowedError(f"{name}: {refusal}")
 
 
@@ -84,7 +94,7 @@ def check_start(state: MillState, phase: Phase, settings: ControllerSettings) ->
         )
 
 
-def _values(command: Command, settings: ControllerSettings) -> str:
+def _values(command: Command, settings: ControllerSettings, machine_mm: Triple | None) -> str:
     if isinstance(command, Override):
         return find_refusal(command.what, command.percent)
     if isinstance(command, Home) and settings.homing is False:
@@ -98,6 +108,8 @@ def _values(command: Command, settings: ControllerSettings) -> str:
         return "" if 0.0 < command.feed_mm_per_min <= 100_000.0 else f"feed {command.feed_mm_per_min} mm/min: above 0"
     if isinstance(command, ProbeZ):
         return _probe(command)
+    if isinstance(command, ProbeCorner):
+        return _corner(command, settings, machine_mm)
     return _block(command.text) if isinstance(command, SendBlock) else ""
 
 
@@ -107,6 +119,20 @@ def _probe(command: ProbeZ) -> str:
     if not 0.0 < command.feed_mm_per_min <= 2000.0:
         return f"feed {command.feed_mm_per_min} mm/min: above 0, at most 2000"
     return "" if 0.0 <= command.retract_mm <= 200.0 else f"retract {command.retract_mm} mm: from 0 to 200"
+
+
+def _corner(command: ProbeCorner, settings: ControllerSettings, machine_mm: Triple | None) -> str:
+    radius_mm = command.cutter_radius_mm
+    if min(command.below_mm, command.aside_mm) <= radius_mm:
+        return f"the side of a cutter of radius {radius_mm:g} mm touches only further below and aside than its radius"
+    reach_mm = settings.reach_mm if settings.homing or settings.soft_limits else None
+    if reach_mm is None or machine_mm is None:
+        return ""
+    for name, (least, most), (low, high) in zip("XYZ", find_reached_mm(command, machine_mm), reach_mm, strict=True):
+        if least < low or most > high:
+            where = f"{name} might go from {least:.3f} to {most:.3f} mm in machine coordinates"
+            return f"{where}; the machine reaches {low:g} to {high:g}"
+    return ""
 
 
 def _is_plain(text: str) -> bool:

@@ -6,63 +6,40 @@ written the controller hears nothing, so such lines must never be part of a coun
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Triple, Unlock
+from machines.driver import (
+    CheckMode,
+    Command,
+    Home,
+    Jog,
+    ProbeCorner,
+    ProbeZ,
+    ReadSettings,
+    SendBlock,
+    SetZero,
+    Unlock,
+)
 from machines.grbl import replies
+from machines.grbl.asking import (
+    BLOCK_S,
+    OFFSET_TAG,
+    PARSER_TAG,
+    REPLY_S,
+    VERSION_TAG,
+    Answer,
+    Ask,
+    CommandSequence,
+    Outcome,
+    SequenceFailedError,
+    WaitStill,
+    ask_offsets,
+    ask_twice,
+    require_ok,
+)
+from machines.grbl.probing import probe_corner, probe_z
 from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import longest_homing_s
-
-REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
-BLOCK_S = 60.0
-TOLD_AT_MOST = 5  # times a thing is asked until two answers running agree
-PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
-
-
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """Send this line and wait for its answer.
-
-    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer:
-             one that comes earlier belongs to something sent before. "" takes any.
-    """
-
-    text: bytes
-    timeout_s: float = REPLY_S
-    expect: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class WaitStill:
-    """Wait for two reports of a mill that stands idle (or checks)."""
-
-    timeout_s: float = BLOCK_S
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What came back. `failure` in words; "" if `ok` came."""
-
-    failure: str = ""
-    heard: tuple[replies.Reply, ...] = ()
-    machine_mm: Triple | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What a finished sequence leaves behind."""
-
-    answer: dict[str, object] = field(default_factory=dict)
-    settings: ControllerSettings | None = None
-    vouched: str = ""  # axes whose coordinates are right from now on
-
-
-class SequenceFailedError(Exception):
-    """The sequence cannot go on; the text is for the operator."""
-
-
-CommandSequence = Generator[Ask | WaitStill, Answer, Outcome]
 
 
 def identify(banner: str) -> CommandSequence:
@@ -75,34 +52,13 @@ def identify(banner: str) -> CommandSequence:
         if not version.failure:
             break
     heard += version.heard
-    heard += yield from _ask_twice(b"$$", "$")
-    heard += yield from _ask_twice(b"$#", OFFSET_TAG)
-    heard += yield from _ask_twice(b"$G", PARSER_TAG)
+    heard += yield from ask_twice(b"$$", "$")
+    heard += yield from ask_twice(b"$#", OFFSET_TAG)
+    heard += yield from ask_twice(b"$G", PARSER_TAG)
     settings = read_settings(heard, banner)
     if version.failure and not banner and not settings.values and not settings.parser_state:
         raise SequenceFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
     return Outcome(settings=settings, answer=describe_settings(settings))
-
-
-def _ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
-    """Return what the controller says to this twice in the same words: a byte lost on the way makes 300 mm of travel 0
-    mm.
-
-    Nothing, where it does not answer twice running.
-    """
-    last: tuple[replies.Reply, ...] | None = None
-    unanswered = 0
-    for _ in range(TOLD_AT_MOST):
-        answer = yield Ask(text, expect=expect)
-        if answer.failure:
-            unanswered += 1
-            if unanswered == 2:
-                return ()
-        elif answer.heard == last:
-            return answer.heard
-        else:
-            last = answer.heard
-    raise SequenceFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
 
 
 def describe_settings(settings: ControllerSettings) -> dict[str, object]:
@@ -114,20 +70,14 @@ def describe_settings(settings: ControllerSettings) -> dict[str, object]:
     }
 
 
-def _require_ok(answer: Answer) -> Answer:
-    if answer.failure:
-        raise SequenceFailedError(answer.failure)
-    return answer
-
-
 def home(settings: ControllerSettings) -> CommandSequence:
-    _require_ok((yield Ask(b"$H", longest_homing_s(settings))))
-    _require_ok((yield WaitStill(REPLY_S)))
+    require_ok((yield Ask(b"$H", longest_homing_s(settings))))
+    require_ok((yield WaitStill(REPLY_S)))
     return Outcome(vouched="XYZ")
 
 
 def ask_once(text: bytes) -> CommandSequence:
-    _require_ok((yield Ask(text)))
+    require_ok((yield Ask(text)))
     return Outcome()
 
 
@@ -136,82 +86,32 @@ def jog(command: Jog, settings: ControllerSettings) -> CommandSequence:
     if not axes:
         return Outcome()
     length_mm = sum(value * value for value in command.by_mm) ** 0.5
-    _require_ok((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
+    require_ok((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
     slowest = min((command.feed_mm_per_min, *(settings.max_rate_mm_per_min or (500.0,))))
-    _require_ok((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
+    require_ok((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
     return Outcome()
-
-
-def probe(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
-    """Down until contact; then the zero is set so that the *contact point*, not the place after braking, has its Z."""
-    modal = _require_ok((yield Ask(b"$G", expect=PARSER_TAG)))
-    restore = _words_to_restore(modal)
-    seconds = 20.0 + 3.0 * command.depth_mm / command.feed_mm_per_min * 60.0
-    down = f"G21G91G38.2Z{-abs(command.depth_mm):.4f}F{command.feed_mm_per_min:.1f}"
-    answer = _require_ok((yield Ask(down.encode(), seconds, PROBE_TAG)))
-    contact = _contact(answer, settings.unit_mm)
-    still = _require_ok((yield WaitStill()))
-    if still.machine_mm is None:
-        raise SequenceFailedError("the probe touched, but the controller reports no machine position: zero not set")
-    height_mm = command.plate_mm + still.machine_mm[2] - contact[2]
-    _require_ok((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
-    _require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
-    _require_ok((yield WaitStill()))
-    _require_ok((yield Ask(restore)))
-    fresh, told = yield from _ask_offsets(settings)
-    return Outcome({"contact_machine_mm": list(contact), "offsets": told}, fresh, vouched="Z")
-
-
-def _words_to_restore(modal: Answer) -> bytes:
-    """Return words that bring back units, distance mode and motion as [GC:] told before."""
-    words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
-    return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
-
-
-def _contact(answer: Answer, unit_mm: float) -> Triple:
-    for reply in answer.heard:
-        if isinstance(reply, replies.Push) and reply.tag == PROBE_TAG:
-            place, _, success = reply.body.rpartition(":")
-            try:
-                x, y, z = (float(part) * unit_mm for part in place.split(",")[:3])
-            except ValueError:
-                break
-            if success == "1":
-                return (x, y, z)
-    raise SequenceFailedError("the probe did not touch: zero not set")
 
 
 def set_zero(command: SetZero, settings: ControllerSettings) -> CommandSequence:
     words = "".join(f"{axis}0" for axis in command.axes)
-    _require_ok((yield Ask(f"G10L20P0{words}".encode())))
-    fresh, told = yield from _ask_offsets(settings)
+    require_ok((yield Ask(f"G10L20P0{words}".encode())))
+    fresh, told = yield from ask_offsets(settings)
     return Outcome({"offsets": told}, fresh, vouched=command.axes)
-
-
-def _ask_offsets(
-    settings: ControllerSettings,
-) -> Generator[Ask | WaitStill, Answer, tuple[ControllerSettings, dict[str, list[float]]]]:
-    """Ask $#: the settings with the offsets told now, and these alone as plain data."""
-    unit = replies.Setting(13, settings.values.get(13, "0"))
-    heard = yield from _ask_twice(b"$#", OFFSET_TAG)
-    offsets = read_settings((unit, *heard)).offsets
-    fresh = replace(settings, offsets={**settings.offsets, **offsets})
-    return fresh, {name: list(value) for name, value in offsets.items()}
 
 
 def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSequence:
     text = command.text.strip().encode("ascii")
-    answer = _require_ok((yield Ask(text, BLOCK_S)))
+    answer = require_ok((yield Ask(text, BLOCK_S)))
     if not text.startswith(b"$"):
-        _require_ok((yield WaitStill()))
+        require_ok((yield WaitStill()))
     heard = [*answer.heard]
     again = yield from identify(settings.version) if text.startswith(b"$") else _modal_again(settings)
     return Outcome(answer={"heard": [str(reply) for reply in heard]}, settings=again.settings)
 
 
 def _modal_again(settings: ControllerSettings) -> CommandSequence:
-    fresh, _ = yield from _ask_offsets(settings)
-    told = read_settings((yield from _ask_twice(b"$G", PARSER_TAG))).parser_state
+    fresh, _ = yield from ask_offsets(settings)
+    told = read_settings((yield from ask_twice(b"$G", PARSER_TAG))).parser_state
     return Outcome(settings=replace(fresh, parser_state=told or fresh.parser_state))
 
 
@@ -227,7 +127,9 @@ def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequ
         case Jog():
             return jog(command, settings)
         case ProbeZ():
-            return probe(command, settings)
+            return probe_z(command, settings)
+        case ProbeCorner():
+            return probe_corner(command, settings)
         case SetZero():
             return set_zero(command, settings)
         case CheckMode():

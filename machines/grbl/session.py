@@ -218,8 +218,9 @@ class GrblSession:
         """Begin a command; ends with CommandDone."""
         if isinstance(command, JogCancel):
             self.stops.drop_motion(now_s)
-        state = self.reporter.state
-        check_command(command, state, self.link.phase, self.link.view.settings, silent=self.link.offers_reset)
+        state, link = self.reporter.state, self.link
+        seen, silent = link.view, link.offers_reset
+        check_command(command, state, link.phase, seen.settings, machine_mm=seen.machine_mm, silent=silent)
         if isinstance(command, Reset):
             self.link.events.append(CommandDone(command))
             self.resets.begin_for_person(now_s)

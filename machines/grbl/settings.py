@@ -73,6 +73,18 @@ class ControllerSettings:
         return self._triple(130)
 
     @property
+    def reach_mm(self) -> tuple[tuple[float, float], ...] | None:
+        """Least and greatest machine coordinate of each axis.
+
+        From -travel to 0, or from 0 to travel for an axis that homes to its low end in a firmware built with a forced
+        origin ($I says Z).
+        """
+        if self.travel_mm is None:
+            return None
+        low_ends = int(self.number(23) or 0) if "Z" in self.options else 0
+        return tuple((0.0, mm) if low_ends >> axis & 1 else (-mm, 0.0) for axis, mm in enumerate(self.travel_mm))
+
+    @property
     def arc_tolerance_mm(self) -> float | None:
         """$12."""
         return self.number(12)

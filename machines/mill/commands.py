@@ -20,6 +20,7 @@ from machines.driver import (
     Jog,
     JogCancel,
     Override,
+    ProbeCorner,
     ProbeZ,
     ReadSettings,
     Reset,
@@ -119,7 +120,7 @@ class Commands:
             return
         if isinstance(command, ReadSettings):
             setup.parser_state = str(event.answer.get("parser_state", "")) or None
-        axes = command.axes if isinstance(command, SetZero) else "Z" if isinstance(command, ProbeZ) else ""
+        axes = _find_axes_zeroed(command)
         if isinstance(command, Home):
             setup.homed = True
         if "Z" in axes:
@@ -128,6 +129,18 @@ class Commands:
             setup.zeroed = "".join(sorted({*setup.zeroed, *axes}))
             setup.zeroed_anew = "".join(sorted({*setup.zeroed_anew, *axes}))
             self.context.runs.note_zero(axes)
+
+
+def _find_axes_zeroed(command: Command) -> str:
+    match command:
+        case SetZero(axes=axes):
+            return axes
+        case ProbeZ():
+            return "Z"
+        case ProbeCorner():
+            return "XYZ"
+        case _:
+            return ""
 
 
 def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
@@ -141,6 +154,8 @@ def _word_question(command: Command) -> str:
             return f"Jog {_way(command.by_mm)}"
         case ProbeZ():
             return f"Probe Z down by at most {command.depth_mm:g} mm, plate {command.plate_mm:g} mm"
+        case ProbeCorner():
+            return f"Probe the corner, cutter of radius {command.cutter_radius_mm:g} mm, plate {command.plate_mm:g} mm"
         case SetZero():
             return f"{_together(command.axes)} = 0 here"
         case Override():
@@ -165,6 +180,9 @@ def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None)
             return f"done, at machine {', '.join(places)} mm"
         case ProbeZ() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
             return f"touched at machine Z {contact[2]:.3f} mm"
+        case ProbeCorner() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
+            places = (f"{axis} {mm:.3f}" for axis, mm in zip(_AXES, contact, strict=True))
+            return f"touched at machine {', '.join(places)} mm"
         case _:
             return "done"
 

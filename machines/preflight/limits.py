@@ -71,12 +71,6 @@ def _usable(triple: Triple | None) -> Triple | None:
     return triple if triple is not None and min(triple) > 0 else None
 
 
-def _reach_mm(settings: ControllerSettings, travel_mm: Triple, axis: int) -> tuple[float, float]:
-    """Return the least and greatest machine coordinate of an axis."""
-    to_low_end = int(settings.number(23) or 0) >> axis & 1
-    return (0.0, travel_mm[axis]) if "Z" in settings.options and to_low_end else (-travel_mm[axis], 0.0)
-
-
 def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | None:
     """Return the work zero in machine coordinates, from the controller's offsets; None where it is not told."""
     if wcs not in offsets:
@@ -88,20 +82,17 @@ def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | N
 
 def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
     """Return the highest machine Z; None where it is not known."""
-    if settings is None or settings.travel_mm is None:
-        return None
-    return _reach_mm(settings, settings.travel_mm, 2)[1]
+    return None if settings is None or settings.reach_mm is None else settings.reach_mm[2][1]
 
 
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
     """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 
-    To be asked right before a start: offsets change when the work is zeroed. Machine coordinates run from -travel to 0,
-    or from 0 to travel for an axis that homes to its low end in a firmware built with a forced origin ($I says Z).
-    Empty also where nothing can be said: travel or offsets not known, or the machine has no homing.
+    To be asked right before a start: offsets change when the work is zeroed. Empty also where nothing can be said:
+    travel or offsets not known, or the machine has no homing.
     """
-    travel, offsets = settings.travel_mm, settings.offsets
-    if travel is None or not offsets or not (settings.homing or settings.soft_limits):
+    reach_mm, offsets = settings.reach_mm, settings.offsets
+    if reach_mm is None or not offsets or not (settings.homing or settings.soft_limits):
         return ()
     problems = []
     for frame, bounds in program.bounds_by_frame.items():
@@ -113,7 +104,7 @@ def placement_problems(program: Preflight, settings: ControllerSettings) -> tupl
             if least is None or most is None:
                 continue
             shift = zero_mm[axis]
-            low, high = _reach_mm(settings, travel, axis)
+            low, high = reach_mm[axis]
             if least + shift < low - 1e-6 or most + shift > high + 1e-6:
                 problems.append(
                     f"{name} would go from {least + shift:.3f} to {most + shift:.3f} mm in machine coordinates "

@@ -5,7 +5,7 @@ from machines.simulated.faults import KINDS, Fault, FaultDone, Faults, parse_fau
 from machines.simulated.memory_port import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.recording import CutSegment, Recording
-from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, PRESETS, Traits
+from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, PRESETS, CornerPlate, Traits
 
 __all__ = [
     "FLUIDNC",
@@ -14,6 +14,7 @@ __all__ = [
     "GRBL_11_ECHO",
     "KINDS",
     "PRESETS",
+    "CornerPlate",
     "CutSegment",
     "Endpoint",
     "Fault",

@@ -8,6 +8,7 @@ from machines.simulated.arcs import chords
 from machines.simulated.controller import EMPTY, NEVER, ROOM, Controller, Task
 from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple
 from machines.simulated.suspending import apply_overrides
+from machines.simulated.touching import find_contact, is_touching
 
 
 def carry_out_gcode(fw: Controller, code: bytes) -> Task:
@@ -164,19 +165,13 @@ def _run_probe(fw: Controller, move: SimulatedMove) -> Task:
         return
     yield EMPTY
     towards, strict = move.motion in ("G38.2", "G38.3"), move.motion in ("G38.2", "G38.4")
-    surface = fw.traits.probe_surface_mm
-    here, there = fw.interpreter.position[2] + fw.shift[2], move.target[2] + fw.shift[2]
-    touching = surface is not None and here < surface - 1e-9
-    if touching == towards:
+    if is_touching(fw.traits, fw.physical()) == towards:
         fw.probe_found = False
         raise_alarm(fw, 4)
         yield 0.0
         return
-    end, found = move.target, False
-    if surface is not None and (here - surface) * (there - surface) <= 0.0 and here != there:
-        share, found = (here - surface) / (here - there), True
-        end_list = [a + share * (b - a) for a, b in zip(fw.interpreter.position, move.target, strict=True)]
-        end = (end_list[0], end_list[1], end_list[2])
+    contact = find_contact(fw.traits, fw.interpreter.position, move.target, shift_mm=fw.shift)
+    end, found = contact or move.target, contact is not None
     fw.stepper.planner.add(*end, move.speed, False, feed=move.feed, line=fw.line, kind="probe")
     yield EMPTY
     fw.interpreter.position = (fw.stepper.x, fw.stepper.y, fw.stepper.z)

@@ -13,6 +13,7 @@ from machines.simulated.interpreter import ZERO, SimulatedInterpreter, Triple
 from machines.simulated.motion import Stepper
 from machines.simulated.planner import PlannedBlock
 from machines.simulated.recording import CutSegment, Recording
+from machines.simulated.touching import is_touching
 from machines.simulated.traits import Traits
 
 # What the task of a line can wait for; a number is a time to wait until.
@@ -98,8 +99,7 @@ class Controller:
         return self.state
 
     def pins(self) -> str:
-        probe = self.traits.probe_surface_mm
-        pins = self.pressed | ({"P"} if probe is not None and self.physical()[2] < probe - 1e-9 else set())
+        pins = self.pressed | ({"P"} if is_touching(self.traits, self.physical()) else set())
         return "".join(p for p in "XYZPDHRS" if p in pins)
 
     def spindle_on(self) -> bool:

@@ -17,6 +17,19 @@ DEFAULT_SETTINGS: Mapping[int, float] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CornerPlate:
+    """A plate on the front left corner of a block, with no end to the right, backwards and down; and what touches it.
+
+    left_mm, front_mm : physical X and Y of the faces that are touched from the left and from the front
+    tool_radius_mm    : of the cylinder that touches them
+    """
+
+    left_mm: float
+    front_mm: float
+    tool_radius_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Traits:
     """One controller with its traps.
 
@@ -43,6 +56,7 @@ class Traits:
     power_up_machine_mm    : where the tool stands at power-up, in coordinates a homing cycle would find
     reset_slip_mm          : steps lost, as a distance along the motion, when motion is cut off without deceleration
     probe_surface_mm       : physical Z of the surface a probe touches; None: never
+    corner_plate           : where that surface ends, and can be touched from the left and from the front; None: nowhere
     """
 
     firmware: str = "grbl"
@@ -75,6 +89,7 @@ class Traits:
     power_up_machine_mm: Triple = (-200.0, -150.0, -10.0)
     reset_slip_mm: float = 0.07
     probe_surface_mm: float | None = -5.0
+    corner_plate: CornerPlate | None = None
     settings: Mapping[int, float] = field(default_factory=dict)
 
     def all_settings(self) -> dict[int, float]:

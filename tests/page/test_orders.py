@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
+from service.server.schemas.control import ProbeCornerBody
 from tests.levels import mostly_thorough
 from tests.page.answers import problem
 from tests.page.browser import open_blank
@@ -429,3 +430,27 @@ def test_who_gave_which_order_can_be_read(opened: Opened) -> None:
     expect(rows.last).to_contain_text("told to stop after this order")
     expect(page.get_by_role("button", name="Show older ones")).to_be_hidden()
     expect(page.locator(".log")).to_contain_text("port lost: the device is gone Ada")
+
+
+def test_a_corner_is_probed_by_what_is_known_of_plate_tool_and_block(opened: Opened) -> None:
+    """Tool and block are those of the program; the plate is given once, and not asked for again."""
+    page = with_control(opened, "parked")
+    sent = record_orders(page)
+    page.get_by_text("Probe the corner with a plate").click()
+    probe = page.get_by_role("button", name="Probe the corner", exact=True)
+    expect(probe).to_be_disabled()
+    for side, mm in (("on", "10"), ("left of", "6.1"), ("in front of", "5.9")):
+        page.get_by_label(f"Plate {side} the block").fill(mm)
+    expect(page.get_by_label("X0 Y0 inside the edges")).to_have_value("8")
+    probe.click()
+    question = page.get_by_role("group", name="Probe the corner")
+    expect(question).to_contain_text("20 mm and its radius to the left")
+    question.get_by_role("button", name="Probe", exact=True).click()
+    until(lambda: sent or page.wait_for_timeout(50))
+    [(order, body, _)] = sent
+    assert order == "probe-corner" and ProbeCornerBody.model_validate(body).model_dump(exclude_unset=True) == {
+        "plate_mm": 10, "wall_x_mm": 6.1, "wall_y_mm": 5.9, "depth_mm": 10, "cutter_radius_mm": 0.5, "margin_mm": 8,
+        "aside_mm": 20.5, "below_mm": 1.5,
+    }  # fmt: skip
+    page.reload()
+    expect(page.get_by_label("Plate left of the block")).to_have_value("6.1")

@@ -49,6 +49,7 @@ const ORDERS = {
   home: t("home"),
   jog: t("jog"),
   probe: t("probe"),
+  "probe-corner": t("probe the corner"),
   zero: t("zero"),
   "trust-position": t("trust-position"),
   override: t("override"),

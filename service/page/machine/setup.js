@@ -3,6 +3,7 @@
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { guardedButton } from "./ask.js";
+import { cornerPart, probePart } from "./probe.js";
 import { enable, refusalLine } from "./refusal_line.js";
 import { whyNot } from "./words.js";
 
@@ -24,6 +25,7 @@ export function setup(link) {
   });
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, axes === "XY" ? t("X and Y = 0 here") : t`${axes} = 0 here`));
   const probe = probePart(order);
+  const corner = cornerPart(order, () => link.changed());
   const hint = h("p", { class: "dim" });
   const node = h(
     "section",
@@ -34,6 +36,7 @@ export function setup(link) {
     h("h3", {}, t("Work zero")),
     h("div", { class: "row zeros" }, zeros),
     probe.node,
+    corner.node,
     words.node,
   );
   return {
@@ -47,36 +50,10 @@ export function setup(link) {
       enable([unlock.button], locked === "" && !link.busy);
       enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);
       enable([...zeros, probe.button], idle === "" && !link.busy);
-      if (idle) probe.close();
+      corner.update(link.run?.setup);
+      enable([corner.button], idle === "" && !link.busy && corner.isWhole);
+      if (idle) for (const part of [probe, corner]) part.close();
       if (locked) unlock.close();
     },
   };
-}
-
-/** Touching off Z: down until the plate is felt, which is then as high as it is thick. */
-function probePart(order) {
-  const plate = number(0, { min: -100, max: 100, step: "any" });
-  const depth = number(10, { min: 0.1, max: 200, step: "any" });
-  const feed = number(50, { min: 1, max: 1000, step: 1 });
-  const start = () => order("probe", { plate_mm: plate.valueAsNumber, depth_mm: depth.valueAsNumber, feed_mm_per_min: feed.valueAsNumber, retract_mm: 2 });
-  const ask = guardedButton(t("Probe Z"), {
-    words: () => t`The tool goes down by up to ${depth.value} mm until it touches. Is the plate under it, and the clip on the tool?`,
-    yes: t("Probe"),
-    act: start,
-  });
-  const node = h(
-    "details",
-    { class: "probe" },
-    h("summary", {}, t("Probe Z with a plate")),
-    h("div", { class: "probe-form" }, field(t("Plate thickness"), plate, "mm"), field(t("Down at most"), depth, "mm"), field(t("Feed"), feed, "mm/min"), ask.node),
-  );
-  return { node, button: ask.button, close: ask.close };
-}
-
-function number(value, { min, max, step }) {
-  return h("input", { type: "number", min, max, step, value, inputMode: "decimal" });
-}
-
-function field(label, input, unit) {
-  return h("label", { class: "field" }, h("span", {}, label), h("span", { class: "with-unit" }, input, h("span", {}, unit)));
 }

@@ -9,7 +9,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from machines.driver import JOG_FEED, JOG_MM, OVERRIDE_PERCENT, PLATE_MM, PROBE_DEPTH_MM, PROBE_FEED, RETRACT_MM
+from machines.driver import (
+    BESIDE_MM,
+    CORNER_PLATE_MM,
+    CUTTER_RADIUS_MM,
+    JOG_FEED,
+    JOG_MM,
+    MARGIN_MM,
+    OVERRIDE_PERCENT,
+    PLATE_MM,
+    PROBE_DEPTH_MM,
+    PROBE_FEED,
+    RETRACT_MM,
+)
 from service.server.schemas.base import Body, Time
 from service.server.schemas.runs import Holder, Scopes
 
@@ -89,6 +101,36 @@ class ProbeBody(Body):
     feed_mm_per_min: Annotated[float, _within(PROBE_FEED)] = 50.0
     plate_mm: Annotated[float, _within(PLATE_MM)] = 0.0
     retract_mm: Annotated[float, _within(RETRACT_MM)] = 2.0
+
+
+class ProbeCornerBody(Body):
+    """A plate on the block's front left corner is touched from above, from the left and from the front; then the work
+    zero of X, Y and Z is set at once. The tool begins and ends over the plate, near the corner."""
+
+    depth_mm: Annotated[float, _within(PROBE_DEPTH_MM, description="down to the plate, at most", examples=[20.0])]
+    plate_mm: Annotated[float, _within(CORNER_PLATE_MM, description="of the plate, on the block", examples=[10.0])]
+    wall_x_mm: Annotated[
+        float,
+        _within(CORNER_PLATE_MM, description="from the block's left edge to the plate's face", examples=[6.0]),
+    ]
+    wall_y_mm: Annotated[
+        float, _within(CORNER_PLATE_MM, description="from its front edge to the plate's face", examples=[6.0])
+    ]
+    cutter_radius_mm: Annotated[
+        float, _within(CUTTER_RADIUS_MM, description="of the cutter or pin that touches", examples=[1.5])
+    ]
+    margin_mm: Annotated[
+        float,
+        _within(MARGIN_MM, description="X0 Y0 lies so far inside the block's left and front edges", examples=[8.0]),
+    ]
+    feed_mm_per_min: Annotated[float, _within(PROBE_FEED, description="each touch is repeated slowly")] = 100.0
+    aside_mm: Annotated[
+        float, _within(BESIDE_MM, description="left, then forward of where it begins, where the tool goes down")
+    ] = 20.0
+    below_mm: Annotated[float, _within(BESIDE_MM, description="under the plate's top, where its sides are touched")] = (
+        5.0
+    )
+    retract_mm: Annotated[float, _within(BESIDE_MM, description="over the plate's top, to go across")] = 5.0
 
 
 class ZeroBody(Body):

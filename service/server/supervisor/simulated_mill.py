@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
-from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
+from machines.simulated import GRBL_11, CornerPlate, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, ServiceError, sentence_of_os_error
 from service.processes import lifeline
 from service.processes.private import make_private
@@ -21,7 +21,8 @@ from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
-_TOUCHED_AT_MM = -30.0  # machine Z of what a probe touches: the top of a block on the table
+_TOUCHED_AT_MM = (-210.0, -210.0, -30.0)  # machine X, Y, Z of what a probe touches: a plate on a block's corner
+_PIN_RADIUS_MM = 1.5
 _PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
 extends = "grbl"
 description = "a simulated mill, {factor:g} times as fast as a real one"
@@ -62,8 +63,10 @@ def _leave(*_: object) -> NoReturn:
 
 def make_mill() -> SimulatedMill:
     """Return the mill itself; it keeps no record of what it cuts."""
-    from_here_mm = GRBL_11.power_up_machine_mm[2]  # where Z of the recording is zero
-    traits = replace(GRBL_11, homing=True, probe_surface_mm=_TOUCHED_AT_MM - from_here_mm)
+    from_here_mm = GRBL_11.power_up_machine_mm  # where the recording is zero
+    left, front, top = (at - here for at, here in zip(_TOUCHED_AT_MM, from_here_mm, strict=True))
+    plate = CornerPlate(left_mm=left, front_mm=front, tool_radius_mm=_PIN_RADIUS_MM)
+    traits = replace(GRBL_11, homing=True, probe_surface_mm=top, corner_plate=plate)
     return SimulatedMill(traits, recording=Recording(keep=False))
 
 

@@ -18,6 +18,7 @@ from machines.driver import (
     JogCancel,
     MillState,
     Override,
+    ProbeCorner,
     ProbeZ,
     ProgramDone,
     Reset,
@@ -29,10 +30,12 @@ from machines.driver import (
 from machines.errors import NotAllowedError
 from machines.simulated.traits import GRBL_11
 
+CORNER = {"depth_mm": 10, "plate_mm": 1, "wall_x_mm": 1, "wall_y_mm": 1, "cutter_radius_mm": 1, "margin_mm": 8}
 # What a person may do; "hold", "abort" and "jog-cancel" are stops. "write" lets bytes leave, "hear" brings answers.
 ORDERS: dict[str, Callable[[Bench], None]] = {
     "jog": lambda b: b.driver.command(Jog((0.5, 0.0, 0.0), 600.0)),
     "probe": lambda b: b.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=900.0)),
+    "corner": lambda b: b.driver.command(ProbeCorner(**CORNER)),
     "home": lambda b: b.driver.command(Home()),
     "zero": lambda b: b.driver.command(SetZero("Z")),
     "block": lambda b: b.driver.command(SendBlock("G1X1F600")),
@@ -78,6 +81,7 @@ NAMES = st.sampled_from([*ORDERS, *STOPS, *STOPS, *TIMES, *TIMES])
 @example(["jog", "hold", "pass", "write"], False)
 @example(["jog", "jog-cancel", "pass"], False)
 @example(["probe", "pass", "hold", "pass", "pass", "pass"], False)
+@example(["corner", "pass", "hold", "pass", "pass", "pass"], False)
 @example(["home", "hold", "pass"], True)
 @example(["start", "pass", "hold", "pass", "resume", "abort", "pass"], False)
 def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list[str], homing: bool) -> None:

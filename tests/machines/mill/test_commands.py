@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from machines.driver import (
     JogCancel,
     MillState,
     Override,
+    ProbeCorner,
     ProbeZ,
     ReadSettings,
     Reset,
@@ -25,6 +27,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.mill.commands import EFFECTS, command_words, describe_effect
+from machines.simulated import CornerPlate
 from tests.machines.shop import Shop
 
 # One line for each row, in the table's order, spelled in one of the ways that controllers take.
@@ -59,6 +62,10 @@ LINES = (
     ("N5 G20 G0 X1", "inches"),
 )
 
+CORNER = ProbeCorner(
+    depth_mm=20.0, plate_mm=10.0, wall_x_mm=6.0, wall_y_mm=6.0, cutter_radius_mm=1.5, margin_mm=8.0
+)  # fmt: skip
+
 
 def words(command: Command, failure: str = "", **answer: Any) -> str:
     return command_words(CommandDone(command, failure, answer), from_mm=None, at_mm=None)
@@ -73,6 +80,7 @@ def words(command: Command, failure: str = "", **answer: Any) -> str:
         (SetZero("XY"), "X and Y = 0 here"),
         (SetZero("Z"), "Z = 0 here"),
         (ProbeZ(depth_mm=10.0, plate_mm=5.2), "Probe Z down by at most 10 mm, plate 5.2 mm"),
+        (CORNER, "Probe the corner, cutter of radius 1.5 mm, plate 10 mm"),
         (Override("spindle", 90), "Spindle at 90 %"),
         (Override("rapid", 25), "Rapids at 25 %"),
         (SendBlock("M3 S12000"), "Line M3 S12000"),
@@ -95,6 +103,17 @@ def test_a_probe_says_where_it_touched() -> None:
     assert words(ProbeZ(depth_mm=10.0), contact_machine_mm=[-5.0, -5.0, -25.003]).endswith(
         ": touched at machine Z -25.003 mm"
     )
+    said = words(CORNER, contact_machine_mm=[-8.5, -10.5, -5.0])
+    assert said.endswith(": touched at machine X -8.500, Y -10.500, Z -5.000 mm")
+
+
+def test_a_corner_that_was_probed_is_a_zero_of_all_axes_and_a_touch_off(shop: Shop) -> None:
+    shop.bench.sim.firmware.traits = replace(
+        shop.bench.sim.firmware.traits,
+        corner_plate=CornerPlate(left_mm=-9.0, front_mm=-9.0, tool_radius_mm=CORNER.cutter_radius_mm),
+    )
+    shop.bench.command_done(CORNER)
+    assert (shop.mill.snapshot.zeroed, shop.mill.snapshot.zeroed_anew) == ("XYZ", "XYZ")
 
 
 def test_a_jog_that_was_ended_is_not_said_to_have_gone_all_the_way(shop: Shop) -> None:

@@ -9,8 +9,12 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from machines.driver import (
+    BESIDE_MM,
+    CORNER_PLATE_MM,
+    CUTTER_RADIUS_MM,
     JOG_FEED,
     JOG_MM,
+    MARGIN_MM,
     OVERRIDE_PERCENT,
     PLATE_MM,
     PROBE_DEPTH_MM,
@@ -22,6 +26,7 @@ from machines.driver import (
     Home,
     Jog,
     Override,
+    ProbeCorner,
     ProbeZ,
     ReadSettings,
     Reset,
@@ -87,6 +92,21 @@ def _probe(fields: Fields) -> Command:
     )
 
 
+def _probe_corner(fields: Fields) -> Command:
+    return ProbeCorner(
+        depth_mm=fields.number("depth_mm", *PROBE_DEPTH_MM),
+        plate_mm=fields.number("plate_mm", *CORNER_PLATE_MM),
+        wall_x_mm=fields.number("wall_x_mm", *CORNER_PLATE_MM),
+        wall_y_mm=fields.number("wall_y_mm", *CORNER_PLATE_MM),
+        cutter_radius_mm=fields.number("cutter_radius_mm", *CUTTER_RADIUS_MM),
+        margin_mm=fields.number("margin_mm", *MARGIN_MM),
+        feed_mm_per_min=fields.number("feed_mm_per_min", *PROBE_FEED, 100),
+        aside_mm=fields.number("aside_mm", *BESIDE_MM, 20),
+        below_mm=fields.number("below_mm", *BESIDE_MM, 5),
+        retract_mm=fields.number("retract_mm", *BESIDE_MM, 5),
+    )
+
+
 def _override(fields: Fields) -> Command:
     what = fields.text("what", allowed=_RANGES)
     low, high = _RANGES[what]
@@ -114,6 +134,7 @@ _COMMANDS: dict[str, Callable[[Fields], Command]] = {
     "home": lambda fields: Home(),
     "jog": _jog,
     "probe": _probe,
+    "probe-corner": _probe_corner,
     "zero": lambda fields: SetZero(fields.text("axes", "XYZ", allowed=ZERO_AXES)),
     "trust-position": lambda fields: TrustPosition(),
     "override": _override,

@@ -28,6 +28,7 @@ from service.server.schemas.control import (
     OrderView,
     OverrideBody,
     ProbeBody,
+    ProbeCornerBody,
     ZeroBody,
 )
 from service.server.schemas.examples import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
@@ -148,6 +149,16 @@ async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody
 async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> OrderView:
     """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
     return await _give(request, machine, "probe", context, body)
+
+
+@router.post(f"{_PATH}/probe-corner", summary="Probe a block's corner", **_ORDER)
+async def probe_corner(
+    request: Request, _: Operator, machine: MachineName, body: ProbeCornerBody, context: Order
+) -> OrderView:
+    """THE MILL MOVES down, aside, down and back, to the left and to the front of where it stands. Where a touch is
+    missing, or anything stops it, no zero is changed.
+    """
+    return await _give(request, machine, "probe-corner", context, body)
 
 
 @router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)

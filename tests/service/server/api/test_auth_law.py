@@ -30,6 +30,9 @@ from tests.waiting import PATIENCE_S
 ORDERS: dict[str, dict[str, Any]] = {
     "jog": {"by_mm": [1.0, 0.0, 0.0]},
     "probe": {"depth_mm": 5},
+    "probe-corner": dict.fromkeys(
+        ("depth_mm", "plate_mm", "wall_x_mm", "wall_y_mm", "cutter_radius_mm", "margin_mm"), 3
+    ),
     "zero": {},
     "override": {"what": "feed", "percent": 90},
     "check": {"on": True},

@@ -85,6 +85,20 @@ def test_it_is_homed_jogged_and_probed_like_a_mill(workshop: tuple[Serving, http
     assert mill(client)["work_mm"][:2] == [0, 0] and mill(client)["machine_mm"][2] == pytest.approx(-28, abs=0.02)
 
 
+def test_the_corner_of_its_block_is_probed(workshop: tuple[Serving, httpx.Client]) -> None:
+    """A plate stands at machine -210, -210, -30; X0 Y0 lies inside the block's edges, Z0 under the plate."""
+    _, client = workshop
+    order(client, "home")
+    until_idle(client)
+    order(client, "jog", by_mm=[-199, -199, -20], feed_mm_per_min=5000)
+    until(lambda: mill(client)["machine_mm"] == [-200, -200, -21], what="arrival")
+    until_idle(client)
+    plate = {"depth_mm": 20, "plate_mm": 10, "wall_x_mm": 6, "wall_y_mm": 4, "cutter_radius_mm": 1.5, "margin_mm": 8}
+    order(client, "probe-corner", **plate, feed_mm_per_min=1000)
+    expected = pytest.approx([-200 - (-210 + 6 + 8), -200 - (-210 + 4 + 8), 10 + 5], abs=0.01)
+    until(lambda: mill(client)["work_mm"] == expected, what="a zero by three touches, from where it began")
+
+
 @pytest.mark.thorough
 def test_a_mill_that_is_gone_comes_back_switched_off_and_on(workshop: tuple[Serving, httpx.Client]) -> None:
     serving, client = workshop

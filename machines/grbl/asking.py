@@ -1,0 +1,97 @@
+"""What sequences of lines to the controller are made of: a line and its answer, standstill, a question asked twice."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field, replace
+
+from machines.driver import Triple
+from machines.grbl import replies
+from machines.grbl.settings import ControllerSettings, read_settings
+
+REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
+BLOCK_S = 60.0
+TOLD_AT_MOST = 5  # times a thing is asked until two answers running agree
+PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Send this line and wait for its answer.
+
+    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer:
+             one that comes earlier belongs to something sent before. "" takes any.
+    """
+
+    text: bytes
+    timeout_s: float = REPLY_S
+    expect: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WaitStill:
+    """Wait for two reports of a mill that stands idle (or checks)."""
+
+    timeout_s: float = BLOCK_S
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back. `failure` in words; "" if `ok` came."""
+
+    failure: str = ""
+    heard: tuple[replies.Reply, ...] = ()
+    machine_mm: Triple | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a finished sequence leaves behind."""
+
+    answer: dict[str, object] = field(default_factory=dict)
+    settings: ControllerSettings | None = None
+    vouched: str = ""  # axes whose coordinates are right from now on
+
+
+class SequenceFailedError(Exception):
+    """The sequence cannot go on; the text is for the operator."""
+
+
+CommandSequence = Generator[Ask | WaitStill, Answer, Outcome]
+
+
+def require_ok(answer: Answer) -> Answer:
+    if answer.failure:
+        raise SequenceFailedError(answer.failure)
+    return answer
+
+
+def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
+    """Ask until two answers running agree, and return it: a byte lost on the way makes 300 mm of travel 0 mm.
+
+    Nothing, where it does not answer twice running.
+    """
+    last: tuple[replies.Reply, ...] | None = None
+    unanswered = 0
+    for _ in range(TOLD_AT_MOST):
+        answer = yield Ask(text, expect=expect)
+        if answer.failure:
+            unanswered += 1
+            if unanswered == 2:
+                return ()
+        elif answer.heard == last:
+            return answer.heard
+        else:
+            last = answer.heard
+    raise SequenceFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
+
+
+def ask_offsets(
+    settings: ControllerSettings,
+) -> Generator[Ask | WaitStill, Answer, tuple[ControllerSettings, dict[str, list[float]]]]:
+    """Ask $#: the settings with the offsets told now, and these alone as plain data."""
+    unit = replies.Setting(13, settings.values.get(13, "0"))
+    heard = yield from ask_twice(b"$#", OFFSET_TAG)
+    offsets = read_settings((unit, *heard)).offsets
+    fresh = replace(settings, offsets={**settings.offsets, **offsets})
+    return fresh, {name: list(value) for name, value in offsets.items()}
