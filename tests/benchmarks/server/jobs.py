@@ -145,13 +145,17 @@ def _loops(database: sa.Engine, settings: ServerSettings, engine: DbosEngine, nu
     reconciler = Reconciler(database, engine, executor="worker", lease_s=30.0, list_active=set)
     book, retention = JobBook(database), Retention(database, open_store(settings), engine, settings)
     followed = {job_id(job): 5 for job in range(min(number, _FOLLOWED))}
-    yield row(f"{number:,} jobs: reconciler, first turn (200 of the queue submitted)", _s(reconciler.turn), "s", n=1)
+    yield row(
+        f"{number:,} jobs: reconciler, first turn (200 of the queue submitted)", _s(reconciler.reconcile), "s", n=1
+    )
     for _ in range(book.count_states()[JobState.QUEUED] // 200 + 2):
-        reconciler.turn()
-    turns = [_s(reconciler.turn) for _ in range(times(10))]
+        reconciler.reconcile()
+    turns = [_s(reconciler.reconcile) for _ in range(times(10))]
     yield from spread(f"{number:,} jobs: reconciler, a turn (each 3 s)", turns)
-    yield row(f"{number:,} jobs: retention, first turn", _s(retention.turn), "s", n=1, note="the whole store")
-    yield from spread(f"{number:,} jobs: retention, a turn (each 300 s)", [_s(retention.turn) for _ in range(times(5))])
+    yield row(f"{number:,} jobs: retention, first turn", _s(retention.clean_up), "s", n=1, note="the whole store")
+    yield from spread(
+        f"{number:,} jobs: retention, a turn (each 300 s)", [_s(retention.clean_up) for _ in range(times(5))]
+    )
     polls = [_s(lambda: book.read_news(followed)) for _ in range(times(20))]
     yield from spread(f"{number:,} jobs: feed, a poll for {_FOLLOWED} idle followers (each 0.25 s)", polls)
 

@@ -312,7 +312,9 @@ class World:
         mill = self.mill
         self._until(lambda: not self.network.on_the_way)
         known = self.loop.run_until_complete(self.core.renew_link(MACHINE))
-        self.loop.run_until_complete(known.address())  # else the first press of a server would have messages of its own
+        self.loop.run_until_complete(
+            known.find_address()
+        )  # else the first press of a server would have messages of its own
         if mill._runs.live is not None:
             mill.abort()
         self._until(lambda: mill._runs.live is None and mill.status.state in _QUIET)
@@ -391,13 +393,13 @@ class _Core(FleetCore):
             await asyncio.sleep(self._world.database_s)
         return function(*arguments, **named)
 
-    async def machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+    async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
         token = self._world.folder / "token"
         known = KnownMachine(name=MACHINE, profile=self._world.profile, url="http://127.0.0.1:1", token_file=token)
         return {MACHINE: known}, []
 
     async def renew_link(self, machine: str) -> Any:
-        return self.link((await self.machines())[0][machine])
+        return self.get_link((await self.list_machines())[0][machine])
 
 
 class _SimulatedLoop(asyncio.SelectorEventLoop):

@@ -98,7 +98,7 @@ def test_what_happens_while_a_reader_comes_is_told(floor: Shop, monkeypatch: pyt
         answer = await ask(link, path, **how)
         if path == "/v1/status" and coming:
             coming.clear()
-            await link.urgent("/v1/control/hold")
+            await link.send_urgent("/v1/control/hold")
             await asyncio.sleep(0.5)  # the agent tells whoever listens by then
         return answer
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from service.errors import InputError
 from service.server.database.runs import LIVE_WORDS
-from service.server.fleet.notifications import Delivery, MillWatch, Notification, ways_out
+from service.server.fleet.notifications import Delivery, MillWatch, Notification, list_ways_out
 from service.server.schemas.runs import MachineView, RunView
 from service.settings import ServerSettings
 from tests.page.machine_states import MACHINE, RUN
@@ -166,7 +166,7 @@ def serving(handler: type[socketserver.BaseRequestHandler]) -> Iterator[tuple[st
 def test_a_mailbox_gets_the_words():
     with serving(_Mailbox) as (address, messages):
         settings = ServerSettings(notify_email="shop@example.org", smtp_url=f"smtp://{address}")
-        ways_out(settings)["e-mail"](notification(3))
+        list_ways_out(settings)["e-mail"](notification(3))
     (message,) = messages
     assert "Subject: shop: trouble 3" in message and "To: shop@example.org" in message
 
