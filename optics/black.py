@@ -10,12 +10,11 @@ there the rays cross before the screen, and the slopes to turn every one over ar
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from optics.advice import Advice
 from optics.bench import Bench, Branch
 from optics.errors import OpticsError
 from optics.outline import share_notched
@@ -32,6 +31,20 @@ _PEAK_WORTH_A_WORD = 100.0  # times the mean
 _SKETCH_PIXELS = 48
 _SPARE_MM = 2.0  # of the block's thickness, under the deepest point
 STEEPEST = 0.7  # slope that leaves room under total reflection (0.905 for 1.49)
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What a person should know about a lens, with what to change.
+
+    figures : of this very lens; of a coarse one they are no more than a first guess, and its words are enough
+    """
+
+    words: str
+    figures: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.words} ({self.figures})" if self.figures else self.words
 
 
 def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:

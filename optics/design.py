@@ -6,9 +6,8 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from optics.advice import Advice
 from optics.ball_fit import fit_ball
-from optics.black import find_advice
+from optics.black import Advice, find_advice
 from optics.corrections import ClosingCost, Corrected, Pass, Progress, correct_lens, measure_closing_cost
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings

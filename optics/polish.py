@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,6 @@ from scipy import fft
 from optics.ball_fit import fit_ball
 from optics.bench import Bench
 from optics.heightfield import Heightfield
-from optics.lbfgs import Memory
 from optics.spline import Array
 from optics.threads import thread_count
 from optics.tubes.picture import TubePicture
@@ -38,6 +38,41 @@ _MOST_TRIES = 6
 _FINE_SHARE = 0.3  # of the steps
 _TUBES_PER_PIXEL, _FINE_TUBES_PER_PIXEL = 4, 6  # along its side
 DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
+
+
+class Memory:
+    """The last pairs of step and change of gradient, and the direction that they and a first inverse Hessian give.
+
+    L-BFGS's two-loop recursion (Nocedal and Wright, algorithm 7.4).
+    """
+
+    def __init__(self, depth: int) -> None:
+        self.pairs: deque[tuple[Array, Array, float]] = deque(maxlen=depth)
+
+    def learn(self, step: Array, change: Array) -> None:
+        """Take in a pair; one without positive curvature along the step is passed over."""
+        curvature = float((step * change).sum())
+        if curvature > 0.0:
+            self.pairs.append((step, change, curvature))
+
+    def direction(self, gradient: Array, inverse: Callable[[Array], Array]) -> Array:
+        """Return minus the inverse Hessian times the gradient.
+
+        `inverse` stands for it where nothing is known yet, but for a factor, which the last pair tells.
+        """
+        q = gradient.copy()
+        shares = []
+        for step, change, curvature in reversed(self.pairs):
+            share = float((step * q).sum()) / curvature
+            q -= share * change
+            shares.append(share)
+        d = inverse(q)
+        if self.pairs:
+            _, change, curvature = self.pairs[-1]
+            d *= curvature / float((change * inverse(change)).sum())
+        for (step, change, curvature), share in zip(self.pairs, reversed(shares), strict=True):
+            d += (share - float((change * d).sum()) / curvature) * step
+        return -d
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

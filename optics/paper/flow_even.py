@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from optics.map_inversion import screen_positions
 from optics.paper.flow_record import (
     KEPT_STEPS,
     FlowSettings,
@@ -37,6 +36,7 @@ from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import Neighbours, neighbours_of
 from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
+from optics.transport_map import screen_positions
 
 _COARSER = (2, 1)
 _LEAST_CELLS = 24  # of the smaller side of a coarse grid

@@ -1,13 +1,32 @@
-"""Grids from coarse to fine for the transport solver: their shapes, targets averaged onto them, paths carried up."""
+"""Grids of the transport solver, from coarse to fine; of each, how far pixels' pre-images are from their shares.
+
+    residual  r = light * det+ - g with a, b the diagonal and x the mixed products of Dp, ab = max(a,0) max(b,0) and
+              det+ = ab - max(x, -ab) + min(a,0) + min(b,0): equal to det on the elliptic branch and monotone off it, so
+              the iteration finds its way back from folds. Where a pixel has turned over, det+ < 0 <= g / light: no fold
+              is a solution (with x unbounded, as the near field's curl makes it negative, some corners' folds are).
+    step      InvLaplace(r / w): the linearised operator is div(cof(Dp) grad), about w = (|a| + |b|) / 2 times the
+              Laplacian. The division makes the number of steps nearly independent of contrast and of grid; w is
+              evened (w + 1) / 2, because where it is all but 0 (black) the cofactor is not a multiple of the identity.
+The step is a cosine transform (Neumann), in single precision where that is enough: it leads the way, r decides.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import Any, NamedTuple
+
 import numpy as np
+from numba import njit
+from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from optics.bench import Bench
 from optics.spline import Array
+from optics.threads import run_on_rows, thread_count
+from optics.transport.optical_path import Preimages
 
+_SINGLE_UP_TO = 1024  # pixels a side: rounding of long waves reaches the residual N^2 times as strong
+_EVENED = 1.0  # weight of 1 beside w; 0.3 and 3 take a few steps more, w alone (at least 0.1) three times as many
 _COARSE_ENOUGH = 48
 
 
@@ -43,3 +62,96 @@ def prolong(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
     fine = map_coordinates(delta, np.meshgrid(rows, columns, indexing="ij"), order=3, mode="reflect")
     qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
     return np.asarray(fine + bench.base_path_mm(qx[None, :], qy[:, None]))
+
+
+@njit(cache=True, nogil=True)
+def _fill_residual(
+    row_lo: int, row_hi: int, across: Array, along: Array, mixed: Array, light: Array, g: Array,
+    residual: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Compute residual = light * det+ - g; sums[row] = its sum, that of its squares, and the light on turned pixels."""
+    even = light.size == 1
+    for r in range(row_lo, row_hi):
+        total = squares = turned = 0.0
+        for k in range(g.shape[1]):
+            a, b = across[r, k], along[r, k]
+            product = max(a, 0.0) * max(b, 0.0)
+            det = product - max(mixed[r, k], -product) + min(a, 0.0) + min(b, 0.0)
+            strength = 1.0 if even else light[r, k]
+            area = a * b - mixed[r, k]
+            if a < 0.0 or b < 0.0 or area < 0.0:
+                turned += strength * abs(area)
+            miss = strength * det - g[r, k]
+            total += miss
+            squares += miss * miss
+            residual[r, k] = miss
+        sums[r, 0], sums[r, 1], sums[r, 2] = total, squares, turned
+
+
+@njit(cache=True, nogil=True)
+def _level_out(
+    row_lo: int, row_hi: int, across: Array, along: Array, light: Array, mean: float, residual: Array, even: Array
+) -> None:
+    """Compute residual -= mean, and even = residual / (w + 1) * 2."""
+    is_even = light.size == 1
+    for r in range(row_lo, row_hi):
+        for k in range(residual.shape[1]):
+            w = 0.5 * (abs(across[r, k]) + abs(along[r, k])) * (1.0 if is_even else light[r, k])
+            miss = residual[r, k] - mean
+            residual[r, k] = miss
+            even[r, k] = miss * (1.0 + _EVENED) / (w + _EVENED)
+
+
+class Misses(NamedTuple):
+    """How far an iterate is from its aim; NaN beyond total reflection.
+
+    residual (ny, nx) : r less its mean; the buffer is used again by the next evaluation
+    rms               : of the residual
+    turned            : share of the light that lands on pixels whose pre-image has turned over
+    top_mm            : greatest height met
+    """
+
+    residual: Any
+    rms: float
+    turned: float
+    top_mm: float
+
+
+class TransportLevel:
+    """Residual and step of one iterate after the other, for one target grid (ny, nx) of mean 1."""
+
+    def __init__(self, target: Array, bench: Bench) -> None:
+        ny, nx = target.shape
+        self.target, self.preimages = target, Preimages(bench, target.shape)
+        # paraxial change of the area by a change of c: -reach * (screen / aperture) * Laplacian
+        x, y = (
+            reach * of_screen / of_aperture * (2 - 2 * np.cos(np.pi * np.arange(n) / n)) * (n / of_screen) ** 2
+            for reach, of_screen, of_aperture, n in zip(
+                self.preimages.reach_mm,
+                (bench.screen.width_mm, bench.screen.height_mm),
+                (bench.width_mm, bench.height_mm),
+                (nx, ny),
+                strict=True,
+            )
+        )
+        symbol = x[None, :] + y[:, None]
+        symbol[0, 0] = math.inf
+        self.step_type = np.float32 if max(ny, nx) <= _SINGLE_UP_TO else np.float64
+        self._inverse = (-self.preimages.sign / symbol).astype(self.step_type)
+        self._residual, self._even = np.empty((ny, nx), np.float32), np.empty((ny, nx), self.step_type)
+        self._sums = np.empty((ny, 3))
+
+    def evaluate(self, c: Array) -> Misses:
+        """Return how far c is from the aim; `step` then says which way that is."""
+        p, rows = self.preimages, c.shape[0]
+        top_mm = p.evaluate(c)
+        run_on_rows(_fill_residual, rows, p.across, p.along, p.mixed, p.light, self.target, self._residual, self._sums)
+        mean, square, turned = self._sums.sum(axis=0) / c.size
+        run_on_rows(_level_out, rows, p.across, p.along, p.light, mean, self._residual, self._even)
+        return Misses(self._residual, math.sqrt(max(square - mean * mean, 0.0)), float(turned), top_mm)
+
+    def step(self) -> Array:
+        """Return the change of c that the last residual asks for."""
+        spectrum = fft.dctn(self._even, type=2, workers=thread_count())
+        spectrum *= self._inverse
+        return np.asarray(fft.idctn(spectrum, type=2, workers=thread_count(), overwrite_x=True))

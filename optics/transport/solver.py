@@ -1,13 +1,13 @@
 """The transport map with exact near-field refraction: one fixed-point iteration on the optical path.
 
 Solves det Dp(q) = g(q) for the optical path c(q) (optical_path.py): each pixel gets its share g = target / mean.
-    step      c += scale * (what transport_level.py makes of the residual)
+    step      c += scale * (what grid_levels.py makes of the residual)
     piston    c += (n - 1) (-skim - top): the highest point stays skim_mm under Z0
     Anderson  depth 16, least squares on r and the piston together (by r alone, the piston never comes to rest where
               screen and aperture differ); beyond twice the best residual: back to the best with half the step
     levels    32, 64 .. N pixels, cubic prolongation of c
 No Jacobian, no line search, no floor under the target (a softer one only where the map folds): black pixels converge
-like others.
+like others. Where no iterate sends all light to the screen, a far screen tells whether total reflection is why.
 """
 
 from __future__ import annotations
@@ -20,15 +20,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from optics.bench import Bench
-from optics.errors import NoSurfaceError
-from optics.map_inversion import screen_positions
+from optics.errors import NoSurfaceError, TotalReflectionError
+from optics.light import Light, meet
 from optics.spline import Array
 from optics.transport.anderson import Anderson
-from optics.transport.grid_levels import average_boxes, level_shapes, prolong
+from optics.transport.grid_levels import Misses, TransportLevel, average_boxes, level_shapes, prolong
 from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
-from optics.transport.total_reflection import move_far_away, refuse_wide_turns
-from optics.transport.transport_level import Misses, TransportLevel
-from optics.transport_map import TransportMap
+from optics.transport_map import TransportMap, screen_positions
 
 TOLERANCE = 1e-3  # rms of det - g over the rms of g, at which a level is done
 _ANDERSON_DEPTH = 16  # black logos need it: 8 and 24 are no quicker
@@ -39,6 +37,8 @@ _SOFTER = ((0.0, 0.0), (0.01, 1.0), (0.03, 3.0), (0.1, 10.0), (1.0, 0.0))  # (fl
 _MOST_ITERATIONS, _MOST_COARSE = 300, 100  # of the finest level, of each of the others
 _STALE = 60  # iterations without 2 % of progress: stopped
 _BLOW_UP = 2.0  # a residual this many times the best: restart
+_SAFE = 0.6  # of the tangent of the greatest turn: relief and pixels' own slopes need the rest
+_FARTHEST = 1e6  # throws that are tried, in screens
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,3 +194,42 @@ def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
     coarse = average_boxes(g, level_shapes(g.shape)[0])
     moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()
     refuse_wide_turns(moved.lens_mm, moved.screen_mm, bench)
+
+
+def move_far_away(bench: Bench) -> Bench:
+    """Return the same frames under even light and so far apart that nothing is reflected: its map hardly differs."""
+    s = bench.screen
+    throw_mm = 20 * max(bench.width_mm, bench.height_mm, s.width_mm, s.height_mm, *map(abs, bench.shift_mm))
+    return replace(bench, throw_mm=max(throw_mm, 20 * bench.throw_mm), light=Light(), mirror=False, outline_mm=None)
+
+
+def refuse_wide_turns(lens_mm: Array, screen_mm: Array, bench: Bench) -> None:
+    """Raise TotalReflectionError if light on its way from lens_mm to screen_mm (..., 2) turns too far for the index.
+
+    Light leaves where n d . s > 1, so it turns by at most the angle whose tangent is sqrt(n^2 - 1). Mirrors may turn
+    it as far as they like.
+    """
+    if bench.mirror:
+        return
+    p, q = lens_mm.reshape(-1, 2), screen_mm.reshape(-1, 2)
+    beam = bench.beam()
+    before = np.array([meet(beam, x, y, 0.0)[:3] for x, y in p])
+    most = math.atan(_SAFE * math.sqrt(bench.refractive_index**2 - 1))
+
+    def turn(throw_mm: float) -> float:
+        way = np.concatenate([q - p, np.full((len(p), 1), throw_mm)], axis=1)
+        cosine = (way * before).sum(axis=1) / np.linalg.norm(way, axis=1)
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
+
+    if turn(bench.throw_mm) <= most:
+        return
+    low, high = bench.throw_mm, _FARTHEST * max(bench.screen.width_mm, bench.screen.height_mm)
+    enough = turn(high) <= most
+    for _ in range(60 if enough else 0):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if turn(middle) <= most else (middle, high)
+    raise TotalReflectionError(
+        throw_mm=bench.throw_mm,
+        shift_mm=float(np.linalg.norm(q - p, axis=1).max()),
+        shortest_throw_mm=high if enough else math.inf,
+    )

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.lens_settings import LensSettings
-from optics.screen import Screen
 
 
 @pytest.fixture

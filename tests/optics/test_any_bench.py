@@ -10,14 +10,13 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.caustic import simulate_caustic
 from optics.design import LensDesign, design_lens
 from optics.errors import OpticsError
 from optics.irradiance import target_irradiance
 from optics.lens_settings import LensSettings
 from optics.light import Light
-from optics.screen import Screen
 
 pytestmark = pytest.mark.thorough
 

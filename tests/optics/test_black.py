@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.black import choose_branch, dark_leak_estimate, find_advice, fine_detail
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
@@ -17,7 +17,6 @@ from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
 from optics.light import Light
 from optics.metrics import score_caustic
-from optics.screen import Screen
 
 BENCH = Bench.centre_on(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49)
 

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.caustic import share_by_way_of, simulate_caustic
 from optics.heightfield import Heightfield
 from optics.refraction import tangent_per_slope
-from optics.screen import Screen
 from optics.tubes.edges import add_edge
 
 N = 1.49

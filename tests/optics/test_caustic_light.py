@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.light import Light
-from optics.screen import Screen
 from optics.tubes.edges import polygon_coverage
 
 N = 1.49

@@ -14,11 +14,11 @@ from optics.errors import TotalReflectionError
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
 from optics.light import Light
-from optics.map_inversion import screen_positions
 from optics.metrics import score_caustic
 from optics.outline import is_inside
 from optics.transport.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.transport.solver import OpticalPath, solve_transport
+from optics.transport_map import screen_positions
 
 PIXELS = 48
 GAUSS = np.exp(-1.5 * (np.linspace(-1, 1, 21)[:, None] ** 2 + np.linspace(-1, 1, 21)[None, :] ** 2))

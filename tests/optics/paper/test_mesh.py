@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optics.paper.mesh import TriangleMesh
-from optics.paper.smooth_map import SmoothGridMap
+from optics.paper.surface import SmoothGridMap
 
 
 def shaken_mesh(seed: int, *, nx: int = 9, ny: int = 7) -> TriangleMesh:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -19,7 +19,6 @@ from optics.photograph import register
 from optics.photograph.rays import ORDERS, SETTINGS, WallRays, surface_mode
 from optics.photograph.views import area_average
 from optics.photograph.wall import WallFit, fit_wall
-from optics.screen import Screen
 from optics.spline import Array
 from tests.levels import mostly_thorough
 from tests.optics.photographs import camera, photographed

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.map_inversion import screen_positions
+from optics.transport_map import screen_positions
 
 
 @given(seed=st.integers(0, 2**32 - 1), bend=st.floats(0.0, 0.45))
