@@ -196,7 +196,7 @@ import numpy as np
 from cam.around.check import CheckedMill, check_facing
 from cam.around.facing import make_facing_paths
 from cam.parts import PassFrame, programs
-from cam.posts.grbl import GRBL
+from cam.posts.iso import GRBL
 from cam.surface.stock_grid import StockGrid
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_stock_of, facing_task_of

@@ -11,7 +11,7 @@ from cam.moves import SAFE_Z_MM
 from cam.passes import PassSpec, Strategy
 from cam.planning.pass_time import LensForm
 from cam.planning.row_slopes import RowSlopes, row_slopes
-from cam.posts.digits import Digits
+from cam.posts.post import Digits
 from cam.tools import Speeds, Tool
 
 CLEAR_MM = 1.0

@@ -23,7 +23,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import SAFE_Z_MM, Path, cut, rapid
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
-from cam.posts.digits import Digits
+from cam.posts.post import Digits
 from cam.program import layer_paths_alone, pass_paths
 from cam.reading.gcode import MoveBatch
 from cam.rows.layers import STAIR_SHARE, layer_row_distance_mm, plane_row_distance_mm

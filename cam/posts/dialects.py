@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cam.posts.grbl import GRBL_FAMILY
-from cam.posts.iso import ISO
-from cam.posts.post import Post
-from cam.posts.rml import RML, RmlPost
+from cam.posts.iso import GRBL_FAMILY, ISO
+from cam.posts.post import RML, Post, RmlPost
 from cam.posts.setup import ProgramSetup
 
 Dialect = Post | RmlPost

@@ -1,4 +1,5 @@
-"""Controls that read ISO code from a tape: LinuxCNC, Fanuc-like, Okuma OSP, Roland NC.
+"""Controls that read G-code: GRBL 1.1, grblHAL and FluidNC; and those that once read ISO code from a tape, LinuxCNC,
+Fanuc-like, Okuma OSP and Roland NC.
 
 None is told a tool's length: Z0 is set with the very tool, and what is active then stays. G40 and G80 end what an
 earlier program may have left on. Where the least input is 0.001 mm, positions have three decimals and always a point:
@@ -8,7 +9,23 @@ the builder's choice, so none is guessed.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cam.posts.post import Post
+
+# No `%`, no tool change, no tool compensation. What a tool-length probe has set (G43.1) is left as it is.
+GRBL = Post(
+    name="grbl",
+    suffix=".nc",
+    start=("G21G90G94G17{offset}",),
+    zero="zero: {offset}, with G92 and tool length G43.1 as they were when it was set",
+    spin=("M3S{rpm}", "G4P{dwell_s}"),
+    end=("M5", "M2"),
+    coolant={"air": "M8", "mist": "M7", "flood": "M8"},  # stock GRBL has one output, M8, and M7 only where built in
+)
+GRBLHAL = replace(GRBL, name="grblhal")
+FLUIDNC = replace(GRBL, name="fluidnc")
+GRBL_FAMILY = (GRBL, GRBLHAL, FLUIDNC)
 
 # G64 P: corners rounded by 1 µm at most unless told otherwise; Q0: no vertex left out because it lies near a straight
 # line. G61.1: an exact stop.

@@ -1,4 +1,9 @@
-"""A dialect of G-code as data, without arrays, so that a job can be refused where nothing is computed."""
+"""A dialect as data, without arrays, so that a job can be refused where nothing is computed: of G-code, and RML-1.
+
+RML-1 of Roland's mills has straight moves in whole hundredths of a millimetre at a speed in mm/s, ended by `;`. There
+is no rapid, no comment and no arc: rapids run at the greatest speed, and cutting stays below it. A hundredth is a
+thousand times the height of a scallop; what that does to the light is for the report to say.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from cam.errors import LineTooLongError
-from cam.posts.digits import Digits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Digits:
+    """How finely a dialect, or a mill, can state a position: the last digit of X and Y, and that of Z."""
+
+    xy_mm: float
+    z_mm: float
+
+    def coarsen(self, step_mm: float) -> Digits:
+        """Return the raster of a mill that moves in such steps: whole steps, where they are coarser than the digits."""
+        return Digits(xy_mm=_coarser(self.xy_mm, step_mm), z_mm=_coarser(self.z_mm, step_mm))
+
+
+def _coarser(digit_mm: float, step_mm: float) -> float:
+    """Return a step that the digits can state exactly, no finer than either; the digit where steps are finer."""
+    return max(1, round(step_mm / digit_mm)) * digit_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,3 +120,26 @@ def number(value: float, least_decimals: int = 0) -> str:
     """Return a plain decimal, at most four places, no trailing zeros beyond the least."""
     text = f"{value:.4f}".rstrip("0").rstrip(".")
     return text if "." in text or not least_decimals else text + "." + "0" * least_decimals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RmlPost:
+    """RML-1 as the MDX-40 branch speaks it: V in tenths of a mm/s up to 50, !RC in rpm, W in milliseconds. It has words
+    neither for coolant nor for corners."""
+
+    name: str = "rml-1"
+    suffix: str = ".rml"
+    unit_mm: float = 0.01
+    line_end: str = "\r\n"
+    coolant: Mapping[str, str] = field(default_factory=dict)
+    blends: bool = False
+    offsets: bool = False
+    high_precision: bool = False
+    traces_with_spindle_on: bool = False
+
+    @property
+    def digits(self) -> Digits:
+        return Digits(xy_mm=self.unit_mm, z_mm=self.unit_mm)
+
+
+RML = RmlPost()

@@ -10,7 +10,7 @@ from numba import njit
 
 from cam.moves import Motion, Path
 from cam.posts.lines import UNKNOWN, write_number
-from cam.posts.rml import RmlPost
+from cam.posts.post import RmlPost
 from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Writer
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from cam.posts.dialects import Dialect
 from cam.posts.gcode_writer import ProgramWriter
-from cam.posts.post import Post
-from cam.posts.rml import RmlPost
+from cam.posts.post import Post, RmlPost
 from cam.posts.rml_writer import RmlWriter
 from cam.posts.writer import Writer
 

@@ -1,14 +1,20 @@
-"""Feeds by load: the rows of layers take off about as much stock a minute at every place.
+"""Feeds by load: the rows of layers take off about as much stock a minute at every place; turns are slots.
 
 What a move takes off is measured across its row. There the stock of the moment is the lower envelope of balls standing
 at the tips of the rows about it: as deep as their last cut where they have been cut, as the layer above left them where
 they have not. Between it and the ball lies the section of the cut; section times feed is stock a minute. A feed holds
 for a stretch as long as the ball's radius at least, is the least that its places and those near beside them allow, and
 is rounded down to one of a few.
+
+Exact rows cut at the ball's full width in their turns: between two rows the tool goes a pitch on into stock that no row
+has touched yet, the next row's on the one side, what stands at the wall of the run-out on the other. That is a slot as
+short as the pitch, but every row ends in one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from math import ceil, inf, log, pi, sqrt
 
 import numpy as np
@@ -17,7 +23,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from cam.materials import SLOT_FEED
-from cam.moves import Array
+from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.surface.cutter import slot_section_mm2
 
@@ -37,6 +43,9 @@ _BESIDE = 0.7  # radii on which a feed holds before and after: walls aslant to a
 _WHOLE_FROM = 10.0  # mm/min
 _POINTS = 24  # across the ball
 _LEFT, _RIGHT, _DEEP = range(3)
+
+Meets = Callable[[Array], Array]
+"""(n, 3) tips -> (n,) tip heights at which the ball would meet stock there."""
 
 
 def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
@@ -106,27 +115,43 @@ def measure_cut(now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, s
     return out
 
 
-def measure_descent(cut: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
+def measure_descent(bite: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
     """Return (n,) what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
 
     heights_mm (n,) : of the tip by X; their negatives where the way goes in -X
     """
     sinks = np.maximum(0.0, -np.diff(heights_mm, append=heights_mm[-1])) / step_mm
-    slot = 2 * spec.radius_mm * np.maximum(cut[:, _DEEP], 1e-9)
-    share = np.minimum(1.0, (cut[:, _LEFT] + cut[:, _RIGHT]) / slot)
+    slot = 2 * spec.radius_mm * np.maximum(bite[:, _DEEP], 1e-9)
+    share = np.minimum(1.0, (bite[:, _LEFT] + bite[:, _RIGHT]) / slot)
     return np.asarray(pi / 2 * spec.shape.flat_mm(spec.radius_mm) ** 2 * share * sinks)
 
 
-def choose_feeds(cut: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
-    """Return (n,) feeds along a row whose cut (n, 3) and tips (n,) are known at samples step_mm apart."""
+def choose_feeds(bite: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
+    """Return (n,) feeds along a row whose bite (n, 3) and tips (n,) are known at samples step_mm apart."""
     steep = np.abs(np.diff(tips_mm, append=tips_mm[-1])) / step_mm
-    feed = feed_at_load(cut[:, _LEFT] + cut[:, _RIGHT], spec, steep)
-    sides = 2 * np.minimum(cut[:, _LEFT], cut[:, _RIGHT])
-    in_slot = sides > SLOT_SIDES * slot_section_mm2(spec.shape, spec.radius_mm, cut[:, _DEEP])
-    in_slot &= cut[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
+    feed = feed_at_load(bite[:, _LEFT] + bite[:, _RIGHT], spec, steep)
+    sides = 2 * np.minimum(bite[:, _LEFT], bite[:, _RIGHT])
+    in_slot = sides > SLOT_SIDES * slot_section_mm2(spec.shape, spec.radius_mm, bite[:, _DEEP])
+    in_slot &= bite[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
     feed[in_slot] = np.minimum(feed[in_slot], SLOT_FEED * spec.feed_mm_per_min)
     most = most_feed_mm_per_min(spec)
     feed = round_feed(most * _STEP ** -np.ceil(np.log(most / feed) / log(_STEP) - 1e-9))
     stretch = ceil(spec.radius_mm / step_mm) | 1
     least = minimum_filter1d(feed, stretch + 2 * ceil(_BESIDE * stretch), mode="nearest")
     return np.asarray(maximum_filter1d(least, stretch, mode="nearest"))
+
+
+def first_row(polyline_mm: Array) -> Array:
+    """Return the straight beginning, up to the first turn: ramps stay on it, and stock stands on both sides of it."""
+    same = polyline_mm[:, 1] == polyline_mm[0, 1]
+    return polyline_mm if same.all() else polyline_mm[: int(np.argmin(same))]
+
+
+def row_cuts(polyline_mm: Array, before_mm: Array, meets: Meets, spec: PassSpec) -> Iterator[Path]:
+    """Yield rows and turns (n, 3) at their feeds; before_mm: where the tool stands."""
+    slow = np.diff(polyline_mm[:, 1], prepend=before_mm[1]) != 0  # turns alone leave a row's y
+    turning = polyline_mm[slow]
+    slow[slow] = meets(turning) - turning[:, 2] > SLOT_DEPTH_SHARE * spec.step_down_mm
+    edges = np.flatnonzero(np.diff(slow)) + 1
+    for first, end in pairwise([0, *edges.tolist(), len(slow)]):
+        yield cut(polyline_mm[first:end], spec.feed_mm_per_min * (SLOT_FEED if slow[first] else 1.0))

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from cam.moves import Array, Motion, Path
-from cam.posts.digits import Digits
+from cam.posts.post import Digits
 
 COARSE_MM = 0.5e-4
 """Below this a digit of Z is too small to be seen in the light."""

@@ -12,9 +12,8 @@ import re
 from machines.errors import MachineError, ProgramRefusedError
 from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
-from machines.gcode.modal import ModalState, Position
+from machines.gcode.modal import ModalState, Position, state_of, vector_of
 from machines.gcode.step import Arc, Step
-from machines.gcode.vectors import state_of, vector_of
 from machines.gcode.words import BadTextError, shown, split_words, strip_block
 
 _NUMBER = rb"([-+]?(?:\d{1,9}(?:\.\d{0,8})?|\.\d{1,8}))"

@@ -16,10 +16,9 @@ import numpy as np
 from machines.errors import ProgramRefusedError
 from machines.gcode import refusals, scan_kernel, tally
 from machines.gcode.dialects import DIALECTS, Dialect
-from machines.gcode.modal import ModalState
+from machines.gcode.modal import ModalState, state_of, vector_of
 from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
 from machines.gcode.scan_moves import MOST_CHORDS
-from machines.gcode.vectors import state_of, vector_of
 from machines.gcode.words import shown
 
 EVERY_LINES = 20_000

@@ -1,13 +1,15 @@
 """How to go on with a run that was interrupted: from what the journal knows to a plan that a person can check.
 
-The plan starts at the line after the last one that was *executed* for certain, steps back one move (so that the cut
-is joined, not butted), and brings the tool there from wherever it stands: spindle, straight up, across, down at
-plunging feed. Cutting something twice is harmless, skipping or starting in a wrong place is not; what cannot be rebuilt
-for certain is refused. Nothing here reads a clock, a port or a journal, and nothing moves.
+The plan starts at the line after the last one that was *executed* for certain, steps back one move (so that the cut is
+joined, not butted), and brings the tool there from wherever it stands: spindle, straight up, across, down at plunging
+feed. Cutting something twice is harmless, skipping or starting in a wrong place is not; what cannot be rebuilt for
+certain is refused. Nothing here reads a clock, a port or a journal, and nothing moves. Where the link does not tell
+positions, the sequence numbers are named between which the control stopped.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,12 +18,13 @@ from machines.gcode.dialects import DIALECTS
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
 from machines.recovery.approach import find_unreadable, height_mm, plan_lead_in, travel_height_mm
-from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, compare_offsets, find_needs, position_doubt, zero_back
 from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
 
 GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
+_SEQUENCE = re.compile(rb"^/?N0*([0-9]+)")
+_LOOK_BACK = 2000  # lines
 
 
 def plan_recovery(
@@ -104,3 +107,29 @@ def _with_words(
     words += [f"first: {need.words}" for need in plan.needs]
     fields = {name: getattr(plan, name) for name in plan.__slots__}
     return RecoveryPlan(**fields | {"words": tuple(words)})
+
+
+def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: ProgramReader) -> str:
+    """Return why there is no recovery by position, and how a person restarts at the control's own panel."""
+    executed, sent = int(record.get("executed_line") or 0), int(record.get("sent_line") or 0)
+    return (
+        f"dialect {facts.dialect}: this link does not tell where the control stopped, so there is no recovery by "
+        f"position. It was given lines up to {_name_line(reader, sent)} and has executed at least those up to "
+        f"{_name_line(reader, executed)}. Read the sequence number on its screen, bring the tool to a safe height, "
+        "check the zero, and restart at its panel from the last tool entry at or before that number, or park a program "
+        "of the rest"
+    )
+
+
+def _name_line(reader: ProgramReader, line: int) -> str:
+    """Return a line with the sequence number that holds there."""
+    number = None
+    try:
+        for one in reader.lines(max(1, line - _LOOK_BACK)) if line else ():
+            if one.number > line:
+                break
+            if (found := _SEQUENCE.match(one.text)) is not None:
+                number = found[1].decode()
+    except MachineError:
+        number = None  # the file is refused elsewhere
+    return f"line {line} (N{number})" if number is not None else f"line {line}"

@@ -115,7 +115,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
 
 
 def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
-    from machines.gcode.text_index import TextIndex
+    from machines.gcode.program import TextIndex
     from machines.preflight.preflight import Bounds, Preflight
     from machines.profile import MachineProfile
     from machines.roland.rml import check_rml

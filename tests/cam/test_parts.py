@@ -16,7 +16,7 @@ from cam.moves import CLEARANCE_MM, Path, cut, rapid
 from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import POSTS
-from cam.posts.grbl import GRBL
+from cam.posts.iso import GRBL
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_program
 from cam.surface.stock_grid import StockGrid

@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter
 from cam.checking.check import check_program
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock, ball_pass
-from cam.posts.digits import Digits
-from cam.posts.grbl import GRBL
+from cam.posts.iso import GRBL
+from cam.posts.post import Digits
 from cam.program import generate_parts
 from cam.rows.rounding import Rounding, nearest, on_raster
 from cam.shaping import LONGEST_MM, ErrorMemory, ShapedRegion, shape_heights

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cam.duration import Kinematics
 from cam.posts.dialects import POSTS
-from cam.posts.digits import Digits
+from cam.posts.post import Digits
 from machines.profile import MachineProfile
 
 

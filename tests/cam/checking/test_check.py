@@ -16,7 +16,7 @@ import pytest
 from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
 from cam.passes import Clamp, PassSpec, Stock, ball_pass
-from cam.posts.grbl import GRBL
+from cam.posts.iso import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import ProgramError, read_program
 from cam.surface.stock_grid import StockGrid

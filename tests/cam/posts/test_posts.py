@@ -14,7 +14,7 @@ from cam.errors import LineTooLongError
 from cam.moves import cut, rapid
 from cam.posts import gcode_writer
 from cam.posts.gcode_writer import ProgramWriter
-from cam.posts.grbl import GRBL
+from cam.posts.iso import GRBL
 from cam.posts.post import Post
 
 POSITION = st.tuples(st.floats(-500, 500), st.floats(-500, 500), st.floats(-80, 20))

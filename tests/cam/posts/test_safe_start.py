@@ -12,7 +12,7 @@ from cam.around.outline import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock
 from cam.posts.dialects import POSTS
-from cam.posts.rml import RmlPost
+from cam.posts.post import RmlPost
 from cam.posts.setup import ProgramSetup
 from cam.posts.writers import create_writer
 from machines.driver import Triple

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.moves import cut, rapid
-from cam.posts.digits import Digits
+from cam.posts.post import Digits
 from cam.rows.rounding import Rounding, nearest, on_raster
 
 PITCH_MM = 0.02

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from machines.driver import ProgramLine
 from machines.errors import ProgramChangedError, ProgramRefusedError
 from machines.gcode.modal import ModalState
-from machines.gcode.program import ProgramReader
-from machines.gcode.text_index import LONGEST_LINE, TextIndex
+from machines.gcode.program import LONGEST_LINE, ProgramReader, TextIndex
 
 LINES = st.lists(st.sampled_from(["V10;Z1,2,3;", "Z-5,0,0;", "", "  ", "\tW100; ", "!MC1;"]), max_size=60)
 JOB = b"".join(b"Z%d,%d,-50;\r\n" % (n, 2 * n) for n in range(2000))
