@@ -18,9 +18,8 @@ from service.job.errors import translate_errors
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob
-from service.job.stages.context import StageContext
+from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
-from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.preload import DRAWING
 from service.job.stages.so_far import JobSoFar
 from service.job.stages.table import stage_of

@@ -29,8 +29,7 @@ from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import look_up
 from service.job.stages.as_milled import run_as_milled
-from service.job.stages.context import StageContext, peak_rss_mb
-from service.job.stages.picture_queue import PictureQueue
+from service.job.stages.context import PictureQueue, StageContext, peak_rss_mb
 from service.progress import QuietReporter, Stopwatch
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target

@@ -16,8 +16,7 @@ import numpy as np
 from PIL import Image
 
 from optics.heightfield import Heightfield
-from service.job.page_data.light import light_bytes
-from service.job.page_data.surface import surface_bytes
+from service.job.page_data.surface import light_bytes, surface_bytes
 from service.job.page_data.thumbnail import thumbnail_png
 from service.job.report.figures.wall import picture_png
 from service.job.spec.lens_task import bench_of

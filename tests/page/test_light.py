@@ -16,7 +16,7 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.lens_settings import LensSettings
 from optics.light import Light
-from service.job.page_data.light import light_bytes
+from service.job.page_data.surface import light_bytes
 from service.job.report.figures.wall import srgb_levels
 from tests.page import canned_job
 from tests.page.conftest import Opened

@@ -45,7 +45,7 @@ def fit_photo(
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
     """Draw coupon-fit.png."""
-    from service.job.report.figures.coupon import coupon_fit_png  # what it stands on is slow to import
+    from service.job.report.figures.photographs import coupon_fit_png  # what it stands on is slow to import
 
     picture, level = result.placed.picture, result.placed.level
     small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]

@@ -1,9 +1,15 @@
-"""From the spec of a test piece to its folder: programs, checked as a job's are, and the photograph foretold."""
+"""From the spec of a test piece to its folder: programs, checked as a job's are, and the photograph foretold. A server
+keeps one of each machine, made when it is first asked for.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import shutil
+import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,6 +36,7 @@ from service.job.coupon.piece import (
     PREDICTED_FINISHED,
     PROFILES,
     SHEET,
+    coupon_job,
     coupon_of,
     list_finish_programs,
     sheet_lines,
@@ -40,11 +47,10 @@ from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of
 from service.job.spec.resolved import ResolvedJob
-from service.job.stages.context import peak_rss_mb, versions
+from service.job.stages.context import PictureQueue, peak_rss_mb, versions
 from service.job.stages.order import merge_reports
-from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.so_far import JobSoFar
-from service.progress import Reporter, Stopwatch
+from service.progress import Reporter, Stopwatch, report_progress
 
 PIXELS_PER_MM = 20
 TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
@@ -54,6 +60,7 @@ CELL_MM, FINE_CELL_MM = 0.02, 0.01
 _BEYOND_MM = 0.9  # of the heights around the piece: all of it lies where the ball has been
 _SEEDS = (2, 1)  # of the mill's errors: for what photographs are compared with, and for the pictures
 _ABOVE_MM = 0.03  # of the stock before the finish, over the highest point
+_NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -242,3 +249,33 @@ def _as_reals(values: Complex) -> Array:
 
 def _from_reals(rows: Array) -> Complex:
     return np.asarray(rows[0] + 1j * rows[1])
+
+
+def keep_coupon(folder: Path, machine: str) -> Path:
+    """Return the machine's test piece in a folder of test pieces, with an archive of it; make it if there is none.
+
+    A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
+    SpecError where there is no such machine.
+    """
+    job = coupon_job(machine=machine, throw_mm=None, file=None, overrides=())
+    facts = repr((job.spec.plain(), asdict(job.machine), coupon_of(job)))
+    piece = folder / machine / hashlib.sha256(facts.encode()).hexdigest()[:16]
+    if not (piece / job_files.COUPON_ARCHIVE).is_file():
+        piece.parent.mkdir(parents=True, exist_ok=True)
+        with report_progress(quiet=True) as reporter:
+            make_coupon(piece, job, reporter=reporter)
+        job_files.write_bytes(piece / job_files.COUPON_ARCHIVE, _pack(piece))
+        for older in piece.parent.glob("[!.]*"):  # a hidden one is being made
+            if older != piece:
+                shutil.rmtree(older, ignore_errors=True)
+    return piece
+
+
+def _pack(piece: Path) -> bytes:
+    """Pack all that is needed to mill the piece, and to measure its photograph elsewhere."""
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(piece.iterdir()):
+            if path.name not in _NOT_SENT:
+                archive.writestr(job_files.zip_entry(path.name), path.read_bytes(), zipfile.ZIP_DEFLATED)
+    return held.getvalue()

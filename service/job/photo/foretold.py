@@ -16,8 +16,8 @@ from optics.spline import Array
 from service.errors import InputError
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP
-from service.job.photo.names import FORETOLD, Kind
 from service.job.picture.linear_light import srgb_to_linear
+from service.job.report.pictures import FORETOLD, ForetoldKind
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import load_stored_spec
 
@@ -26,7 +26,7 @@ from service.job.spec.loading import load_stored_spec
 class ForetoldLight:
     """irradiance (ny, nx): work frame, mean about 1; NaN where its file holds no more than "white or brighter"."""
 
-    kind: Kind
+    kind: ForetoldKind
     lens: Heightfield
     bench: Bench
     irradiance: Array

@@ -18,7 +18,7 @@ from optics.spline import Array
 from service.job.finite_json import plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
 from service.job.photo.foretold import ForetoldLight, foretold_of
-from service.job.photo.reading import WallPhoto, read_wall_photo
+from service.job.picture.reading import WallPhoto, read_wall_photo
 from service.progress import QuietReporter, Reporter, Stopwatch
 
 LOOK_PICTURE, LOOK_FIGURES = "look.png", "look.json"
@@ -47,7 +47,7 @@ class Look:
 
     def png(self, *, with_words: bool = True) -> bytes:
         """Draw photograph, prediction, difference, and what was found in words."""
-        from service.job.photo.drawing import look_png  # what it stands on is slow to import
+        from service.job.report.figures.photographs import look_png  # what it stands on is slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
         return look_png(self.rectified, self.foretold, sentences)

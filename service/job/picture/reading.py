@@ -1,4 +1,5 @@
-"""A picture file -> linear-light luminance in [0, 1] at the job's pixel count, row 0 on top.
+"""Files of pictures as linear light, row 0 on top: the picture in [0, 1] at the job's pixel count; a photograph of the
+wall, small enough to be compared with a prediction; the measured light on the aperture.
 
 Theory of operation: the header alone decides whether the picture is taken at all; then it is decoded, turned by its
 EXIF note, and read strip by strip into linear light, where pixels may be averaged. Resampling keeps averages: each
@@ -23,6 +24,14 @@ from service.job.picture.resampling import Span, weights_to_resample
 
 Array = npt.NDArray[np.float64]
 
+_STRIP_PIXELS = 4_000_000
+_BLACK = 1e-7  # far below the first step of 16 bits, above rounding
+_ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
+_PHOTO_PIXELS = 1600  # along the longer side: several for each one that a prediction is compared in
+_CLIPPED_BYTE = 252  # of any channel: what the camera's colours hide, too
+_DEEP = ("I", "F")
+_MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stays readable
+
 
 class Reading(Protocol):
     """How a picture is read; the spec's [image] is one. pixels counts along the screen's width."""
@@ -35,11 +44,6 @@ class Reading(Protocol):
     def fit(self) -> Literal["crop", "pad", "stretch"]: ...
     @property
     def invert(self) -> bool: ...
-
-
-_STRIP_PIXELS = 4_000_000
-_BLACK = 1e-7  # far below the first step of 16 bits, above rounding
-_ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,3 +144,72 @@ def resample_picture(
             strip = invert_tones(strip, tone)
         result += lines[:, top:bottom] @ (columns @ strip.T).T
     return np.clip(result, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WallPhoto:
+    """light (h, w): linear, 1 = the camera's white, row 0 on top; width, height: of the file [pixels]."""
+
+    light: Array
+    width: int
+    height: int
+
+
+def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> WallPhoto:
+    """Return the photograph at `path`, upright. PictureError, one line, which calls it by `name`, by default its path.
+
+    Pixels in which one colour alone is clipped count as white: how much light there was is not known.
+    """
+    name = name or str(path)
+    image = decode_picture(path, limits, name)
+    width, height = image.size
+    share = min(1.0, _PHOTO_PIXELS / max(width, height))
+    shape = max(1, round(height * share)), max(1, round(width * share))
+    try:
+        light = resample_picture(image, shape, Span(0.0, float(width)), Span(0.0, float(height)), tone="srgb")
+        if image.mode not in _DEEP and not image.mode.startswith("I;16"):
+            light = np.where(_mask_clipped(image, shape), 1.0, light)
+    except MemoryError:
+        raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
+    except ValueError as error:  # a mode that Pillow cannot turn into RGB
+        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+    return WallPhoto(light=light, width=width, height=height)
+
+
+def _mask_clipped(image: Image.Image, shape: tuple[int, int]) -> Array:
+    """Return where most of a pixel of that shape is clipped in some colour."""
+    if image.mode not in ("L", "RGB"):
+        image = image.convert("RGB")
+    bright = None
+    for channel in image.split():
+        over = channel.point([255 if value >= _CLIPPED_BYTE else 0 for value in range(256)])
+        smaller = np.asarray(over.resize((shape[1], shape[0]), Image.Resampling.BOX)) > 127
+        bright = smaller if bright is None else bright | smaller
+    return np.asarray(bright)
+
+
+def light_rows(path: Path, *, tone: str) -> list[list[float]]:
+    """Return the rows of `optics.light.profile`: relative strength, brightest 1, top row first, from rim to rim.
+
+    Each value is the mean over the box around its point, so that noise and dust are averaged away; at the rims it is
+    half a box. The picture shows exactly the aperture.
+    """
+    image = decode_picture(path, OWN_PICTURE, str(path))
+    (columns, across), (rows, down) = (_points(size) for size in image.size)
+    covered = [
+        np.asarray(weights_to_resample(size, span, count).sum(axis=1)).ravel()
+        for size, span, count in ((image.size[0], across, columns), (image.size[1], down, rows))
+    ]
+    light = resample_picture(image, (rows, columns), across, down, tone=tone) / (
+        covered[1][:, None] * covered[0][None, :]
+    )
+    if not light.max() > 0:
+        raise PictureError(f"{path}: the picture of the light is black everywhere")
+    return [[round(float(value), 4) for value in row] for row in light / light.max()]
+
+
+def _points(size: int) -> tuple[int, Span]:
+    """Return how many points stand along an axis of that many pixels, and the span of the boxes around them."""
+    count = min(size, _MOST_NODES)
+    half = size / (count - 1) / 2
+    return count, Span(-half, size + half)

@@ -11,6 +11,10 @@ from typing import Literal
 
 Part = Literal["lens", "light", "programs"]
 
+ForetoldKind = Literal["finished", "milled", "designed"]
+FORETOLD: dict[ForetoldKind, str] = {"finished": "caustic-as-finished.png", "milled": "caustic-as-milled.png"}
+"""What a photograph of the wall is compared with, the best first."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportPicture:

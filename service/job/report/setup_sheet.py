@@ -35,7 +35,7 @@ from service.job.report.optics import (
 from service.job.report.pictures import PICTURES, ReportPicture
 from service.job.spec.lens_task import source_spread_mm
 from service.job.spec.light import SUN_DEG
-from service.job.spec.outline import ellipse_mm
+from service.job.spec.optics import ellipse_mm
 from service.wording import cutter, duration, number, shape_of, size, whole
 
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from service.errors import SpecError
-from service.job.spec.form import unit_of
 from service.job.spec.model import JobSpec
+from service.job.spec.section import unit_of
 
 Place = tuple[int | str, ...]
 _MODEL_RULES = {"value_error", "assertion_error"}

@@ -20,8 +20,7 @@ from service.job.spec.finish_library import (
     built_in_processes,
     load_processes,
 )
-from service.job.spec.form import shown
-from service.job.spec.section import Section
+from service.job.spec.section import Section, shown
 
 NONE, BEST = "none", "best"
 _PROCESSES = {

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from service.job.spec.form import shown
-from service.job.spec.section import OneOf, Section
+from service.job.spec.section import OneOf, Section, shown
 from service.wording import number
 
 SUN_DEG = 0.53

@@ -231,7 +231,7 @@ def _override(data: dict[str, Any], text: str) -> None:
 
 def _set_profile(data: dict[str, Any], picture: Path) -> None:
     """Put the picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
-    from service.job.picture.light_profile import light_rows  # arrays: not for those who only plan
+    from service.job.picture.reading import light_rows  # arrays: not for those who only plan
 
     optics, image = data.get("optics", {}), data.get("image", {})
     light = optics.get("light", {}) if isinstance(optics, Mapping) else {}

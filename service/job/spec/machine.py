@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from service.job.spec.form import shown
-from service.job.spec.section import Section, Speed
+from service.job.spec.section import Section, Speed, shown
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Speed], Field(min_length=2, max_length=2)]

@@ -7,8 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cam.cutters import BALL, cutter_shape
-from service.job.spec.form import shown
-from service.job.spec.section import Radius, Rate, Section, Speed, StepDown
+from service.job.spec.section import Radius, Rate, Section, Speed, StepDown, shown
 
 
 class PassRow(Section):

@@ -15,8 +15,7 @@ from pydantic import Field, model_validator
 
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, PMMA
-from service.job.spec.form import shown
-from service.job.spec.section import Length, OneOf, Radius, Rate, Section, Speed, StepDown
+from service.job.spec.section import Length, OneOf, Radius, Rate, Section, Speed, StepDown, shown
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 

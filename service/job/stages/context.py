@@ -10,24 +10,61 @@ from __future__ import annotations
 import platform
 import resource
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from types import TracebackType
+from typing import Any, Literal, Self, TypeVar
 
 from machines.profile import MachineProfile
 from service.job import files as job_files
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
 from service.job.spec.resolved import ResolvedJob
-from service.job.stages.picture_queue import PictureQueue
 from service.progress import Stopwatch
 
 Part = Literal["optics", "passes"]
 T = TypeVar("T")
 
 THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last stage knows
+
+
+class PictureQueue:
+    """Draws pictures beside whatever comes next, in one thread: drawing shares fonts, and who computes does not wait.
+
+    A context: pictures that are not begun when it ends are dropped.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="pictures")
+        self._begun: list[Future[Any]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._thread.shutdown(cancel_futures=True)
+
+    def import_first(self, modules: Iterable[str]) -> None:
+        """Import what pictures are drawn with before the first is asked for."""
+        self._begun.append(self._thread.submit(lambda: [import_module(name) for name in modules]))
+
+    def draw(self, path: Path, picture: Callable[[], bytes]) -> None:
+        """Write what `picture` returns, some time before `finish` does."""
+        self._begun.append(self._thread.submit(lambda: job_files.write_bytes(path, picture())))
+
+    def raise_failures(self) -> None:
+        """Raise what the first did that has failed so far."""
+        while self._begun and self._begun[0].done():
+            self._begun.pop(0).result()
+
+    def finish(self) -> None:
+        """Wait until all that was begun is written; raises what the first that failed did."""
+        while self._begun:
+            self._begun.pop(0).result()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,7 +71,7 @@ def save_light(
     context: StageContext, name: str, surface: Heightfield, target: Array, *, slopes: Array | None = None
 ) -> None:
     """Save the surface with the light of the job for the operator page; slopes: by which it is off."""
-    from service.job.page_data.light import light_bytes  # what it stands on is slow to import
+    from service.job.page_data.surface import light_bytes  # what it stands on is slow to import
 
     bench, viewed_from = bench_of(context.spec), context.spec.optics.viewed_from
     context.save(name, light_bytes(surface, bench, white=float(target.max()), viewed_from=viewed_from, slopes=slopes))

@@ -13,9 +13,8 @@ from service.job.errors import translate_errors
 from service.job.planning.fit import check_disk_space
 from service.job.spec.loading import restore_job
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.stages.context import StageContext, peak_rss_mb
+from service.job.stages.context import PictureQueue, StageContext, peak_rss_mb
 from service.job.stages.order import FileRef, StageOrder, StageResult
-from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.table import Stage, reads, stage_of
 from service.progress import Stopwatch
 from service.store.base import MissingObjectError, Store

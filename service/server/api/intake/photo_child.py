@@ -17,14 +17,14 @@ use_current_kernels()  # before numba is imported
 import base64  # noqa: E402
 
 from service.job import files as job_files  # noqa: E402
-from service.job.coupon.kept import keep_coupon  # noqa: E402
 from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
+from service.job.coupon.programs import keep_coupon  # noqa: E402
 from service.job.finite_json import plain  # noqa: E402
 from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
-from service.job.photo.reading import read_wall_photo  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
+from service.job.picture.reading import read_wall_photo  # noqa: E402
 from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
 
 _BESIDE_BYTES = 2_500_000_000  # kernels, arrays of a lens, of a test piece and of views of them, threads, the figure

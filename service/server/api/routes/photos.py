@@ -20,7 +20,7 @@ from machines.profile import profile_names
 from service.errors import PictureError
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
-from service.job.photo.names import FORETOLD
+from service.job.report.pictures import FORETOLD
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import receive_form

@@ -12,7 +12,7 @@ from PIL import Image
 from service.cli.main import run
 from service.client.submit import spec_text
 from service.errors import ServiceError
-from service.job.picture.light_profile import light_rows
+from service.job.picture.reading import light_rows
 from service.job.spec.loading import resolve_spec
 
 

@@ -13,7 +13,7 @@ from service.job.report.drawing import top_view
 from service.job.report.holding import CLAMP_MM, BlockSizes
 from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_spec
-from service.job.spec.outline import ellipse_mm
+from service.job.spec.optics import ellipse_mm
 from service.job.spec.tools import load_tools
 from tests.service.job.report.test_setup_sheet import FILES, PROGRAM, REPORT, SPEC, Page
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from optics.heightfield import Heightfield
 from service.job.errors import ReliefTooDeep, SolidError
 from service.job.report.solid import lens_solid, require_floor, stl_bytes
-from service.job.spec.outline import ellipse_mm
+from service.job.spec.optics import ellipse_mm
 
 
 def wavy(*, nodes: int = 65, width_mm: float = 30.0, height_mm: float = 20.0, skim_mm: float = 0.3) -> Heightfield:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from machines.profile import find_profiles, load_profile
 from service.errors import InputError
 from service.job.spec.loading import restore_job
-from service.job.spec.own_profiles import KEYS, forget_profile, read_stated_profiles, save_profile
+from service.job.spec.own_files import PROFILE_KEYS, forget_profile, read_stated_profiles, save_profile
 from service.server.schemas.jobs import ProfileBody
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 
@@ -119,4 +119,4 @@ def test_what_is_stated_is_what_is_read(words: str, step_mm: float, travel_mm: l
 
 
 def test_the_body_has_the_keys_of_the_file() -> None:
-    assert tuple(ProfileBody.model_fields) == KEYS
+    assert tuple(ProfileBody.model_fields) == PROFILE_KEYS
