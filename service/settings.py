@@ -1,12 +1,14 @@
 """Settings of the job server, its workers and its machines: from the environment (CAUSTICMILL_...), all with defaults.
 
-Command-line options become environment variables of the processes that `serve` starts, so this is the one place where
-a default stands.
+Command-line options become environment variables of the processes that `serve` starts, so this is the one place where a
+default stands. A misspelt variable would be passed over in silence, and a limit with it: `unknown_settings` finds it.
 """
 
 from __future__ import annotations
 
+import difflib
 import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -16,6 +18,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.errors import InputError, printable
 
 PREFIX = "CAUSTICMILL_"
+# What others of ours read: clients, profiles, secrets, the command itself. TRIAL... belong to the trials of the server.
+_OTHERS = ("SERVER", "TOKEN", "CONFIG_DIR", "SECRETS", "BEGAN", "PUBLISHED_PORT")
+_TRIALS = ("TRIAL", "BENCH_", "FUZZ_", "SLOW", "REWRITE_")
 
 
 class ServerSettings(BaseSettings):
@@ -155,3 +160,15 @@ def _sentence(problem: dict[str, object]) -> str:
     where = problem["loc"]
     name = str(where[0]) if isinstance(where, tuple) and where else "settings"
     return printable(f"{PREFIX}{name.upper()}: {problem['input']!r} cannot be used: {problem['msg']}")
+
+
+def unknown_settings(environment: Mapping[str, str]) -> Iterator[str]:
+    """Yield a sentence for each variable that looks like one of ours and is none."""
+    settings = [name.upper() for name in ServerSettings.model_fields]
+    for variable in sorted(environment):
+        name = variable.upper().removeprefix(PREFIX)
+        if name == variable.upper() or name in settings or name in _OTHERS or name.startswith(_TRIALS):
+            continue
+        meant = difflib.get_close_matches(name, settings, n=1)
+        hint = f"; {PREFIX}{meant[0]} is one" if meant else ""
+        yield f"{variable} is no setting{hint}"

@@ -171,15 +171,14 @@ def restore(
 @service_commands.command()
 def verify(data: DataOption = None) -> None:
     """Read every object of the artifact store and compare it with its hash; exit code 1 where one differs."""
-    from service.server.maintenance.verify import verify_store
+    from service.server.maintenance.backup import verify_store
 
     for line in verify_store(_settings(data=data)):
         print(line, file=sys.stderr)
 
 
 def _settings(**given: object) -> ServerSettings:
-    from service.server.supervisor.environment import unknown_settings
-    from service.settings import ServerSettings
+    from service.settings import ServerSettings, unknown_settings
 
     for line in unknown_settings(os.environ):
         print(f"warning: {line}", file=sys.stderr)

@@ -26,8 +26,7 @@ from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
-from service.processes.python_path import python_path
-from service.processes.source_tree import hash_files
+from service.processes.source_tree import hash_files, python_path
 
 _ROOT = Path(__file__).parents[2]
 _KEPT_BYTES = 200_000_000  # of results and quick keys

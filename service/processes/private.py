@@ -1,4 +1,5 @@
 """What this program keeps is for its own account alone: folders 0700, files 0600, whatever umask it is started with.
+And one server alone has a data folder: its lock ends with its holder, however that ends.
 
 Only the standard library: the supervisor and the command line use it before anything else is imported.
 """
@@ -6,16 +7,19 @@ Only the standard library: the supervisor and the command line use it before any
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
-from service.errors import FailedError, sentence_of_os_error
+from service.errors import FailedError, InputError, sentence_of_os_error
 
 _OTHERS = 0o077
 # Files that say that a folder is a server's, a worker's or an agent's.
 _DATA = ("serve.lock", "worker.lock", "lock", "token", "causticmill.sqlite", "settings.env")
+_LOCK = "serve.lock"
 
 
 def keep_private(folder: Path) -> Path:
@@ -64,3 +68,28 @@ def _close(path: Path) -> None:
             path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
     except (FileNotFoundError, PermissionError):  # gone meanwhile; or another account's, and out of others' reach now
         pass
+
+
+def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
+    """Lock a file, to be kept open; the folder is made if need be. InputError where another process has it."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"--data {folder} is a file; allowed: a folder")
+        keep_private(folder)
+        file = (folder / _LOCK).open("a+", encoding="ascii")
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        holder = file.read(60).strip() or "another process"
+        file.close()
+        raise InputError(f"--data {folder} is in use by {holder}; stop that first, or give another folder") from None
+    except OSError as error:
+        file.close()
+        raise FailedError(sentence_of_os_error(error, doing=f"cannot lock the data folder {folder}")) from None
+    file.truncate(0)
+    file.write(f"process {os.getpid()} ({doing})\n")
+    file.flush()
+    return file

@@ -28,7 +28,7 @@ from service.http.listener import bind_address, url_of
 from service.http.problems import Problem
 from service.job.spec.tools import BUILT_IN, load_tools
 from service.server.api.errors import install_problems
-from service.server.api.routes import page, root
+from service.server.api.routes import page
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.server.schemas.jobs import PROFILE_EXAMPLE
 from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
@@ -213,7 +213,6 @@ def running_stub() -> Iterator[Stub]:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     install_problems(app)
     app.include_router(page.router)
-    app.include_router(root.router)
     with contextlib.closing(bind_address("127.0.0.1", 0)) as listener:
         stub = Stub(url_of(listener))
 

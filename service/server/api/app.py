@@ -31,11 +31,9 @@ from service.server.api.routes import (
     page,
     photos,
     profiles,
-    root,
     runs,
     stops,
     submit,
-    tokens,
     tools,
 )
 from service.server.api.services import Services
@@ -59,7 +57,6 @@ _ROUTERS = (
     submit,
     estimates,
     photos,
-    tokens,
     jobs,
     events,
     artifacts,
@@ -72,7 +69,6 @@ _ROUTERS = (
     stops,
     health,
     identity,
-    root,
     page,
 )
 _WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos|profiles/[^/]+/coupon/photos)")

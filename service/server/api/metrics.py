@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.server.api.shared_call import SharedCall
 from service.server.database.connection import begin_reading, clock
-from service.server.database.counters import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
+from service.server.database.job_rows import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
 from service.server.database.jobs import count_jobs, find_oldest_queued_at
 from service.server.database.states import StageState
 from service.server.database.tables import executors, runs

@@ -14,9 +14,16 @@ import sqlalchemy as sa
 from service.errors import printable
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new, put_rows
-from service.server.database.counters import RECOVERIES, STAGE_RESULTS, Counter, add_to_counters
-from service.server.database.events import write_event
-from service.server.database.job_rows import change_job, end_job, lock_job
+from service.server.database.job_rows import (
+    RECOVERIES,
+    STAGE_RESULTS,
+    Counter,
+    add_to_counters,
+    change_job,
+    end_job,
+    lock_job,
+    write_event,
+)
 from service.server.database.offered_files import DONE
 from service.server.database.records import Job, Json, UnknownJobError
 from service.server.database.states import JobState, StageState

@@ -1,16 +1,99 @@
-"""Rows of jobs, read and changed under a lock by whatever works on jobs, runs and claims."""
+"""Rows of jobs, read and changed under a lock by whatever works on jobs, runs and claims; and what is written in the
+same transaction as a change: the event that tells of it, and the counters.
+
+Counters are figures about all jobs, kept as they change: to count a hundred thousand rows at each scrape takes seconds.
+Neither a crash nor a second worker can part them from what they count. A counter's row is locked until its transaction
+ends. So that two transactions cannot wait for each other, each of them changes the counters of stages before that of
+jobs, and rows of one call in the order of their keys.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
-from service.server.database.counters import Counter, add_to_counters
-from service.server.database.events import write_event
-from service.server.database.records import Job, UnknownJobError
+from service.server.database.connection import is_sqlite, put_rows
+from service.server.database.records import Job, JobEvent, News, Progress, UnknownJobError
 from service.server.database.states import JobState, require_move
-from service.server.database.tables import jobs, progress, runs
+from service.server.database.tables import counters, events, jobs, progress, runs
+
+BATCH = 500
+MOST_NEWS = 10 * BATCH
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Counter:
+    """The key of a row: "jobs" by state, "stage_runs" and "stage_seconds" by stage and state, others by name alone."""
+
+    name: str
+    stage: str = ""
+    state: str = ""
+
+
+ARTIFACT_BYTES = Counter("artifact_bytes")  # as the last sweep of the store has found it
+RECOVERIES = Counter("recoveries")
+STAGE_RESULTS = Counter("stage_results")
+
+
+def add_to_counters(connection: sa.Connection, changes: Mapping[Counter, float]) -> None:
+    """Raise counters by these amounts, which may be negative."""
+    insert = sqlite.insert if is_sqlite(connection) else postgresql.insert
+    for counter in sorted(changes):
+        row = {"name": counter.name, "stage": counter.stage, "state": counter.state, "value": changes[counter]}
+        new = insert(counters).values(**row)
+        raised = {"value": counters.c.value + new.excluded.value}
+        connection.execute(new.on_conflict_do_update(index_elements=["name", "stage", "state"], set_=raised))
+
+
+def set_counter(connection: sa.Connection, counter: Counter, value: float) -> None:
+    row = {"name": counter.name, "stage": counter.stage, "state": counter.state, "value": value}
+    put_rows(connection, counters, [row])
+
+
+def read_counters(connection: sa.Connection) -> dict[Counter, float]:
+    """Return all of them: a few dozen rows."""
+    rows = connection.execute(sa.select(counters))
+    return {Counter(row.name, row.stage, row.state): row.value for row in rows}
+
+
+def write_event(connection: sa.Connection, job_id: str, kind: str, data: Mapping[str, Any], *, at: float) -> None:
+    """Write the next event of a job. The caller holds the job's row, so seq has no gaps and no doubles."""
+    last = sa.select(sa.func.coalesce(sa.func.max(events.c.seq), 0)).where(events.c.job_id == job_id)
+    seq = connection.execute(last).scalar_one() + 1
+    connection.execute(events.insert().values(job_id=job_id, seq=seq, at=at, kind=kind, data=dict(data)))
+
+
+def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) -> list[JobEvent]:
+    """Return events of a job after the one numbered `after`."""
+    query = sa.select(events).where(events.c.job_id == job_id, events.c.seq > after).order_by(events.c.seq).limit(limit)
+    return [JobEvent.of(row) for row in connection.execute(query).mappings()]
+
+
+def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
+    """Return events of many jobs after the given ones, at most 5000, and how far their running stages are.
+
+    Mostly nothing has happened: the last event of each job tells, by one query for all of them.
+    """
+    last = sa.func.max(events.c.seq)
+    query = sa.select(events.c.job_id, last).where(events.c.job_id.in_(after)).group_by(events.c.job_id)
+    found: list[JobEvent] = []
+    for job_id, seq in connection.execute(query).all():
+        if seq > after[job_id] and len(found) < MOST_NEWS:
+            found += read_events(connection, job_id, after[job_id], MOST_NEWS - len(found))
+    return News(events=found, progress=read_progress(connection, after))
+
+
+def read_progress(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, Progress]:
+    query = (
+        sa.select(progress, jobs.c.progress)
+        .join(jobs, jobs.c.id == progress.c.job_id)
+        .where(progress.c.job_id.in_(job_ids), jobs.c.state == "running", jobs.c.stage == progress.c.stage)
+    )
+    return {row["job_id"]: Progress.of(row) for row in connection.execute(query).mappings()}
 
 
 def open_run_of(connection: sa.Connection, job_id: str) -> str | None:

@@ -16,9 +16,20 @@ from service.errors import printable
 from service.job.files import TARGET_PICTURE, THUMBNAILS
 from service.job.stages.order import merge_reports
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
-from service.server.database.counters import Counter, add_to_counters, read_counters
-from service.server.database.events import BATCH, read_events, read_news, write_event
-from service.server.database.job_rows import change_job, end_job, get_job, lock_job, state_counter
+from service.server.database.job_rows import (
+    BATCH,
+    Counter,
+    add_to_counters,
+    change_job,
+    end_job,
+    get_job,
+    lock_job,
+    read_counters,
+    read_events,
+    read_news,
+    state_counter,
+    write_event,
+)
 from service.server.database.offered_files import list_offered_artifacts, list_offered_programs, may_be_milled
 from service.server.database.records import (
     PRIORITIES,

@@ -2,8 +2,9 @@
 
 Order makes it consistent: the engine's database first, then that of the jobs, then the objects. What the engine knows
 late is submitted again, what it knows too long ends at once, and every object a job names was there before. Left out:
-what agents of mills keep (where a mill stands is true of that mill at that time only), scratch files and uploads.
-The last member, `manifest.json`, says what must be in it: a backup without it is not whole.
+what agents of mills keep (where a mill stands is true of that mill at that time only), scratch files and uploads. The
+last member, `manifest.json`, says what must be in it: a backup without it is not whole. Whether every object of the
+store still is what its name says, `verify_store` tells.
 """
 
 from __future__ import annotations
@@ -151,3 +152,21 @@ def _create_whole(target: Path) -> Iterator[IO[bytes]]:
         raise FailedError(sentence_of_os_error(error, doing="cannot write the backup")) from None
     finally:
         part.unlink(missing_ok=True)
+
+
+def verify_store(settings: ServerSettings) -> list[str]:
+    """Verify every object; FailedError names each that is not what it is called."""
+    store, count, size, damaged = open_store(settings), 0, 0, []
+    for stored in store.list():
+        digest = hashlib.sha256()
+        try:
+            for piece in store.open_range(stored.sha256):
+                digest.update(piece)
+        except MissingObjectError:  # deleted meanwhile
+            continue
+        count, size = count + 1, size + stored.bytes
+        if digest.hexdigest() != stored.sha256:
+            damaged.append(stored.sha256)
+    if damaged:
+        raise FailedError(*(f"object {sha256} is damaged" for sha256 in damaged))
+    return [f"{count} objects, {size / 1e6:.1f} MB: all are what they were stored as"]

@@ -15,7 +15,7 @@ from service.server.database.claims import WorkBook
 from service.server.queue.engine import Fenced
 from service.server.worker.lease import Lease
 from service.server.worker.monitor import Watch
-from service.server.worker.process.outcomes import StageEnd
+from service.server.worker.process.supervision import StageEnd
 from service.settings import ServerSettings
 from service.store.base import Store
 

@@ -18,8 +18,7 @@ import structlog
 
 from service.server.database.claims import drop_results
 from service.server.database.connection import begin_reading, begin_writing, clock, is_sqlite
-from service.server.database.counters import ARTIFACT_BYTES, set_counter
-from service.server.database.job_rows import lock_job
+from service.server.database.job_rows import ARTIFACT_BYTES, lock_job, set_counter
 from service.server.database.jobs import drop_job
 from service.server.database.records import UnknownJobError
 from service.server.database.states import JobOnMillError

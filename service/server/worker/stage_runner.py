@@ -18,7 +18,7 @@ from service.server.database.states import JobState, StageState
 from service.server.queue.engine import Fenced
 from service.server.worker.context import WorkerContext, retry_while_away
 from service.server.worker.monitor import Watched
-from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
+from service.server.worker.process.supervision import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.store.base import MissingObjectError
 
 STAGE_TRIES = 3  # of a stage whose process ends without a result

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from service.processes.kernel_cache import JOBS, LENSES, ready_mark, use_current_kernels
 from service.processes.priority import give_way
-from service.processes.python_path import python_path
+from service.processes.source_tree import python_path
 
 if TYPE_CHECKING:
     from service.job.spec.resolved import ResolvedJob

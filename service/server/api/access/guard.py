@@ -2,7 +2,8 @@
 
 Plain ASGI, so that streams pass through untouched. In this order: what is not HTTP, malformed or foreign headers, who
 is calling, how much they ask for. A caller is known by a token; without one, and only as long as no token was ever
-made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills.
+made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills. How
+much one caller may ask for is a bucket of requests for each, which fills up again with time.
 """
 
 from __future__ import annotations
@@ -10,8 +11,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections import Counter
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -20,7 +24,6 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.http.hosts import is_own_host, own_names
 from service.http.problems import Problem, problem_response
 from service.server.api.access.client_address import is_here
-from service.server.api.access.rate_limit import Limiter
 from service.server.api.access.scopes import (
     ANONYMOUS,
     Principal,
@@ -59,6 +62,37 @@ _BURST_S = 10.0
 _LOOK_UPS = 8
 
 Headers = dict[bytes, bytes]
+_MOST_CALLERS = 10_000
+
+
+@dataclass(slots=True)
+class _Bucket:
+    left: float
+    at_s: float
+
+
+class Limiter:
+    """`rate_per_s` requests of each caller in the long run, `burst` at once. For one thread."""
+
+    def __init__(self, rate_per_s: float, burst: float, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate_per_s = rate_per_s
+        self._burst = max(1.0, burst)
+        self._clock = clock
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+
+    def wait_s(self, caller: str) -> float:
+        """Take one request out of the caller's bucket; 0, or the seconds until there is one to take."""
+        now = self._clock()
+        bucket = self._buckets.setdefault(caller, _Bucket(self._burst, now))
+        self._buckets.move_to_end(caller)
+        if len(self._buckets) > _MOST_CALLERS:
+            self._buckets.popitem(last=False)
+        bucket.left = min(self._burst, bucket.left + (now - bucket.at_s) * self._rate_per_s)
+        bucket.at_s = now
+        if bucket.left < 1:
+            return (1 - bucket.left) / self._rate_per_s
+        bucket.left -= 1
+        return 0.0
 
 
 def _principal(token: Token) -> Principal:

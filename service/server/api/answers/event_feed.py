@@ -1,10 +1,11 @@
 """What happens to jobs, to any number of followers: one poller asks the database for all of them together.
 
-Theory of operation: every follower remembers the last event it was given. The poller asks for what came after the
-least of them, for each job that is followed, and hands each follower its part; so history, live events and a reader
-that comes back with Last-Event-ID are one and the same case, and nothing can fall between them. A follower whose
-queue is full is dropped: its client may come back and goes on where it was. Only the poller's queries run in another
-thread; everything else belongs to the event loop.
+Theory of operation: every follower remembers the last event it was given. The poller asks for what came after the least
+of them, for each job that is followed, and hands each follower its part; so history, live events and a reader that
+comes back with Last-Event-ID are one and the same case, and nothing can fall between them. A follower whose queue is
+full is dropped: its client may come back and goes on where it was. Only the poller's queries run in another thread;
+everything else belongs to the event loop. A connection that is stuck must be given up, so the answer that a follower
+holds open is ASGI of its own.
 """
 
 from __future__ import annotations
@@ -16,17 +17,28 @@ from dataclasses import dataclass, field
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
-from service.http.streaming import compact_json, event_bytes
-from service.server.database.events import BATCH, MOST_NEWS
+from service.http.streaming import (
+    HEARTBEAT_S,
+    PING,
+    begin_events,
+    compact_json,
+    event_bytes,
+    send_piece,
+    write_while_connected,
+)
+from service.server.database.job_rows import BATCH, MOST_NEWS
 from service.server.database.jobs import JobBook
-from service.server.database.records import JobEvent, News, Progress
+from service.server.database.records import JobEvent, News, Progress, UnknownJobError
 from service.server.schemas.base import iso_time
 
 _POLL_S = 0.25
 _AFTER_ERROR_S = 2.0
 _QUEUE = 12 * BATCH  # more than one poll brings at most
 _log = structlog.get_logger("api")
+_MOST_AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,3 +173,50 @@ class Feed:
 
 def _text_of(event: JobEvent) -> bytes:
     return event_bytes(event.kind, compact_json(event.data | {"at": iso_time(event.at)}), str(event.seq))
+
+
+class EventStream(Response):
+    """The answer that a follower of a job holds open: sends what the feed hands to it."""
+
+    def __init__(self, feed: Feed, book: JobBook, job_id: str, after: int, *, heartbeat_s: float = HEARTBEAT_S) -> None:
+        super().__init__()
+        self._feed = feed
+        self._book = book
+        self._job_id = job_id
+        self._after = after
+        self._heartbeat_s = heartbeat_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with self._feed.follow(self._job_id, self._after) as follower:
+            await write_while_connected(receive, self._write(follower, send))
+
+    async def _write(self, follower: Follower, send: Send) -> None:
+        await begin_events(send)
+        going = True
+        while going:
+            try:
+                message = await asyncio.wait_for(follower.queue.get(), self._heartbeat_s)
+            except TimeoutError:
+                await send_piece(send, PING)
+                going = await self._still_there()
+                continue
+            texts: list[bytes] = []
+            while message is not None and not message.last and len(texts) < _MOST_AT_ONCE:
+                texts.append(message.text)
+                if follower.queue.empty():
+                    break
+                message = follower.queue.get_nowait()
+            else:
+                going = message is not None and not message.last
+                texts.extend([] if message is None else [message.text])
+            await send_piece(send, b"".join(texts))
+        await send_piece(send, b"", more=False)
+
+    async def _still_there(self) -> bool:
+        """Return False for a job that was deleted by another process."""
+        with contextlib.suppress(Exception):  # the database may be away; then nothing is known
+            try:
+                await asyncio.to_thread(self._book.get, self._job_id)
+            except UnknownJobError:
+                return False
+        return True

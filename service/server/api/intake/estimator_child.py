@@ -21,7 +21,7 @@ from PIL import Image  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
 from service.job.spec.loading import resolve_job, restore_job  # noqa: E402
-from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
+from service.processes.line_child import answer_lines, answer_or_refuse  # noqa: E402
 
 _BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
 _BYTES_PER_PIXEL = 16

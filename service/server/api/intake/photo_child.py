@@ -25,7 +25,7 @@ from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
-from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
+from service.processes.line_child import answer_lines, answer_or_refuse  # noqa: E402
 
 _BESIDE_BYTES = 2_500_000_000  # kernels, arrays of a lens, of a test piece and of views of them, threads, the figure
 _BYTES_PER_PIXEL = 48

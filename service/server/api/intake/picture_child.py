@@ -24,7 +24,7 @@ from PIL import (  # noqa: F401
 from service.errors import PictureError
 from service.job.picture.decoding import check_picture
 from service.job.picture.limits import UPLOAD_FORMATS, PictureLimits
-from service.processes.line_worker import answer_lines
+from service.processes.line_child import answer_lines
 
 _BYTES_PER_PIXEL = 16  # a progressive CMYK JPEG holds its coefficients beside its pixels; an animation two canvases
 _BESIDE_BYTES = 96_000_000  # the file, its notes, the decoder's tables

@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
-from service.server.api.answers.event_stream import EventStream
+from service.server.api.answers.event_feed import EventStream
 from service.server.api.openapi import Responses, answers, event_stream
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import Services, services_of

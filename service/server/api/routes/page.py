@@ -1,18 +1,24 @@
-"""The operator page: its files under /page/, open to everybody, for they hold no data."""
+"""GET /: what answers here, and where the rest is; and the operator page, its files under /page/. Open to everybody:
+the page holds no data, and / tells nothing that is not in every answer.
+"""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib import metadata
+from typing import Any
 
-from fastapi import APIRouter, Request
-from starlette.responses import Response
+from fastapi import APIRouter, Request, Response
 
 from service.http.problems import Problem
 from service.job.report.pictures import PICTURES
 from service.job.spec.model import JobSpec
 from service.page.files import INDEX, PageFile, PageFiles
 from service.server.api.answers.download import matches
+from service.server.api.openapi import answers, example
+from service.server.schemas.jobs import Root
 
 PREFIX = "/page/"
 
@@ -36,6 +42,18 @@ MADE: dict[str, tuple[str, Callable[[], object]]] = {
 }
 """Modules of what the page would else have to list itself."""
 
+_LINKS = {
+    "jobs": "/v1/jobs",
+    "machines": "/v1/machines",
+    "runs": "/v1/runs",
+    "openapi": "/openapi.json",
+    "ready": "/readyz",
+    "metrics": "/metrics",
+}
+_PAGE_ANSWER: dict[str, Any] = {"text/html": {"schema": {"type": "string"}}}
+_EXAMPLE = example({"name": "causticmill", "version": "1.2.0", "links": _LINKS})
+_ROOT_HEADERS = {"Vary": "Accept", "X-Content-Type-Options": "nosniff"}
+
 router = APIRouter()
 _files = PageFiles(made=MADE)
 
@@ -49,7 +67,7 @@ def file(request: Request, path: str) -> Response:
     return _answer_file(request, found)
 
 
-def index(request: Request) -> Response:
+def _index(request: Request) -> Response:
     """Return what a browser gets at /."""
     found = _files.file(INDEX)
     if found is None:
@@ -78,3 +96,18 @@ def _takes_gzip(header: str) -> bool:
         if name == "gzip":
             return weight not in ("0", "0.0", "0.00", "0.000")
     return False
+
+
+@router.get(
+    "/",
+    tags=["operations"],
+    summary="What is here",
+    response_model=Root,
+    responses=answers({200: {"content": _EXAMPLE["content"] | _PAGE_ANSWER}}),
+)
+async def root(request: Request, response: Response) -> Root | Response:
+    """Name, version and addresses; the operator page where Accept has text/html."""
+    if "text/html" in request.headers.get("accept", ""):
+        return await asyncio.to_thread(_index, request)
+    response.headers.update(_ROOT_HEADERS)
+    return Root(name="causticmill", version=metadata.version("causticmill"), links=_LINKS)

@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.processes.python_path import python_path
+from service.processes.source_tree import python_path
 from service.server.worker.process.forkserver import MESSAGE_BYTES
 from service.settings import ServerSettings
 

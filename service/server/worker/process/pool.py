@@ -17,9 +17,17 @@ from typing import Any
 from service.errors import FailedError
 from service.server.worker.lease import SAFE_SHARE
 from service.server.worker.process.forkserver_client import Child, ForkServerError, ForkServerLink
-from service.server.worker.process.log import StageLog
-from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
-from service.server.worker.process.supervision import Supervision, Task
+from service.server.worker.process.supervision import (
+    Crashed,
+    Done,
+    Failed,
+    Refused,
+    StageEnd,
+    StageLog,
+    Stopped,
+    Supervision,
+    Task,
+)
 from service.settings import ServerSettings
 
 __all__ = ["STAGE_ENTRY", "Crashed", "Done", "Failed", "Refused", "StageEnd", "StageProcesses", "Stopped"]

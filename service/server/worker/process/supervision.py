@@ -1,4 +1,10 @@
-"""The watch over one running stage: its words, its beats, its time, whoever wants it stopped, and its end."""
+"""The watch over one running stage: its words, its beats, its time, its log, whoever wants it stopped, and its end.
+
+The log is kept short: a stage that says the same thing for hours must not fill the disk. The process appends to the
+file by itself, so the worker cannot shorten it without losing words just written: now and then it gives the disk blocks
+of the middle back, and takes the middle out when nobody writes any more. What was said first and what was said last is
+what tells why a stage went wrong.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +16,13 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from service.errors import printable
-from service.processes.linux import list_living_members, signal_group, signal_stage
+from service.processes.linux import give_back_blocks, list_living_members, signal_group, signal_stage
 from service.server.worker.process.child import out_of_memory
 from service.server.worker.process.forkserver_client import Child, ForkServerLink
-from service.server.worker.process.log import StageLog
-from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.settings import ServerSettings
 
 _TICK_S = 0.1
@@ -25,6 +30,75 @@ _GRACE_S = 1.0  # between SIGTERM and SIGKILL
 _REAP_S = 5.0  # a fork server that has not told of a dead child by then is stuck
 _LINE_BYTES = 64_000_000  # longer words are no words
 _MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
+MOST_LOG_BYTES = 1_000_000
+HALF_LOG = MOST_LOG_BYTES // 2
+CUT = b"\n... (cut here: the stage said more than 1 MB) ...\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """It has done its work: what the stage's function returned, as plain JSON values."""
+
+    result: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Something the person gave cannot be used. Trying again changes nothing. `field`: key of the spec, or ""."""
+
+    lines: tuple[str, ...]
+    field: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The stage itself failed: a check, the disk, out of memory, out of time. Trying again changes nothing."""
+
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Crashed:
+    """Its process ended without a word: a signal, an exit, an error of the program itself. It may be tried again."""
+
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """It was told to end ("cancelled"), or its worker may no longer own the job ("fenced")."""
+
+    reason: str
+
+
+StageEnd = Done | Refused | Failed | Crashed | Stopped
+"""How one try of one stage can end."""
+
+
+class StageLog:
+    """What a stage's process says, in a file, which must be there."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._freed = HALF_LOG
+
+    def look(self) -> None:
+        """Look while it is being written."""
+        end = self._path.stat().st_size - HALF_LOG
+        if end > self._freed + MOST_LOG_BYTES:
+            give_back_blocks(self._path, self._freed, end - self._freed)
+            self._freed = end
+
+    def end(self) -> None:
+        """End it, as nobody writes any more: the first half, and the last."""
+        size = self._path.stat().st_size
+        if size > MOST_LOG_BYTES:
+            with self._path.open("r+b") as file:
+                file.seek(size - HALF_LOG)
+                rest = file.read()
+                file.truncate(HALF_LOG)
+                file.seek(HALF_LOG)
+                file.write(CUT + rest)
 
 
 @dataclass(frozen=True, kw_only=True)

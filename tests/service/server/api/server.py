@@ -21,8 +21,7 @@ from service.http.listener import bind_address, url_of
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
 from service.server.database.connection import begin_writing, connect
-from service.server.database.counters import Counter, add_to_counters
-from service.server.database.events import write_event
+from service.server.database.job_rows import Counter, add_to_counters, write_event
 from service.server.database.schema import upgrade_schema
 from service.server.database.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.server.api.access.client_address import is_here
-from service.server.api.access.rate_limit import _MOST_CALLERS, Limiter
+from service.server.api.access.guard import _MOST_CALLERS, Limiter
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S
 

@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from service.job.spec.loading import resolve_spec
 from service.server.database.connection import begin_writing, is_sqlite
-from service.server.database.counters import Counter, add_to_counters
+from service.server.database.job_rows import Counter, add_to_counters
 from service.server.database.tables import (
     artifacts,
     events,

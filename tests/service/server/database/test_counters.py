@@ -12,8 +12,7 @@ import sqlalchemy as sa
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import StageClose, WorkBook, interrupt_tries
 from service.server.database.connection import begin_reading, begin_writing, clock
-from service.server.database.counters import Counter, read_counters
-from service.server.database.job_rows import end_job
+from service.server.database.job_rows import Counter, end_job, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.records import NewJob, UnknownJobError
 from service.server.database.states import JobState, JobStateError, StageState

@@ -17,7 +17,7 @@ from alembic.script import ScriptDirectory
 
 from service.errors import FailedError, InputError
 from service.server.database.connection import begin_reading, begin_writing, connect
-from service.server.database.counters import Counter, read_counters
+from service.server.database.job_rows import Counter, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.schema import HEAD, alembic_config, await_schema, open_database, upgrade_schema
 from service.server.database.tables import jobs, metadata, result_files
@@ -42,7 +42,7 @@ def test_a_database_that_is_up_to_date_costs_no_alembic(farm: ServerSettings, da
     code = """
 import sys
 from service.server.database.jobs import JobBook
-from service.server.database.counters import Counter, read_counters
+from service.server.database.job_rows import Counter, read_counters
 from service.server.database.schema import await_schema, open_database
 from service.settings import ServerSettings
 await_schema(open_database(ServerSettings.load(), migrate=True), 0)

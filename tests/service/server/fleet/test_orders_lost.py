@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.server.api.access.rate_limit import Limiter
+from service.server.api.access.guard import Limiter
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent
 from tests.service.server.fleet.shop import Shop, own_folders

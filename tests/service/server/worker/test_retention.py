@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import WorkBook
 from service.server.database.connection import begin_reading, begin_writing, clock
-from service.server.database.counters import ARTIFACT_BYTES, read_counters
+from service.server.database.job_rows import ARTIFACT_BYTES, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.records import NewJob, UnknownJobError
 from service.server.database.runs import NewRun, RunBook
