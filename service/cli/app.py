@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from service.cli import check, coupon, jobs, look, make, mill, plan_options, serve, tokens
+from service.cli import jobs, make, mill, photographs, plan_options, serve, tokens
 
 app = typer.Typer(
     name="causticmill",
@@ -23,7 +23,6 @@ def print_version() -> None:
 
 
 make.register(app)
-check.register(app)
 app.command("version")(print_version)
-for module in (plan_options, coupon, look, mill, tokens, jobs, serve):
+for module in (plan_options, photographs, mill, tokens, jobs, serve):
     module.register(app)

@@ -168,8 +168,7 @@ def _download(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet
 
 
 def _connect(server: str | None, token_file: Path | None) -> Any:
-    from service.client.address import target_of
-    from service.client.server import ServerClient
+    from service.client.server import ServerClient, target_of
 
     return ServerClient(target_of(server=server, token_file=token_file))
 

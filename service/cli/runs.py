@@ -204,8 +204,7 @@ def _follow(link: Any, run_id: str) -> None:
 
 
 def _connect(server: str | None, token_file: Path | None) -> Any:
-    from service.client.address import target_of
-    from service.client.server import ServerClient
+    from service.client.server import ServerClient, target_of
 
     return ServerClient(target_of(server=server, token_file=token_file))
 

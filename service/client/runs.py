@@ -6,8 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from service.client.events import stream_events
-from service.client.follow import explain_interrupt
+from service.client.follow import explain_interrupt, stream_events
 from service.client.jobs import table, when
 from service.client.server import ServerClient, clean
 from service.errors import FailedError, InputError

@@ -23,11 +23,10 @@ from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
 from machines.runs import RunState
-from service.milling.terminal.keys import Keys, Question, Wish, keys_in
+from service.milling.terminal.keys import Keys, Question, Signals, Wish, keys_in
 from service.milling.terminal.leaving import CLEAR_WAIT_S, Buffers
 from service.milling.terminal.orders import give_order, stop_mill
 from service.milling.terminal.screen import Screen, StreamView
-from service.milling.terminal.signals import Signals
 
 _LOOK_S = 0.25
 _ABORT_WAIT_S = 20.0

@@ -1,22 +1,26 @@
-"""What must be done before a mill can be sent a program: told, asked of a person, carried out, waited for.
+"""What must be done before a mill can be sent a program: told, asked of a person, carried out, waited for; and before
+an interrupted run can go on, in words and blocks.
 
-Nothing here moves the mill except a homing cycle that the person asks for, and nothing is reset but what the person,
-or --confirm-position, says.
+Nothing here moves the mill except a homing cycle that the person asks for, and nothing is reset but what the person, or
+--confirm-position, says.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
 from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
 from machines.errors import MachineError, NotAllowedError
 from machines.grbl.link import SILENT
 from machines.mill.commands import command_words
 from machines.mill.thread import MillThread
+from machines.preflight.preflight import Preflight
 from machines.recovery.needs import needs_of_standing_mill
-from machines.recovery.plan_model import Need
+from machines.recovery.plan_model import Need, RecoveryPlan
+from machines.runs import RECOVERABLE, RunView
 from service.errors import FailedError, InputError
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from service.milling.terminal.orders import give_order
@@ -200,3 +204,44 @@ def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
             raise FailedError(f"first: {need.words}; given up after {wait_s:.0f} s")
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
     buffers.mark_empty()
+
+
+def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
+    """Find the latest run of this very program that did not come to its end."""
+    runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
+    if not runs:
+        raise InputError(
+            f"no interrupted run of {program.name}, as it is now, is known for this mill; start it without --recover"
+        )
+    return max(runs, key=lambda run: run.created_s)
+
+
+def prepare_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
+    """Return the plan, once all that must come first is done; FailedError names what is not.
+
+    person : somebody is at the terminal and can be asked     vouched : --confirm-position was given
+    """
+    plan: RecoveryPlan
+
+    def needs() -> tuple[Need, ...]:
+        nonlocal plan
+        plan = thread.call(lambda mill: mill.plan_recovery(run.id))
+        if plan.refusals:
+            raise FailedError(*(f"this run cannot go on: {words}" for words in plan.refusals))
+        return plan.needs
+
+    meet_needs(thread, buffers, needs, zero_back=lambda: plan.zero_back, person=person, vouched=vouched)
+    print_lines(plan_lines(plan, run))
+    return plan
+
+
+def plan_lines(plan: RecoveryPlan, run: RunView) -> Iterator[str]:
+    """Yield the plan for a person to check."""
+    yield f"recovery:   run {run.id}, {run.state.value}{f': {run.words}' if run.words else ''}"
+    for words in plan.words:
+        yield f"            {words}"
+    for words in plan.differences:
+        yield f"offset:     {words}"
+    for number, block in enumerate(plan.blocks):
+        yield f"{'way in:' if number == 0 else '':<11} {block}"
+    yield f"{'then:':<11} line {plan.overlap_line:,} and on; {plan.recut_lines} of them for the second time"

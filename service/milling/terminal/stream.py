@@ -35,7 +35,7 @@ from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
 from service.milling.terminal.dry_run import run_check_mode
 from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
-from service.milling.terminal.keys import single_keys
+from service.milling.terminal.keys import single_keys, watch_signals
 from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
 from service.milling.terminal.orders import give_order
 from service.milling.terminal.printing import (
@@ -47,10 +47,8 @@ from service.milling.terminal.printing import (
     spindle_lines,
     took_words,
 )
-from service.milling.terminal.ready import prepare_mill, reset_silent_mill
-from service.milling.terminal.recover import find_interrupted_run, prepare_plan
+from service.milling.terminal.ready import find_interrupted_run, prepare_mill, prepare_plan, reset_silent_mill
 from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
-from service.milling.terminal.signals import watch_signals
 from service.processes.private import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
