@@ -11,12 +11,11 @@ from cam.moves import Array, Motion, Path
 from cam.posts.lines import MOST_BYTES_PER_LINE, UNKNOWN, write_lines
 from cam.posts.post import Post, number
 from cam.posts.setup import HIGH_PRECISION_WORDS, ProgramSetup
-from cam.posts.writer import Writer
 
 POINTS_AT_ONCE = 40_000
 
 
-class ProgramWriter(Writer):
+class ProgramWriter:
     """Paths to blocks; words that have not changed are not repeated. Holds the modal state, nothing else."""
 
     def __init__(self, post: Post) -> None:

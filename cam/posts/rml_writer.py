@@ -12,7 +12,6 @@ from cam.moves import Motion, Path
 from cam.posts.lines import UNKNOWN, write_number
 from cam.posts.post import RmlPost
 from cam.posts.setup import ProgramSetup
-from cam.posts.writer import Writer
 
 FASTEST_MM_PER_S = 50.0
 DWELL_S = 4.0
@@ -23,7 +22,7 @@ _POINTS_AT_ONCE = 40_000
 _MOST_BYTES_PER_LINE = 64
 
 
-class RmlWriter(Writer):
+class RmlWriter:
     """Paths to commands; the speed only where it changes."""
 
     def __init__(self, post: RmlPost) -> None:

@@ -85,7 +85,7 @@ def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
 
 
 def _thumbnail_png(seen: Array, white: float) -> bytes:
-    from service.job.page_data.thumbnail import thumbnail_png
+    from service.job.report.figures.wall import thumbnail_png
 
     return thumbnail_png(seen, white=white)
 

@@ -1,4 +1,4 @@
-"""PNG pictures of the light on the wall: target, caustic, as milled, and out of focus.
+"""PNG pictures of the light on the wall: target, caustic, as milled, out of focus, and small for a list of jobs.
 
 A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top. All pictures of one job share one
 exposure: white is the brightest pixel of the target, brighter light is clipped, so that files can be compared by eye.
@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import uniform_filter
 
+from service.job.picture.resampling import resize
 from service.job.report.figures.base import COMPRESS_LEVEL, Array, new_figure, panel_height, png_bytes, round_up
 
 _LEAST_SCALE_PERCENT = 0.1
 _PART = 4  # a quarter of each side is shown enlarged
 _QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
+THUMBNAIL_BYTES = 18_000
+THUMBNAIL_SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last fits even if nothing can be packed
 
 
 def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
@@ -129,3 +132,24 @@ def _without_ticks(axes: Axes, title: str) -> Axes:
 
 def _show_picture(axes: Axes, title: str, picture: Array, white: float) -> None:
     show_light(_without_ticks(axes, title), picture, white)
+
+
+def thumbnail_png(picture: Array, *, white: float) -> bytes:
+    """Return `picture_png`, small: a list of jobs shows dozens. The same exposure, averages of light, never enlarged.
+
+    picture : (ny, nx) linear irradiance as the viewer sees it, row 0 on top
+    """
+    packed = b""
+    for side in THUMBNAIL_SIDES:
+        packed = picture_png(_smaller(picture, side), white=white)
+        if len(packed) <= THUMBNAIL_BYTES:
+            break
+    return packed
+
+
+def _smaller(picture: Array, side: int) -> Array:
+    scale = side / max(picture.shape)
+    if scale >= 1.0:
+        return picture
+    ny, nx = (max(1, round(scale * length)) for length in picture.shape)
+    return resize(picture, (ny, nx))

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from service.job.page_data.thumbnail import MOST_BYTES, SIDES, thumbnail_png
 from service.job.picture.linear_light import srgb_to_linear
-from service.job.report.figures.wall import picture_png, srgb_levels
+from service.job.report.figures.wall import THUMBNAIL_BYTES, THUMBNAIL_SIDES, picture_png, srgb_levels, thumbnail_png
 
 
 def opened(content: bytes) -> Image.Image:
@@ -27,8 +26,8 @@ def test_whatever_the_picture_it_is_small_and_keeps_its_shape(ny: int, nx: int, 
     """Noise is what packs worst."""
     content = thumbnail_png(np.random.default_rng(seed).random((ny, nx)), white=1.0)
     width, height = opened(content).size
-    assert len(content) <= MOST_BYTES
-    assert max(width, height) == min(max(ny, nx), max(width, height)) and max(width, height) <= SIDES[0]
+    assert len(content) <= THUMBNAIL_BYTES
+    assert max(width, height) == min(max(ny, nx), max(width, height)) and max(width, height) <= THUMBNAIL_SIDES[0]
     assert abs(width * ny - height * nx) <= 0.5 * max(nx, ny) + max(width, height)
 
 
