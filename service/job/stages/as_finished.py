@@ -117,11 +117,8 @@ def _tell(context: StageContext, finish: Finish, target: Array, seen: Caustic, p
 
 
 def _draw(context: StageContext, target: Array, finished: Array) -> None:
-    from service.job.report.figures.wall import (
-        comparison_png,
-        picture_png,
-        thumbnail_png,  # what they stand on is slow to import
-    )
+    # What they stand on is slow to import
+    from service.job.report.figures.wall import comparison_png, picture_png, thumbnail_png
 
     viewed_from, white = context.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))

@@ -190,11 +190,8 @@ def _tell(
 
 
 def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
-    from service.job.report.figures.wall import (
-        as_milled_png,
-        picture_png,
-        thumbnail_png,  # what they stand on is slow to import
-    )
+    # What they stand on is slow to import
+    from service.job.report.figures.wall import as_milled_png, picture_png, thumbnail_png
 
     viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
