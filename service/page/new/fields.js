@@ -1,6 +1,6 @@
 /**
  * The keys of the job spec as rows of the form, from the JSON schema that the server checks a spec by. A new key has its
- * row without a word here; what stands on the row is said beside the key (service/job/spec/form.py).
+ * row without a word here; what stands on the row is said beside the key (service/job/spec/section.py).
  *
  * A row is {key, label, kind, usual} and more. kind: "number", "whole" (number), "choice", "tick", "text", or "numbers"
  * (one for each of `names`). usual: what counts where the field is empty; a text where the server works it out. hint,
