@@ -18,8 +18,8 @@ from cam.planning.pass_time import LensForm
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
+from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
-from cam.planning.written_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.tools import Tool, tool_pass
 
 DOUBLING_DB = 0.75

@@ -10,8 +10,8 @@ import numpy as np
 
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s
+from cam.planning.sampled_time import first_pass_s, layers_after_s, planes_s, rows_s
 from cam.planning.shop import CLEAR_MM, Shop
-from cam.planning.written_time import first_pass_s, layers_after_s, planes_s, rows_s
 from cam.rows.layers import STAIR_SHARE
 from cam.tools import Tool, tool_pass
 

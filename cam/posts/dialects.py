@@ -1,5 +1,7 @@
 """Every dialect that programs can be written in, by the name that machine profiles give it, and what each can do.
 
+The figures of each (digits, words, line ends) are in `cam.posts.iso` and `cam.posts.post`.
+
 Plain data without arrays; `cam.posts.writers` writes.
 """
 

@@ -19,7 +19,7 @@ from cam.contour.path import contour_path
 from cam.moves import cut, rapid
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s
-from cam.planning.written_time import first_pass_s, rows_s
+from cam.planning.sampled_time import first_pass_s, rows_s
 from cam.posts.dialects import POSTS
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule

@@ -20,7 +20,7 @@ from cam.planning.pass_time import LensForm, layers_where_s
 from cam.planning.planner import Marks
 from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
-from cam.planning.written_time import first_pass_s, rows_s
+from cam.planning.sampled_time import first_pass_s, rows_s
 from cam.posts.dialects import POSTS
 from cam.surface.rough_surface import left_by_flat
 from optics.bench import Bench

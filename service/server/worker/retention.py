@@ -28,6 +28,7 @@ from service.settings import ServerSettings
 from service.store.base import MissingObjectError, Store
 
 GRACE_S = 3600.0
+"""A file that nothing names stays so long after it was stored; as long the engine knows of an ended job."""
 DAY_S = 86400.0
 BATCH = 20
 CHUNK = 500

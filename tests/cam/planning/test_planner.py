@@ -30,8 +30,8 @@ from cam.planning.planner import (
 )
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
+from cam.planning.sampled_time import first_pass_s, rows_s
 from cam.planning.shop import Shop
-from cam.planning.written_time import first_pass_s, rows_s
 from cam.posts.post import Digits
 from cam.program import pass_paths
 from cam.rows.rounding import Rounding, on_raster

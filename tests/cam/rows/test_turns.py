@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.materials import SLOT_FEED
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.program import pass_paths
-from cam.rows.loads import SLOT_DEPTH_SHARE
+from cam.rows.loads import SLOT_DEPTH_SHARE, SLOT_FEED
 from cam.surface.stock_grid import StockGrid
 from tests.cam.conftest import lens
 
