@@ -115,7 +115,7 @@ def estimate(
         targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
         whole, own = targets[-2:]
         quick = quick_lens(job.with_spec(with_branch(specs[0], own)), targets[0], None if exactly else whole)
-        passes = _with_around(quick.job, list(_hours(quick)))
+        passes = _with_around(quick.job, list(_hours(quick, exactly=exactly)))
         seen = _foretell_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
@@ -211,19 +211,27 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     )
 
 
-def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
-    """Yield the hours of each pass, from the stock that the one before leaves."""
+def _hours(quick: QuickLens, *, exactly: bool) -> Iterator[dict[str, Any]]:
+    """Yield the hours of each pass: those of the plan, or from the stock that the one before leaves."""
+    specs, chosen = cam_passes_of(quick.spec), None if quick.planned is None else quick.planned.chosen
+    is_known = chosen is not None and specs[0].is_ball and not exactly  # after a flat end the plan has guessed
+    times_s = chosen.seconds if chosen is not None and is_known else tuple(_time_passes_s(quick, specs))
+    for spec, seconds in zip(specs, times_s, strict=True):
+        yield {"name": spec.name, "tool": cutter(asdict(spec)), "hours": seconds / 3600}
+
+
+def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...]) -> Iterator[float]:
     form, machine = quick.form, quick.job.machine
     mill, digits = kinematics_of(machine), digits_of(machine)
     stock_mm: Array | None = None
-    for spec in cam_passes_of(quick.spec):
+    for spec in specs:
         made_mm = _left_by(quick.lens, spec)
         if stock_mm is None:
             seconds = first_pass_s(form, spec, mill, digits, safe_z_mm=machine.safe_z_mm)
         else:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
-        yield {"name": spec.name, "tool": cutter(asdict(spec)), "hours": seconds / 3600}
+        yield seconds
 
 
 def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
