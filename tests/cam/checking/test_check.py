@@ -214,9 +214,10 @@ def test_a_rapid_may_go_straight_down_to_half_a_millimetre_above_the_stock(lens,
     assert result.max_engagement_mm < 0.045
 
 
-def test_a_crossing_below_the_safe_height_is_found_even_in_air(lens, path):
+@pytest.mark.parametrize("across", ["X0", f"X0 Z{SAFE:g}"])
+def test_a_crossing_below_the_safe_height_is_found_even_in_air(lens, path, across):
     crossing = program(path)
-    crossing[-3:-3] = ["G0 Z1", "X0"]
+    crossing[-3:-3] = ["G0 Z1", across]
     result = check(crossing, lens)
     assert len(result.faults) == 1 and "Z1.000, below the safe height" in result.faults[0]
     assert named_line(result.faults[0]) == len(crossing) - 3
