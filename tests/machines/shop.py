@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import random
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,17 @@ LINES += [f"X{10 + i / 2:g}Y{10 + i % 2}{'F600' if i == 1 else ''}" for i in ran
 
 
 class FullDisk(RealDisk):
+    """room: whether anything can be written; before_write: what happens while a write is waited for."""
+
     room = True
+    before_write: Callable[[], object] = staticmethod(lambda: None)
 
     def create(self, path: Path) -> RealFile:
         disk = self
 
         class File(RealFile):
             def write(self, data: bytes) -> None:
+                disk.before_write()
                 if not disk.room:
                     raise OSError(errno.ENOSPC, "No space left on device")
                 super().write(data)

@@ -110,6 +110,7 @@ def test_45_degree_prism_reflects_everything(screen: Screen) -> None:
     prism = lens_of(lambda x, y: -25 + x)
     caustic = simulate_caustic(prism, facing(screen, throw_mm=40), pixels=(10, 10))
     assert caustic.reflected_share == pytest.approx(1.0, abs=1e-12)
+    assert caustic.outside_share == pytest.approx(0.0, abs=1e-12)
     assert caustic.irradiance.sum() == 0
 
 

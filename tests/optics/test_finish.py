@@ -64,6 +64,15 @@ def test_form_longer_than_the_tool_is_followed() -> None:
     assert np.abs(change - change.mean()).max() < 0.03
 
 
+@pytest.mark.parametrize("pad_mm", [1.0, 2.0])
+def test_what_is_as_long_as_the_tool_is_half_mark_and_half_form(pad_mm: float) -> None:
+    """Of half a wave as long as the tool exp(-1) is form; of the rest this finish leaves nothing."""
+    lens, wave = rippled(2 * pad_mm)
+    finish = Finish(k0_rad_per_mm=1.6 / pad_mm, order=4.0, pad_mm=pad_mm)
+    assert finish.transfer(np.pi / pad_mm) < 1e-5
+    assert height_left(finish_surface(lens, finish), wave) == pytest.approx(1e-3 * np.exp(-1.0), rel=0.03)
+
+
 def test_a_foreseen_lens_is_the_lens_once_finished() -> None:
     """All that a wave of 1.5 mm loses is given back before, to 2 %; the surface to mill has it higher by as much."""
     lens, wave = rippled(1.5)

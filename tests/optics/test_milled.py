@@ -65,6 +65,15 @@ def test_facets_of_the_lens_itself_make_its_own_light(name):
     assert ours.outside_share == pytest.approx(theirs.outside_share, abs=2e-3)
 
 
+@pytest.mark.parametrize("thinned", [np.s_[::2, :], np.s_[:, ::2]], ids=["high", "wide"])
+def test_an_outline_lies_where_it_is_over_cells_that_are_not_square(thinned):
+    over = Heightfield.on_aperture(lens().z_mm[thinned], width_mm=SIDE_MM, height_mm=SIDE_MM)
+    aside = replace(BENCH, outline_mm=np.array([[1.0, 1.0], [9.0, 2.0], [4.0, 7.0]]))
+    ours = light_of(facets_of(over), aside, over=over)
+    theirs = simulate_caustic(over, aside, pixels=PIXELS)
+    assert psnr_db(ours.irradiance, theirs.irradiance) > 40.0
+
+
 def test_light_is_conserved_however_rough_the_surface():
     wide = replace(BENCH, screen=replace(BENCH.screen, width_mm=80.0, height_mm=80.0))
     seen = light_of(facets_of(lens(), groove_mrad=60.0), wide)

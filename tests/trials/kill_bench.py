@@ -18,14 +18,19 @@ from tests.machines.inline_syncer import InlineSyncer
 
 
 class LossyDisk(RealDisk):
-    """Knows which bytes are safe. After `lose_power` only those are left, and a random, torn piece of the rest."""
+    """Knows which bytes are safe. After `lose_power` only those are left, and a random, torn piece of the rest.
+
+    The name of a file is safe once its folder was synced, whatever was synced of the file.
+    """
 
     def __init__(self) -> None:
         self.safe: dict[Path, int] = {}
+        self.unnamed: set[Path] = set()
         self.removed: dict[Path, bytes] = {}
 
     def create(self, path: Path) -> LossyFile:  # type: ignore[override]
-        self.safe[path] = -1  # not even its name is safe
+        self.safe[path] = 0
+        self.unnamed.add(path)
         return LossyFile(path, self)
 
     def remove(self, path: Path) -> None:
@@ -35,6 +40,7 @@ class LossyDisk(RealDisk):
     def sync_folder(self, path: Path) -> None:
         for name in [name for name in self.removed if name.parent == path]:
             del self.removed[name]
+        self.unnamed -= {name for name in self.unnamed if name.parent == path}
         super().sync_folder(path)
 
     def lose_power(self, chance: random.Random) -> None:
@@ -45,12 +51,13 @@ class LossyDisk(RealDisk):
             if not path.exists():
                 continue
             data = path.read_bytes()
-            if safe < 0 and chance.random() < 0.5:
+            if path in self.unnamed and chance.random() < 0.5:
                 path.unlink()
                 continue
-            keep = chance.randint(max(0, safe), len(data))
+            keep = chance.randint(safe, len(data))
             torn = bytes(chance.randrange(256) for _ in range(chance.choice((0, 0, 7, 300))))
             path.write_bytes(data[:keep] + torn)
+        self.unnamed.clear()
 
 
 class LossyFile(RealFile):

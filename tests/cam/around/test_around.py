@@ -217,7 +217,8 @@ def test_a_cut_out_that_is_wrong_is_found() -> None:
     assert "is a rapid" in faults([*paths_of(CUT_OUT), rapid((x, y, -1))])
     still = [*paths_of(CUT_OUT)]
     assert "beyond the block" in faults([*still, rapid((-30, 0, SAFE_Z))])
-    assert "below the safe height" in faults([*still, rapid((x, y, 2)), rapid((x + 1, y, 2))])
+    for to_mm in (2, SAFE_Z):  # a move that rises on its way crosses low, too
+        assert "below the safe height" in faults([*still, rapid((x, y, SAFE_Z), (x, y, 2)), rapid((x + 1, y, to_mm))])
 
 
 RAYS = st.lists(

@@ -9,6 +9,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from cam.checking.clearance import SurfaceWitness
 from cam.passes import Clamp, PassSpec, Stock, ball_pass
 from cam.posts.iso import GRBL
 from cam.program import generate_program
+from cam.reading import gcode
 from cam.reading.gcode import ProgramError, read_program
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_left import StockLeft, _deepest_in, find_excess
@@ -212,9 +214,10 @@ def test_a_rapid_may_go_straight_down_to_half_a_millimetre_above_the_stock(lens,
     assert result.max_engagement_mm < 0.045
 
 
-def test_a_crossing_below_the_safe_height_is_found_even_in_air(lens, path):
+@pytest.mark.parametrize("across", ["X0", f"X0 Z{SAFE:g}"])
+def test_a_crossing_below_the_safe_height_is_found_even_in_air(lens, path, across):
     crossing = program(path)
-    crossing[-3:-3] = ["G0 Z1", "X0"]
+    crossing[-3:-3] = ["G0 Z1", across]
     result = check(crossing, lens)
     assert len(result.faults) == 1 and "Z1.000, below the safe height" in result.faults[0]
     assert named_line(result.faults[0]) == len(crossing) - 3
@@ -392,6 +395,21 @@ def test_chunks_and_progress(lens, path, good):
     assert again.as_report() == good.as_report()
     np.testing.assert_array_equal(again.stock_top.top_mm, good.stock_top.top_mm)
     assert told[-1] == 1.0
+
+
+def test_a_fault_is_found_wherever_the_reader_ends_a_batch(lens):
+    """With one move a batch, too: what a move takes off is known with the move after it, and may count as two lines."""
+    cuts, entry = blocks(raster(lens, rows=lambda k: 10 < k < 14))
+    crash = ["G0 Z5", "X5 Y3.5", "Z-0.6", "G1 X5.2 F600", "M5", "X5.4 Y2.5", "M3", "Z-0.9"]
+    lines = [*HEAD, *entry, *cuts, *crash, "G0 X5.6", "Z5", "X20", "X1", *TAIL]
+    whole = check(lines, lens)
+    for words in ("below the lens", "in one cut", "through stock", "spindle off", "safe height", "beyond", "down"):
+        assert any(words in fault for fault in whole.faults), words
+    with patch.object(gcode, "BATCH_BYTES", 16):
+        single = check(lines, lens)
+    assert [f.partition("; the worst")[0] for f in single.faults] == [
+        f.partition("; the worst")[0] for f in whole.faults
+    ]
 
 
 def test_a_program_that_comes_near_a_clamp_is_refused(lens, path):

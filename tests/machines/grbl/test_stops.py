@@ -129,6 +129,25 @@ def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
     assert bench.until(lambda: bench.of(ProgramDone), 120.0) and not bench.of(Faulted)
 
 
+def test_a_report_from_before_a_hold_confirms_nothing() -> None:
+    """Resumed and held again at once: the '!' is lost, and the answer to a '?' before it still says Hold."""
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.pass_time(1.0)
+    bench.driver.hold()
+    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    session, now_s = bench.driver._session, bench.mill.now_s
+    session.link.poll_at_s = now_s
+    session.tick(now_s)
+    session.resume(now_s)
+    assert bytes(session.link.urgent) == b"?~"
+    write(bench)
+    session.hold(now_s)
+    session.link.urgent.clear()  # its wire is cut
+    bench.pass_time(3.0)
+    assert bench.state() is MillState.HELD
+
+
 def test_a_jog_cancelled_before_it_was_sent_never_runs() -> None:
     bench = Bench().connected()
     bench.driver.command(Jog((5.0, 0.0, 0.0), 600.0))

@@ -16,6 +16,7 @@ from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.journal.disk import RealFile
 from machines.journal.journal import read_journal
 from machines.mill.mill import Mill
+from machines.mill.orders import Caller, OrderRefusedError
 from machines.mill.run_store import RunFolders
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Bounds, Preflight
@@ -217,6 +218,21 @@ def test_no_byte_of_a_program_leaves_before_its_start_is_safe_on_disk(
             shop.mill.start(shop.id, YES)
     shop.pass_s(5.0)
     assert shop.cuts == 0 and shop.state is RunState.PARKED
+
+
+@pytest.mark.parametrize("order", ["start", "resume"])
+def test_a_stop_that_comes_while_an_order_waits_for_the_disk_is_the_last_word(shop: Shop, order: str) -> None:
+    act = (lambda mill: mill.start(shop.id, YES)) if order == "start" else (lambda mill: mill.resume())
+    if order == "resume":
+        shop.started().mill.hold()
+        shop.until(RunState.HELD)
+    before = shop.state, shop.cuts
+    caller = Caller(grant=shop.mill.orders.issue_grant().word)
+    shop.disk.before_write = shop.mill.orders.count_stop
+    with pytest.raises(OrderRefusedError, match="stopped since"):
+        shop.mill.carry_out(order, act, caller)
+    shop.pass_s(3.0)
+    assert (shop.state, shop.cuts) == before
 
 
 def test_the_reminder_to_touch_off_outlives_the_agent(shop: Shop) -> None:

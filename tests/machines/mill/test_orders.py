@@ -96,6 +96,15 @@ def test_one_person_at_a_time_has_control_as_long_as_they_are_heard_of(gate: Ord
     assert refusal(lambda: gate.redeem(gate.issue_grant().word, "jog", needs_lease=True)) is Refusal.NOBODY
 
 
+def test_who_asks_for_grants_is_heard_of(gate: OrderGate, clock: Clock) -> None:
+    """Somebody who jogs for minutes asks for nothing but grants, and keeps control."""
+    secret, lease, _ = gate.take_lease("Ada", "ada")
+    for _ in range(3):
+        clock.now_s += LEASE_S - 1
+        gate.issue_grant(secret)
+    assert gate.get_lease() == lease
+
+
 def test_callers_who_ask_and_never_order_are_forgotten(gate: OrderGate, clock: Clock) -> None:
     for _ in range(5000):
         gate.issue_grant()

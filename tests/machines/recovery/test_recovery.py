@@ -118,6 +118,16 @@ def test_a_spindle_that_spins_up_has_its_dwell_before_anything_moves(raster: Sho
     assert blocks[1] == "M3 S12000" and blocks[2].startswith("G4 P") and blocks[3].startswith("G0 Z")
 
 
+@pytest.mark.parametrize(("slowest", "down"), [(200, 200), (900, 300)])
+def test_down_is_no_faster_than_a_plunge_nor_than_the_program_ever_goes(
+    tmp_path: Path, kill_trial: Any, slowest: int, down: int
+) -> None:
+    lines = ["G21 G90", "G0 Z5", "G0 X0 Y0", f"G1 Z-1 F{slowest}", "X1", "X2 F1200", "X3", "G0 Z5", "M2"]
+    shop = Shop(tmp_path, lines, kill_trial)
+    shop.facts = dataclasses.replace(shop.facts, feeds_mm_per_min=(slowest, 1200.0))
+    assert f"G1 Z-1 F{down}" in shop.plan(6).blocks
+
+
 def test_travel_is_as_high_as_the_program_itself_goes(tmp_path: Path, kill_trial: Any) -> None:
     shop = Shop(tmp_path, ["G21 G90", "G0 Z22", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z22", "M2"], kill_trial)
     assert "G0 Z22" in shop.plan(5).blocks

@@ -154,6 +154,15 @@ def test_hold_button_just_stops_the_answers():
     assert t.mill.firmware.stepper.x == 30.0
 
 
+def test_a_cycle_start_before_the_hold_is_complete_is_ignored():
+    t = Terminal()
+    t.ask("G1X10F600\n", 0.7)
+    t.ask("!~", 2.0)
+    assert t.status().startswith("<Hold:0") and t.mill.firmware.stepper.x < 10.0
+    t.ask("~", 5.0)
+    assert t.status().startswith("<Idle|MPos:10.000")
+
+
 def test_after_an_error_the_rest_is_executed():
     t = Terminal()
     assert t.ask("G1X1F600\nQ3\nX2\n", 3.0) == ["ok", "error:20", "ok"]

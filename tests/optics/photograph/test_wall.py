@@ -141,6 +141,20 @@ def test_a_wall_that_leans_is_farther_on_one_side(
         assert off < 0.2 * np.abs(rays.light(np.zeros(SETTINGS))[:, column] - upright[:, column]).mean() + 0.02
 
 
+def test_each_ray_goes_on_to_where_a_leaning_wall_stands(bench: Bench) -> None:
+    """What counts is how far away the wall is where the ray meets it, not where it would have met it upright."""
+    arch = np.sin(np.linspace(0, np.pi, 65))
+    lens = Heightfield.on_aperture(2.0 * np.outer(arch, arch) - 2.0, width_mm=SIDE_MM, height_mm=SIDE_MM)
+    rays = WallRays(lens, bench, (PIXELS, PIXELS), 0)
+    upright, farther, leaning = np.zeros((3, SETTINGS))
+    farther[0], leaning[1], leaning[2] = 1.0, np.radians(20.0), np.radians(-10.0)
+    before, after, hits = (np.stack(rays._hits(setting)) for setting in (upright, farther, leaning))
+    x_mm, y_mm = (hits - PIXELS / 2) * SIDE_MM / PIXELS
+    away_mm = np.tan(leaning[1]) * x_mm + np.tan(leaning[2]) * y_mm
+    assert np.abs(away_mm).max() > 5.0
+    np.testing.assert_allclose(hits, before + away_mm * (after - before), atol=1e-9)
+
+
 @pytest.mark.thorough
 def test_light_aslant_and_a_farther_wall_are_those_of_the_bench(
     lens: Heightfield, bench: Bench, monkeypatch: pytest.MonkeyPatch

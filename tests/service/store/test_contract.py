@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,6 +84,16 @@ def test_what_was_stored_again_is_not_swept(store: Store, written: Written) -> N
     assert store.head(SHA256) == stored
     store.delete(SHA256, stored_before=stored.stored_at + 10)
     assert list(store.list()) == []
+
+
+def test_what_is_stored_now_is_new_however_old_the_file_is(store: Store, written: Written) -> None:
+    """Else a stage that takes longer than the sweeper's grace would lose what it has just stored."""
+    path, before = written(CONTENT), time.time()
+    os.utime(path, (before - 7200, before - 7200))
+    stored = store.put_file(path)
+    assert stored.stored_at >= before - 2
+    store.delete(SHA256, stored_before=before - 3600)
+    assert store.head(SHA256) == stored
 
 
 @pytest.mark.parametrize("name", ["0" * 64, "../../etc/passwd", "", "ABC", SHA256.upper(), SHA256 + "\n"])

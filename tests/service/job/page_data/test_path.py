@@ -80,6 +80,18 @@ def test_no_level_strays_from_the_path_nor_leaves_anything_out(seed: int) -> Non
         assert farthest_mm(along(batch.start_mm, batch.end_mm, 0.5), starts, ends) <= drawn.tolerance_mm + QUANTUM_MM
 
 
+def test_the_errors_of_the_levels_before_are_part_of_a_tolerance(tmp_path: Path) -> None:
+    """A path that jitters on every scale, so that chords of all levels use all that they may."""
+    side = np.random.default_rng(2).standard_normal(3000).cumsum() * 0.02
+    batch = batch_of(np.stack([np.linspace(0.0, 20.0, side.size), side, np.zeros_like(side)], axis=1))
+    with small_files():
+        data = written(tmp_path, [batch], side_mm=200.0)
+    coarser = [level(data, number) for number in range(len(header(data)["levels"]) - 1)]
+    assert len(coarser) > 2
+    for drawn in coarser:
+        assert farthest_mm(batch.points_mm, *drawn.segments()) <= drawn.tolerance_mm + QUANTUM_MM
+
+
 def test_rows_closer_than_can_be_seen_are_left_out_evenly_and_nothing_else(tmp_path: Path) -> None:
     """600 rows over 12 mm; the glance shows every place within its tolerance, by far fewer points."""
     batch = batch_of(rows(600))

@@ -97,6 +97,15 @@ def test_behind_a_proxy_the_figures_need_a_token(tmp_path: Path) -> None:
             assert answer.status_code == status
 
 
+def test_behind_a_proxy_a_stop_needs_a_token(tmp_path: Path) -> None:
+    """A mill that anybody on the network can hold is milled with by nobody."""
+    with api_server(tmp_path / "data", behind_proxy=True) as server:
+        runner = {"Authorization": f"Bearer {server.services.tokens.create('runner', ['machine:run'])[1]}"}
+        for path in (f"/v1/runs/{RUN}:hold", "/v1/machines/none/control/abort"):
+            problem(server.client.post(path), 401)
+            problem(server.client.post(path, headers=runner), 404)
+
+
 def test_what_is_open_to_everybody_is_not_open_without_end(tmp_path: Path) -> None:
     with api_server(tmp_path / "data", requests_per_s=1) as server:
         ask = partial(server.client.get, "/openapi.json", headers={"X-Forwarded-For": "1.2.3.4"})

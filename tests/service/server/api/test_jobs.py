@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import uuid
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
-from tests.service.server.api.server import ApiServer, png, problem, sha256
+from tests.service.server.api.server import ApiServer, api_server, png, problem, sha256
 
 UNKNOWN_ID = "d0c2cc5f-d592-4b4d-8554-150a7f903e7c"  # one for all processes: it is part of tests' names
 SPEC = {"preset": "draft", "optics": {"width_mm": 40, "height_mm": 40}}
@@ -66,6 +67,16 @@ def test_a_refused_spec_names_the_key(server: ApiServer, spec: dict, field: str)
 )  # fmt: skip
 def test_odd_json_is_refused_in_words(server: ApiServer, text: str) -> None:
     problem(server.client.post("/v1/jobs", files={"image": png()}, data={"spec": text}), 422)
+
+
+def test_a_picture_of_one_byte_too_many_is_refused(tmp_path: Path) -> None:
+    """The form around it has room of its own, which is not the picture's."""
+    with api_server(tmp_path / "data", max_upload_mb=0.001) as server:
+        picture = png().ljust(1000, b"\0")
+        server.submit(image=picture)
+        before = server.files()
+        problem(server.client.post("/v1/jobs", files={"image": picture + b"\0"}), 413, "image")
+        assert server.files() == before
 
 
 def test_the_same_key_and_request_give_the_same_job(server: ApiServer) -> None:

@@ -62,11 +62,12 @@ def test_twenty_requests_with_one_key_make_one_job(book: JobBook) -> None:
 
 
 def test_a_key_is_for_one_request_of_one_token(book: JobBook) -> None:
-    book.create(replace(NEW, key=KEY))
+    mine, others = (replace(NEW, key=key) for key in (KEY, ClientKey("another token", "k")))
+    made = [book.create(new) for new in (mine, others)]
+    assert [first for _, first in made] == [True, True]
     with pytest.raises(KeyReusedError):
-        book.create(replace(NEW, key=KEY, request_sha256="other"))
-    _, first = book.create(replace(NEW, key=ClientKey("another token", "k")))
-    assert first
+        book.create(replace(mine, request_sha256="other"))
+    assert [book.create(new) for new in (mine, others)] == [(job, False) for job, _ in made]
 
 
 def test_events_have_no_gaps_whoever_writes_them(book: JobBook) -> None:
