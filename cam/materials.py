@@ -11,6 +11,10 @@ from math import exp, floor, log
 
 from cam.errors import PassValueError
 
+SLOT_FEED = 0.5
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
+on the way from row to row and along the walls it may."""
+
 SPINDLE_SHARE = 0.5
 """Of a spindle's power that is left at the edge, at a guess."""
 

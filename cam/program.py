@@ -11,6 +11,7 @@ import numpy as np
 
 from cam.contour.path import contour_path
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
+from cam.materials import SLOT_FEED
 from cam.moves import SAFE_Z_MM, Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
@@ -19,7 +20,7 @@ from cam.posts.remarks import describe_pass
 from cam.posts.setup import ProgramSetup
 from cam.rows.entries import enter, enter_onward, leave
 from cam.rows.layers import CUSP_MM, Field, Layer, LayerPlan, layer_paths, plan_layers
-from cam.rows.loads import SLOT_FEED, first_row, most_feed_mm_per_min, row_cuts
+from cam.rows.loads import first_row, most_feed_mm_per_min, row_cuts
 from cam.rows.raster import Rows, climbs_rightward, continuous_rows, sampled_rows, separate_rows
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster

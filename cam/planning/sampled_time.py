@@ -19,6 +19,7 @@ from scipy.ndimage import grey_opening
 
 from cam.checking.flat_removal import removal_of
 from cam.duration import DurationModel, Kinematics
+from cam.materials import SLOT_FEED
 from cam.moves import SAFE_Z_MM, Path, cut, rapid
 from cam.passes import PassSpec, Stock
 from cam.planning.pass_time import LensForm, entry_s, slowness_s_per_mm, turn_s
@@ -26,7 +27,7 @@ from cam.posts.post import Digits
 from cam.program import layer_paths_alone, pass_paths
 from cam.reading.gcode import MoveBatch
 from cam.rows.layers import STAIR_SHARE, layer_row_distance_mm, plane_row_distance_mm
-from cam.rows.loads import SLOT_FEED, feed_at_load, most_feed_mm_per_min
+from cam.rows.loads import feed_at_load, most_feed_mm_per_min
 from cam.rows.raster import on_ticks, turn_parts
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.turned import turn_lens

@@ -18,10 +18,11 @@ from scipy.ndimage import maximum_filter1d
 
 from cam.cutters import FLAT_STEP
 from cam.errors import PassValueError
+from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.loads import SLOT_FEED, choose_feeds, feed_at_load, measure_cut, measure_descent
+from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, measure_descent
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.cutter import slot_section_mm2

@@ -22,13 +22,10 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.surface.cutter import slot_section_mm2
-
-SLOT_FEED = 0.5
-"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
-on the way from row to row and along the walls it may."""
 
 LOAD_SHARE = 0.42
 """Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it

@@ -11,9 +11,8 @@ from typing import Any
 
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.cutters import CUTTERS
-from cam.materials import MATERIALS, Material, limit_step_down_mm
+from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, Clamp, PassSpec, Stock
-from cam.rows.loads import SLOT_FEED
 from machines.profile import MachineProfile
 from service.errors import SpecError
 from service.job.spec.finish import FinishSpec, resolve_finish

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.checking.removal import RemovalGrid
+from cam.materials import SLOT_FEED
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.iso import GRBL
@@ -18,7 +19,6 @@ from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
 from cam.rows.entries import RAMP_SLOPE, enter, make_ramp
 from cam.rows.layers import Field, chain_spans, plan_layers, spans
-from cam.rows.loads import SLOT_FEED
 from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cam.materials import SLOT_FEED
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.program import pass_paths
-from cam.rows.loads import SLOT_DEPTH_SHARE, SLOT_FEED
+from cam.rows.loads import SLOT_DEPTH_SHARE
 from cam.surface.stock_grid import StockGrid
 from tests.cam.conftest import lens
 
