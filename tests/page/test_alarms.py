@@ -46,7 +46,7 @@ def lock_by_alarm(page: Page, number: int) -> None:
     expect(machine_state(page)).to_have_text("locked")
     expect(page.locator(".running .mark")).to_have_text("interrupted")
     spindle = page.locator(".pace div", has_text="Spindle").locator("dd")
-    expect(spindle).to_have_text("on, 18000 rpm" if on else "off")
+    expect(spindle).to_have_text("on, 18,000 rpm" if on else "off")
 
 
 @pytest.mark.thorough

@@ -85,7 +85,7 @@ TOLD = """async () => {
 # What is the same in every language.
 SAME = re.compile(
     r"causticmill|grbl|CSV|G-code|XXXX-XXXX-XXXX|G0 X0 Y0|\b[XYZR]\d*\b|\b[XY]0\b|[←→] [XY]|[↑↓] [XYZ]|\bG0[58](?:\.1)?"
-    r"|(?<![a-z])(?:mm/s²|rad/mm|mm|µm|min|rpm|dB|kB|MB|nm|ms|B|h|s)(?![a-z])"  # units
+    r"|(?<![a-z])(?:mm/s²|rad/mm|cm³/min|W|mm|µm|min|rpm|dB|kB|MB|nm|ms|B|h|s)(?![a-z])"  # units
     r"|[\w.-]*\.(?:nc|png|toml|zip|html|obj|stl|step|json|bin|path|npz|pdf)\b|\bpass-\d\b"  # files
     r"|\b(?:Ada|Grace|anonymous|astronaut|shop|simulated|portrait|logo|picture-\d+|finish|PMMA|abc|two)\b"
     r"|\bconnected\b"  # in the log, by an agent that has no code for it

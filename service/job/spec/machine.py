@@ -43,7 +43,9 @@ class MachineSpec(Section):
         Annotated[float, Field(ge=0.1, le=100)] | None, _shown("Collet", "The thickest shank that it takes.")
     ] = None
     spindle_w: Annotated[Annotated[float, Field(ge=1, le=100_000)] | None, _shown("Spindle power")] = None
-    removal_cm3_per_min: Annotated[Annotated[float, Field(ge=0.01, le=10_000)] | None, _shown("Removal rate")] = None
+    removal_cm3_per_min: Annotated[Annotated[float, Field(ge=0.01, le=10_000)] | None, _shown("Removal, cm³/min")] = (
+        None
+    )
     coolant: Annotated[Literal["none", "air", "mist", "flood"] | None, _shown("Coolant or air")] = None
     work_offset: Annotated[
         Annotated[int, Field(ge=1, le=6)] | None, _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6.")

@@ -21,8 +21,8 @@ Rate = Annotated[float, Field(gt=0, le=50_000)]
 Speed = Annotated[float, Field(gt=0, le=200_000)]
 _UNITS = (
     ("_mm_per_min", "mm/min"), ("_mm_per_s2", "mm/s²"), ("_rad_per_mm", "rad/mm"), ("_per_s", ""), ("_mm", "mm"),
-    ("_um", "µm"), ("_rpm", "rpm"), ("_deg", "°"), ("_db", "dB"), ("_mb", "MB"), ("_s", "s"), ("hours", "h"),
-    ("minutes", "min"),
+    ("_um", "µm"), ("_w", "W"), ("_rpm", "rpm"), ("_deg", "°"), ("_db", "dB"), ("_mb", "MB"),
+    ("_s", "s"), ("hours", "h"), ("minutes", "min"),
 )  # fmt: skip
 
 

@@ -66,7 +66,8 @@ function row(job, program, mills) {
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const facts = [seconds && hours(seconds), lines && t`${thousands(lines)} lines`, bytes(program.bytes)];
-  const sends = mayBeMilled(job) && mills.map((mill) => sendLink(job, program, mill, mills.length));
+  const real = mills.toSorted((one, other) => Number(one.simulated) - Number(other.simulated));
+  const sends = mayBeMilled(job) && real.map((mill, k) => sendLink(job, program, mill, { alone: mills.length === 1, first: k === 0 }));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save") });
   return h(
     "li", {},
@@ -84,10 +85,10 @@ function passOf(name, job) {
   return passesOf(job)[number - 1];
 }
 
-function sendLink(job, program, mill, count) {
+function sendLink(job, program, mill, { alone, first }) {
   const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
-  const words = count === 1 ? t("Send to mill") : t`Send to ${mill.name}`;
-  const isFirst = program === job.programs[0]; // the mill's own screen offers those after it, each in its turn
+  const words = alone ? t("Send to mill") : t`Send to ${mill.name}`;
+  const isFirst = first && program === job.programs[0]; // the mill's own screen offers those after it, each in its turn
   return h("a", { class: isFirst ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
 }
 

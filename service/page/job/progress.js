@@ -78,6 +78,6 @@ function sentence(job, share, live, link) {
     return `${percentUnderWay(share)}: ${doing}.${left}${tail}`;
   }
   const took = job.started_at && job.ended_at ? hours((Date.parse(job.ended_at) - Date.parse(job.started_at)) / 1000) : "";
-  if (job.state === "succeeded") return took ? t`Made in ${took}.` : t("Made.");
+  if (job.state === "succeeded") return took ? t`Worked out in ${took}.` : t("Worked out.");
   return t`Stopped at ${percent(share)}${took ? t` after ${took}` : ""}.`;
 }

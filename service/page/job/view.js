@@ -131,7 +131,7 @@ function layout(parts, spec) {
   const column = (...names) => h("div", { class: "stack" }, names.map((name) => parts[name].node));
   return h(
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
-    parts.head.node, parts.progress.node, parts.ending.node,
+    parts.head.node, parts.ending.node, parts.progress.node,
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.light.node, parts.plan.node,
     parts.lens.node, parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,

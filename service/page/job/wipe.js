@@ -33,6 +33,7 @@ export function wipe() {
   for (const picture of [under, over]) {
     picture.addEventListener("load", () => {
       picture.classList.toggle("coarse", picture.naturalWidth <= COARSE_PIXELS);
+      frame.classList.add("drawn");
       if (picture === under) frame.style.setProperty("--shape", picture.naturalWidth / picture.naturalHeight);
     });
   }

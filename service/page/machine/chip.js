@@ -67,7 +67,7 @@ function restWords({ name }, machines) {
   const others = machines.filter((one) => one.name !== name);
   const hands = others.filter(needsHand).length;
   if (hands) return hands === 1 ? t`+ ${hands} needs a hand` : t`+ ${hands} need a hand`;
-  return others.length ? t`1 of ${machines.length}` : "";
+  return others.length ? t`+ ${others.length} more` : "";
 }
 
 function isOwnScreen(machine) {

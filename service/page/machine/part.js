@@ -115,22 +115,22 @@ function fitScale(canvas, { block }) {
   return { k, dense, x: (mm) => left + k * mm, y: (mm) => low - k * mm };
 }
 
-/** A ring as wide as the tool with a cross in it; at the rim of the picture where the tool is beside the part. */
+/** A ring as wide as the tool with a cross in it, red only where nobody is sure of its place; at the rim of the picture where the tool is beside the part. */
 function drawTool(canvas, { k, dense, x, y }, { radius }, mill) {
   const [px, py] = mill?.work_mm ?? [];
   if (!Number.isFinite(px)) return;
   const ink = canvas.getContext("2d");
   const r = Math.max(7 * dense, k * radius);
   const at = [Math.min(canvas.width - 4 * dense, Math.max(4 * dense, x(px))), Math.min(canvas.height - 4 * dense, Math.max(4 * dense, y(py)))];
-  ink.strokeStyle = colour(canvas, "--bad");
-  ink.lineWidth = 2.5 * dense;
   ink.beginPath();
   ink.arc(...at, r, 0, 2 * Math.PI);
   ink.moveTo(at[0] - 1.5 * r, at[1]);
   ink.lineTo(at[0] + 1.5 * r, at[1]);
   ink.moveTo(at[0], at[1] - 1.5 * r);
   ink.lineTo(at[0], at[1] + 1.5 * r);
-  ink.stroke();
+  const stroke = (name, width) => Object.assign(ink, { strokeStyle: colour(canvas, name), lineWidth: width * dense }).stroke();
+  stroke("--paper", 6); // around it, on whatever it lies
+  stroke(mill.position_trusted ? "--ink" : "--bad", 2.5);
 }
 
 function colour(element, name) {

@@ -2,6 +2,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { thousands } from "../lib/words.js";
 import { sparkline } from "./sparkline.js";
 import { coordinate, hasLiveRun } from "./words.js";
 
@@ -37,7 +38,7 @@ export function readout(link) {
         write(own[k], coordinate(mill?.machine_mm?.[k]));
       });
       const { feed_mm_per_min: feed, buffer_share: buffer } = mill ?? {};
-      pace.feed.say(Number.isFinite(feed) ? `${Math.round(feed)} mm/min` : "–");
+      pace.feed.say(Number.isFinite(feed) ? `${thousands(Math.round(feed))} mm/min` : "–");
       pace.buffer.say(Number.isFinite(buffer) ? `${Math.round(100 * buffer)} %` : "–");
       pace.spindle.say(spindleWords(mill));
       pace.buffer.node.hidden = !live || !Number.isFinite(buffer);
@@ -61,7 +62,7 @@ function item(name, most) {
 
 function spindleWords(mill) {
   if (!mill || mill.spindle_on === null || mill.spindle_on === undefined) {
-    return mill?.spindle_rpm ? t`${Math.round(mill.spindle_rpm)} rpm` : "–";
+    return mill?.spindle_rpm ? t`${thousands(Math.round(mill.spindle_rpm))} rpm` : "–";
   }
-  return mill.spindle_on ? t`on, ${Math.round(mill.spindle_rpm ?? 0)} rpm` : t("off");
+  return mill.spindle_on ? t`on, ${thousands(Math.round(mill.spindle_rpm ?? 0))} rpm` : t("off");
 }

@@ -59,10 +59,10 @@ export function recover(link) {
     list = plan.ready ? checklist(run, { label: t`Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.run(() => goOn(given)) }) : null;
     replace(
       steps,
-      step(t("What happened"), true, h("p", {}, tell(run).whole || t("The program was stopped.")), h("p", {}, t`Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
+      step(t("What happened"), false, h("p", {}, tell(run).whole || t("The program was stopped.")), h("p", {}, t`Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
       (first = h("li", {})),
       step(t("What will happen"), false, whatHappens(plan)),
-      step(t("Your word"), false, list?.node ?? [h("p", { class: "dim" }, t("When everything above is done.")), words.node]),
+      step(t("Confirm and go on"), false, list?.node ?? [h("p", { class: "dim" }, t("When everything above is done.")), words.node]),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
     showFirst();
@@ -71,7 +71,7 @@ export function recover(link) {
   /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
   function showFirst() {
     const again = h("button", { type: "button", onclick: ask }, t("Look again"));
-    const now = step(t("First"), plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
+    const now = step(t("Do this first"), plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
     first.replaceWith(now);
     first = now;
   }
@@ -117,17 +117,18 @@ function step(title, done, ...content) {
 
 /** What must be done before it can go on, each with the button that does it, where there is one. */
 function needs(link, plan, { raise, words }) {
-  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words)]);
+  const codes = plan.needs.map(({ code }) => code);
+  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words, codes)]);
   const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
   const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Number(Boolean(other)) - Number(Boolean(one)));
   if (!rows.length) return h("p", {}, t("Nothing: the mill stands, its position is sure, its work zero is the same."));
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }
 
-function remedy(link, code, words) {
+function remedy(link, code, words, codes) {
   const order = (what, body) => words.run(() => link.order(what, body));
   const home = () => link.machine.profile?.homing !== false && h("button", { type: "button", onclick: () => order("home") }, t("Home"));
-  if (code === "unlock") return h("div", { class: "row" }, home(), guardedButton(t("Unlock"), { words: t("Is the tool free?"), yes: t("Unlock it"), act: () => order("unlock") }).node);
+  if (code === "unlock") return h("div", { class: "row" }, !codes.includes("position") && home(), guardedButton(t("Unlock"), { words: t("Is the tool free?"), yes: t("Unlock it"), act: () => order("unlock") }).node);
   if (code === "stand still") return h("div", { class: "row" }, guardedButton(t("Reset"), { words: t("The controller forgets what it still holds. From standstill it keeps its position."), yes: t("Reset it"), act: () => order("reset") }).node);
   if (code !== "position") return null;
   const trust = guardedButton(t("The position is right"), {

@@ -176,7 +176,7 @@ export function estimateCard() {
     none: t("It appears as soon as there is a picture."),
     busy: BUSY,
     known: "",
-    problems: t("None, for what is said in red."),
+    problems: t("None until what is marked in red is right."),
   };
   function stateWords(result) {
     if (result.slow) return `${BUSY} ${FIRST}`;
