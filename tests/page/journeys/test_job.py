@@ -78,7 +78,7 @@ def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: O
     words = page.locator(".progress-words")
     expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=JOB_MS)
     shop.kill_api()
-    expect(words).to_contain_text("Made", timeout=JOB_MS)
+    expect(words).to_contain_text("Worked out", timeout=JOB_MS)
     expect(page.locator(".job-state")).to_have_text("done")
     expect(page.get_by_role("img", name="As milled: with all marks of the tool").last).to_be_visible()
     expect(page.locator(".facts")).to_contain_text("will blur")
