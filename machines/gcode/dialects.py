@@ -37,7 +37,7 @@ class Dialect:
     n_limit            : greatest N word
     percent            : takes a line that is only %
     letters            : letters it takes beside SHARED_LETTERS
-    own                : its own words for language.block, and the refusals of words it has not
+    own                : its own words for language.execute_block, and the refusals of words it has not
     two_digits         : G and M words have two digits
     needs_point        : letters whose numbers carry a decimal point
     bare_zero          : 0 needs none (it is 0 in any unit)

@@ -1,7 +1,7 @@
 """One block after the other, in plain Python: for the streaming process, which must stay small and quick.
 
-Straight moves, nearly all of a program, take a short way; everything else goes through language.block, the source
-that the scanner of whole programs compiles.
+Straight moves, nearly all of a program, take a short way; everything else goes through
+language.execute_block, the source that the scanner of whole programs compiles.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class Interpreter:
         except BadTextError as error:
             raise self._refuse(text, error.code) from None
         vector, out, dialect = self._sync(), self._out, self._dialect
-        code = language.block(vector, values, seen, g, len(g), m, len(m), dialect.own, dialect.n_limit, out)
+        code = language.execute_block(vector, values, seen, g, len(g), m, len(m), dialect.own, dialect.n_limit, out)
         if code:
             raise self._refuse(text, code)
         self._settle()

@@ -37,7 +37,7 @@ _AXES = 7 << 23
 _FAR_MM = 100_000.0
 
 
-def block(
+def execute_block(
     state: Any, values: Any, seen: int, g: Any, n_g: int, m: Any, n_m: int, own: Any, n_limit: float, out: Any
 ) -> int:
     """Carry out one block on `state`, tell in `out` what it does. Returns 0, or the refusal's code.

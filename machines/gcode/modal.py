@@ -1,5 +1,5 @@
 """What a controller remembers between two blocks of a program: the modal state, in words, as plain data, and as the
-vector of floats that language.block works on.
+vector of floats that language.execute_block works on.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class ProgramScan:
             dialect=self.dialect.name,
         )
 
-    def batches(self, chunks: Iterable[bytes]) -> Iterator[ScanBatch]:
+    def read_batches(self, chunks: Iterable[bytes]) -> Iterator[ScanBatch]:
         """Yield entries of the program; ProgramRefusedError at the first line that may not run."""
         rest = b""
         self._open_piece(0)

@@ -1,8 +1,8 @@
 """The compiled part of the scanner: bytes to moves, statistics and modal state in one pass.
 
-Never imported by the streaming process. What a block means is language.block, compiled here from the same source that
-the interpreter runs; only straight moves in plain modes take a short way of their own, as they do there. What nearly
-every line goes through stands in one function: calls that hand arrays on halve the speed.
+Never imported by the streaming process. What a block means is language.execute_block, compiled here from the same
+source that the interpreter runs; only straight moves in plain modes take a short way of their own, as they do there.
+What nearly every line goes through stands in one function: calls that hand arrays on halve the speed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MOST_CODE = 1024  # characters of code in a line, before any dialect's own limit
 
 _STRAIGHT = sum(1 << (ord(letter) - 65) for letter in "XYZF")
 
-_block = njit(cache=True, nogil=True)(language.block)
+_block = njit(cache=True, nogil=True)(language.execute_block)
 
 
 @njit(cache=True, nogil=True)

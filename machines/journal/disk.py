@@ -158,7 +158,7 @@ class ThreadSyncer:
             self._lock.notify_all()
 
     def _run(self) -> None:
-        while (work := self._next()) is not None:
+        while (work := self._take_next()) is not None:
             file, when_safe, reached = work
             failure = ""
             try:
@@ -181,7 +181,7 @@ class ThreadSyncer:
                 left.sync()
             left.close()
 
-    def _next(self) -> tuple[File, Callable[[], None] | None, int] | None:
+    def _take_next(self) -> tuple[File, Callable[[], None] | None, int] | None:
         """Return what to sync next: at once where somebody waits for it, else a while after it was written."""
         me = threading.current_thread()
         with self._lock:

@@ -73,7 +73,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     digest = hashlib.sha256()
     with ThreadPoolExecutor(1) as helper:  # one batch's time is planned while the next is read
         busy: Future[None] | None = None
-        for batch in scan.batches(_chunks(path, digest, on_share)):
+        for batch in scan.read_batches(_chunks(path, digest, on_share)):
             if busy is not None:
                 busy.result()
             busy = helper.submit(model.add, batch)

@@ -20,7 +20,7 @@ from optics.photograph.homography import apply_homography
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.linear_light import linear_strip, value_scale
+from service.job.picture.linear_light import linearise_strip, value_scale
 
 PIXELS_PER_MM = 40
 _CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above
@@ -69,7 +69,7 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
     name = name or str(path)
     image = decode_picture(path, limits, name)
     try:
-        light = linear_strip(image, image.info, tone="srgb", scale=value_scale(image))
+        light = linearise_strip(image, image.info, tone="srgb", scale=value_scale(image))
         colours = np.asarray(image.convert("RGB"))
     except ValueError as error:
         raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None

@@ -50,7 +50,7 @@ def value_scale(image: Image.Image) -> float:
     return 255.0
 
 
-def linear_strip(strip: Image.Image, info: dict[Any, Any], *, tone: str, scale: float) -> Array:
+def linearise_strip(strip: Image.Image, info: dict[Any, Any], *, tone: str, scale: float) -> Array:
     """Return luminance (rows, columns) in [0, 1] of some rows, in linear light, transparent parts over white.
 
     Floating-point pictures ("F") hold linear light whatever the tone says, as such files do by convention.

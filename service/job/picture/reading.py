@@ -19,7 +19,7 @@ from PIL import Image
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.linear_light import invert_tones, linear_strip, value_scale
+from service.job.picture.linear_light import invert_tones, linearise_strip, value_scale
 from service.job.picture.resampling import Span, weights_to_resample
 
 Array = npt.NDArray[np.float64]
@@ -139,7 +139,7 @@ def resample_picture(
     step = max(1, _STRIP_PIXELS // width)
     for top in range(0, height, step):
         bottom = min(height, top + step)
-        strip = linear_strip(image.crop((0, top, width, bottom)), image.info, tone=tone, scale=scale)
+        strip = linearise_strip(image.crop((0, top, width, bottom)), image.info, tone=tone, scale=scale)
         if invert:
             strip = invert_tones(strip, tone)
         result += lines[:, top:bottom] @ (columns @ strip.T).T

@@ -19,7 +19,7 @@ GRBL = "G21 G90\nG0 X0 Y0 Z5\nM3 S900\nG1 Z-1 F100\nM5\nM2\n"
 
 def read(dialect: str, text: str) -> ProgramScan:
     scan = ProgramScan(dialect, RATES)
-    for _ in scan.batches([text.encode()]):
+    for _ in scan.read_batches([text.encode()]):
         pass
     return scan
 
@@ -99,7 +99,7 @@ def test_refusals_by_dialect(dialect: str, text: str, line: int, words: str) -> 
 def test_each_control_has_its_own_letter_and_unit_of_a_dwell(dialect: str, text: str, pause_s: float) -> None:
     """A dwell moves nothing and leaves the feed alone, whatever letter tells its time."""
     scan = ProgramScan(dialect, RATES)
-    pauses = [float(pause) for batch in scan.batches([text.encode()]) for pause in batch.pause_s]
+    pauses = [float(pause) for batch in scan.read_batches([text.encode()]) for pause in batch.pause_s]
     assert max(pauses) == pytest.approx(pause_s)
     plain = read(dialect, {"grbl": GRBL, "linuxcnc": LINUXCNC, "fanuc": FANUC, "okuma": OKUMA}[dialect])
     assert scan.state.position_mm == plain.state.position_mm

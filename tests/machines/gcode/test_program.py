@@ -21,7 +21,7 @@ RATES = (5000.0, 5000.0, 1500.0)
 
 def indexed(program: bytes, every_lines: int = 5, dialect: str = "grbl") -> ProgramIndex:
     scan = ProgramScan(dialect, RATES, every_lines=every_lines)
-    for _ in scan.batches([program]):
+    for _ in scan.read_batches([program]):
         pass
     return ProgramIndex.from_dict(scan.index.to_dict())
 

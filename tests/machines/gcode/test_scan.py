@@ -33,7 +33,7 @@ def scanned(
     """The scan, its batches, and line and reason of a refusal (0 and "" without one)."""
     scan, batches = ProgramScan(dialect, RATES, every_lines=every_lines), []
     try:
-        for batch in scan.batches(chunks):
+        for batch in scan.read_batches(chunks):
             batches.append(batch)
     except ProgramRefusedError as error:
         return scan, batches, error.line, error.reason
@@ -228,7 +228,7 @@ def test_words_beside_a_straight_move_count_in_both() -> None:
 
 def test_a_refusal_names_line_text_and_way_out() -> None:
     with pytest.raises(ProgramRefusedError) as caught:
-        list(ProgramScan("grbl", RATES).batches([HEAD + b"X1\n T1M6 \n"]))
+        list(ProgramScan("grbl", RATES).read_batches([HEAD + b"X1\n T1M6 \n"]))
     assert str(caught.value).startswith("line 6: 'T1M6': GRBL has no tool changes")
     assert "split the program" in str(caught.value)
 
