@@ -167,7 +167,8 @@ class Roughing:
         if self._quickly and self._off:
             return self._off[0] * planes_s(self.form, spec, self.shop.mill)
         seconds = first_pass_s(self.form, spec, self.shop.mill, safe_z_mm=self.shop.safe_z_mm)
-        self._off.append(seconds / planes_s(self.form, spec, self.shop.mill))
+        if self._quickly:
+            self._off.append(seconds / planes_s(self.form, spec, self.shop.mill))
         return seconds
 
     def _depth_mm(self, spec: PassSpec) -> float:

@@ -213,9 +213,11 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
 
 def _hours(quick: QuickLens, *, exactly: bool) -> Iterator[dict[str, Any]]:
     """Yield the hours of each pass: those of the plan, or from the stock that the one before leaves."""
-    specs, chosen = cam_passes_of(quick.spec), None if quick.planned is None else quick.planned.chosen
-    is_known = chosen is not None and specs[0].is_ball and not exactly  # after a flat end the plan has guessed
-    times_s = chosen.seconds if chosen is not None and is_known else tuple(_time_passes_s(quick, specs))
+    specs = cam_passes_of(quick.spec)
+    if quick.planned is not None and specs[0].is_ball and not exactly:  # after a flat end the plan has guessed
+        times_s = quick.planned.chosen.seconds
+    else:
+        times_s = tuple(_time_passes_s(quick, specs))
     for spec, seconds in zip(specs, times_s, strict=True):
         yield {"name": spec.name, "tool": cutter(asdict(spec)), "hours": seconds / 3600}
 

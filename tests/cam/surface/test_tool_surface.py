@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from cam.surface import tool_surface
 from cam.surface.contact import touch
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
@@ -188,3 +189,15 @@ def test_newton_is_not_trusted_where_the_lens_bends_as_the_ball_does(make_lens, 
 def _cells(surface: ToolSurface, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     k = surface.kernel
     return tuple(np.rint((a - o) / k.node_step).astype(int) for a, o in ((y, k.node_y0), (x, k.node_x0)))
+
+
+def test_a_surface_that_could_not_be_computed_is_none(make_lens, monkeypatch):
+    """Its lattice is computed in threads: what fails there is no lattice of whatever the memory held before."""
+
+    def run_out_of_memory(*_: object) -> None:
+        raise MemoryError
+
+    lens = make_lens(lambda x, y: 0.0 * x)
+    monkeypatch.setattr(tool_surface, "_fill_lattice", run_out_of_memory)
+    with pytest.raises(MemoryError):
+        ToolSurface.over(lens, radius_mm=0.5)
