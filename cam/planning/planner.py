@@ -26,7 +26,8 @@ DOUBLING_DB = 0.75
 """That a picture must gain to be worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um:
 27.6 dB in 4 h, where 28.6 take 15."""
 
-_WORTH_DB = 0.03
+WORTH_DB = 0.03
+"""Less is as good."""
 _GUESS_DB, _GOOD_DB = 0.25, 2.0
 LEAST_FIT = 0.95
 """Of the lens, that a ball must fit to finish it: what it leaves filled is known well enough to foretell its light."""
@@ -202,8 +203,13 @@ def plan_among(
     *,
     shop: Shop,
     lenses: Callable[[], Mapping[float, LensForm]],
+    made_rows: int = ROWS,
 ) -> Plan:
-    """Choose among candidates that the light has guessed. lenses: as they are now, by radius of the finishing ball."""
+    """Choose among candidates that the light has guessed.
+
+    lenses    : as they are now, by radius of the finishing ball
+    made_rows : of each pass, by which its time is known
+    """
     near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
     guessed = dict(lenses())
@@ -211,7 +217,7 @@ def plan_among(
     settled = lenses()
     near = [
         replace(
-            _time_again(one, guessed[one.finish.radius_mm], settled[one.finish.radius_mm], shop),
+            _time_again(one, guessed[one.finish.radius_mm], settled[one.finish.radius_mm], shop, made_rows),
             psnr_db=light.aimed_db(one.marks),
         )
         for one in near
@@ -219,11 +225,13 @@ def plan_among(
     return plan_by_score(near, left_out, goal)
 
 
-def _time_again(one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop) -> Candidate:
+def _time_again(one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop, made_rows: int = ROWS) -> Candidate:
     """Return a candidate whose finish takes the rows of another lens: a sharper one has shorter chords."""
+    before_s, now_s = (
+        rows_s(lens, one.finish, shop.mill, shop.digits, made_rows=made_rows) for lens in (guessed, settled)
+    )
     seconds = list(one.seconds)
-    seconds[len(one.before)] += rows_s(settled, one.finish, shop.mill, shop.digits)
-    seconds[len(one.before)] -= rows_s(guessed, one.finish, shop.mill, shop.digits)
+    seconds[len(one.before)] += now_s - before_s
     return replace(one, seconds=tuple(seconds))
 
 
@@ -250,7 +258,7 @@ def time_by_lens(plan: Plan, lens: LensForm, goal: Goal, *, guessed: LensForm, s
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
     """Choose among candidates by what they say of themselves."""
-    front = _select_front(candidates, _WORTH_DB)
+    front = _select_front(candidates)
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
 
@@ -269,11 +277,11 @@ def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
     return (good[0], True) if good else (front[-1], False)
 
 
-def _select_front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
-    """Select those better by more than worth_db than all that are quicker, or as quick and cheaper."""
+def _select_front(candidates: list[Candidate]) -> tuple[Candidate, ...]:
+    """Select those better by more than WORTH_DB than all that are quicker, or as quick and cheaper."""
     front: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
-        if not front or one.psnr_db > front[-1].psnr_db + worth_db:
+        if not front or one.psnr_db > front[-1].psnr_db + WORTH_DB:
             front.append(one)
     return tuple(front)
 

@@ -38,6 +38,7 @@ from optics.heightfield import Array, Heightfield
 
 ROWS, FEW_ROWS = 40, 12  # of a pass that are made; half as many are off by up to 4 %, of a coarse lens by 0.2 %
 _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
+_USUAL_PITCH_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
@@ -161,7 +162,8 @@ def rows_s(
 
     digits : on which the vertices of a finishing pass are put; None: where they are
     """
-    like = replace(spec, strategy="raster", pitch_mm=min(_PITCHES_MM, key=lambda one: abs(log(one / spec.pitch_mm))))
+    pitches_mm = _PITCHES_MM if made_rows == ROWS else _USUAL_PITCH_MM
+    like = replace(spec, strategy="raster", pitch_mm=min(pitches_mm, key=lambda one: abs(log(one / spec.pitch_mm))))
     if spec.finishes:
         rounding = None if digits is None else Rounding(digits=digits, pitch_mm=like.pitch_mm)
         slowness, turns_s = (
@@ -227,15 +229,16 @@ def _join(rows: tuple[Array, ...], spec: PassSpec, z_mm: float) -> Iterator[Path
 def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array, ...]:
     """Return vertices (n, 3) of rows evenly spread over lens and run-out."""
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
-    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm)
     rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
     length_mm, across_mm = _spans_mm(form, spec)
-    out = np.empty((most_vertices(length_mm, rule), 3))
-    rows = []
-    for y in on_ticks((np.arange(made_rows) + 0.5) / made_rows * across_mm - spec.radius_mm):
-        filled = march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)
-        rows.append(out[:filled].copy())
-    return tuple(rows)
+    whole = None if 2 * spec.radius_mm * made_rows < across_mm else ToolSurface.over(lens, radius_mm=spec.radius_mm)
+
+    def make(y: float) -> Array:
+        surface = whole or ToolSurface.over(lens, radius_mm=spec.radius_mm, row_mm=y)
+        out = np.empty((most_vertices(length_mm, rule), 3))
+        return out[: march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)].copy()
+
+    return tuple(make(y) for y in on_ticks((np.arange(made_rows) + 0.5) / made_rows * across_mm - spec.radius_mm))
 
 
 def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:

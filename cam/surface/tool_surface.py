@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 
@@ -14,6 +13,7 @@ from scipy import ndimage
 from cam.moves import Array
 from cam.surface.contact import TILE, Ball, touch_points, touch_rows
 from optics.heightfield import Heightfield, spline_jet
+from optics.threads import run_on_rows
 
 GUARD_SHARE = 0.6
 """Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
@@ -37,25 +37,33 @@ class ToolSurface:
 
     @classmethod
     def over(
-        cls, heightfield: Heightfield, *, radius_mm: float, allowance_mm: float = 0.0, run_out_mm: float | None = None
+        cls,
+        heightfield: Heightfield,
+        *,
+        radius_mm: float,
+        allowance_mm: float = 0.0,
+        run_out_mm: float | None = None,
+        row_mm: float | None = None,
     ) -> ToolSurface:
-        """Compute the surface for tips up to run_out_mm (default: one radius) outside the aperture."""
+        """Compute the surface for tips up to run_out_mm (default: one radius) outside the aperture.
+
+        row_mm : Y of the only row in which tips are asked for; None: tips are asked for everywhere
+        """
         ball_mm = radius_mm + allowance_mm
         run_out_mm = radius_mm if run_out_mm is None else run_out_mm
         spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / 8)
         step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / 8)
-        reach = run_out_mm + ball_mm + step
+        beside = ball_mm + step
+        reach = run_out_mm + beside
+        low, high = -reach, heightfield.height_mm + reach
+        if row_mm is not None:
+            low, high = row_mm - heightfield.y_mm[0] - beside, row_mm - heightfield.y_mm[0] + beside
         x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
-        y = np.arange(-reach, heightfield.height_mm + reach + step, step) + heightfield.y_mm[0]
+        y = np.arange(low, high + step, step) + heightfield.y_mm[0]
         heights, most, bend = (np.empty((y.size, x.size)) for _ in range(3))
-
-        def fill(rows: slice) -> None:
-            out = heights[rows], most[rows], bend[rows]
-            _fill_lattice(*spline.kernel_arguments, x, y[rows], ball_mm, step / np.sqrt(2), *out)
-
-        with ThreadPoolExecutor(2) as pool:  # asked for their results: what fails in one fails here
-            list(pool.map(fill, (slice(0, y.size // 2), slice(y.size // 2, None))))
-        guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
+        aside_mm = step / np.sqrt(2)
+        run_on_rows(_fill_lattice, y.size, *spline.kernel_arguments, x, y, ball_mm, aside_mm, heights, most, bend)
+        guarded = _grown(most > GUARD_SHARE / ball_mm, beside / step)
         sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
         tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
         slack = ndimage.maximum_filter(bend, size=3) * step**2 / 4
@@ -107,20 +115,20 @@ class ToolSurface:
 
 
 @njit(cache=True, nogil=True)
-def _fill_lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
-    """Compute on the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and
-    ball together bend down at most where the ball touches no farther than `aside` from there.
+def _fill_lattice(low, high, coefs, x0, y0, inv_dx, inv_dy, x, y, ball, aside, heights, most, bend):  # type: ignore[no-untyped-def]
+    """Compute on rows low to high of the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and
+    how fast lens and ball together bend down at most where the ball touches no farther than `aside` from there.
     """
-    for j in range(y.size):
+    for j in range(low, high):
         for i in range(x.size):
             z, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
             mean = 0.5 * (zxx + zyy)
             spread = np.sqrt(0.25 * (zxx - zyy) ** 2 + zxy * zxy)
             steep = zx * zx + zy * zy
-            out = min(np.sqrt(steep / (1.0 + steep)) + aside / radius, _RIM)  # of the ball's radius
+            out = min(np.sqrt(steep / (1.0 + steep)) + aside / ball, _RIM)  # of the ball's radius
             heights[j, i] = z
             most[j, i] = mean + spread
-            bend[j, i] = max(0.0, spread - mean) + 1.0 / (radius * (1.0 - out * out) ** 1.5)
+            bend[j, i] = max(0.0, spread - mean) + 1.0 / (ball * (1.0 - out * out) ** 1.5)
 
 
 def _tile_tops(values: np.ndarray) -> np.ndarray:

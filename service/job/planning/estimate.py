@@ -214,24 +214,27 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
 def _hours(quick: QuickLens, *, exactly: bool) -> Iterator[dict[str, Any]]:
     """Yield the hours of each pass: those of the plan, or from the stock that the one before leaves."""
     specs = cam_passes_of(quick.spec)
-    if quick.planned is not None and specs[0].is_ball and not exactly:  # after a flat end the plan has guessed
-        times_s = quick.planned.chosen.seconds
-    else:
-        times_s = tuple(_time_passes_s(quick, specs))
+    known_s = () if quick.planned is None or exactly else quick.planned.chosen.seconds
+    if not specs[0].is_ball:  # what is to be cut after a flat end a plan has guessed
+        known_s = known_s[:1]
+    times_s = known_s if len(known_s) == len(specs) else tuple(_time_passes_s(quick, specs, known_s))
     for spec, seconds in zip(specs, times_s, strict=True):
         yield {"name": spec.name, "tool": cutter(asdict(spec)), "hours": seconds / 3600}
 
 
-def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...]) -> Iterator[float]:
+def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple[float, ...]) -> Iterator[float]:
+    """Yield the seconds of each pass; known_s: of the first, where that is known."""
     form, machine = quick.form, quick.job.machine
     mill, digits = kinematics_of(machine), digits_of(machine)
     stock_mm: Array | None = None
     for spec in specs:
         made_mm = _left_by(quick.lens, spec)
-        if stock_mm is None:
-            seconds = first_pass_s(form, spec, mill, digits, safe_z_mm=machine.safe_z_mm)
-        else:
+        if stock_mm is not None:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
+        elif known_s:
+            seconds = known_s[0]
+        else:
+            seconds = first_pass_s(form, spec, mill, digits, safe_z_mm=machine.safe_z_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
         yield seconds
 

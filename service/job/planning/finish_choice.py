@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.planning.planner import Candidate, Goal, Plan, plan_by_score
+from cam.planning.planner import WORTH_DB, Candidate, Goal, Plan, plan_by_score
 from optics.finish import Finish
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
@@ -153,11 +153,10 @@ def _ssim(one: FinishedPlan) -> float:
 
 
 def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:
-    """Return, scored, those that are better than all before them: quickest first, no others come on a front."""
+    """Return, scored, those that come on a front, quickest first."""
     found: list[Candidate] = []
-    for one in candidates:
-        psnr_db = light.psnr_db(one.marks)
-        if not found or psnr_db > found[-1].psnr_db:
+    for one, psnr_db in zip(candidates, light.psnrs_db([one.marks for one in candidates]), strict=True):
+        if not found or psnr_db > found[-1].psnr_db + WORTH_DB:
             found.append(replace(one, psnr_db=psnr_db, blur_mm=light.blur_mm(one.slopes)))
     return found
 

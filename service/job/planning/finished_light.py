@@ -10,7 +10,7 @@ shone through it, which tells by how much both guesses are off.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -32,14 +32,16 @@ _ALONG = 1.35  # what shaped heights leave along the rows, too: 1.16 to 1.53 for
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 2, 7
 _WAVE_NUMBERS = 1024  # of a picture, that are told apart
 _ALIKE = 0.01  # waves, by the ratio of their numbers
-_FINEST_RAD_PER_MM = 400.0  # periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them
+_ROW_WAVES = np.exp(np.arange(math.log(0.05), math.log(400.0), _ALIKE))
+"""Wave numbers [rad/mm] of rows, to periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them."""
 
 Design = Callable[[Finish, float, bool], tuple[Heightfield, Array]]
 """A lens for a finish and a ball's radius, coarse or fine, and the target (ny, nx) that it was made for."""
 
 
 class Spectra:
-    """Mean squares of a picture's waves, and of what lenses for balls miss of them, by wave number.
+    """Mean squares of a picture's waves, and of what lenses for balls miss of them, by wave number; of rows' curvature
+    by _ROW_WAVES.
 
     k_rad_per_mm, wanted : (n,)
     """
@@ -52,12 +54,21 @@ class Spectra:
         self._waves = light.goal
         self.wanted = self._sum_squares(light.goal)
         self._lacks: dict[Shown, Array] = {}
+        self._across_mm = light.across_mm
+        self._bends: dict[Marks, Array] = {}
 
     def lack_of(self, shown: Shown) -> Array:
         """Return (n,) of what a lens misses as it is unmilled."""
         if shown not in self._lacks:
             self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
         return self._lacks[shown]
+
+    def bends_of(self, marks: Marks) -> Array:
+        """Return (n,) of what rows leave, as a pixel on the screen sees it [1/mm^2]."""
+        if marks not in self._bends:
+            spec, off_mm = marks.spec, round(marks.slopes.off_mm, 6)
+            self._bends[marks] = _row_bends(spec.radius_mm, spec.pitch_mm, off_mm, self._across_mm(spec))
+        return self._bends[marks]
 
     def _sum_squares(self, waves: Array) -> Array:
         squares = np.ravel(waves) ** 2 / waves.size
@@ -85,7 +96,11 @@ class FinishedLight(PictureLight):
         return _kept_of(self.finish, _picture_wave_numbers(self.target.shape, self.bench))
 
     def psnr_db(self, marks: Marks) -> float:
-        return self.db_of_error(self._lens_error(marks.radius_mm) + self.grain(marks) ** 2 * self._square)
+        return self.psnrs_db([marks])[0]
+
+    def psnrs_db(self, several: Sequence[Marks]) -> list[float]:
+        grains = zip(several, self._grains(several), strict=True)
+        return [self.db_of_error(self._lens_error(one.radius_mm) + grain**2 * self._square) for one, grain in grains]
 
     aimed_db = unsharpened_db = psnr_db
 
@@ -103,10 +118,14 @@ class FinishedLight(PictureLight):
 
     def grain(self, marks: Marks) -> float:
         """Return the standard deviation of the light over its mean, by what is left of the rows."""
-        spec, form = marks.spec, self.lenses[marks.radius_mm].form
-        off_mm, pixel_mm = round(marks.slopes.off_mm, 6), self.across_mm(spec)
-        bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, off_mm, self.finish, pixel_mm)
-        return math.sqrt(_STRIPES * self._stripe_scale[spec.direction]) * self.reach_mm(form) * bend_per_mm
+        return float(self._grains([marks])[0])
+
+    def _grains(self, several: Sequence[Marks]) -> Array:
+        """Return `grain` (n,) of several at once: the way to the wall times what is left of the rows' curvature."""
+        squares = np.stack([self._spectra.bends_of(one) for one in several])
+        reaches_mm = np.array([self.reach_mm(self.lenses[one.radius_mm].form) for one in several])
+        stripes = np.array([_STRIPES * self._stripe_scale[one.spec.direction] for one in several])
+        return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.kept(_ROW_WAVES)))))
 
     def is_lit(self, marks: Marks) -> bool:
         """Return whether light was shone through a lens as fine as the picture."""
@@ -216,30 +235,12 @@ def _wave_numbers(heights: Array, spacing_mm: float) -> Array:
 
 
 @lru_cache(maxsize=512)
-def _row_spectrum(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Array]:
-    """Return wave numbers [rad/mm] of rows, as far as any finish leaves anything, and mean squares [1/mm^2] of
-    curvature.
-
-    Waves within a hundredth of each other count as one, at their own mean: a finish leaves the same of them.
-    """
+def _row_bends(radius_mm: float, pitch_mm: float, off_mm: float, pixel_mm: float) -> Array:
+    """Return mean squares [1/mm^2] of the curvature of rows by _ROW_WAVES, as a pixel on the screen sees it."""
     heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
     k = _wave_numbers(heights, spacing_mm)
-    some = slice(1, int(np.searchsorted(k, _FINEST_RAD_PER_MM)))
+    some = slice(1, int(np.searchsorted(k, _ROW_WAVES[-1])))
     k, squares = k[some], 2.0 * np.square((np.abs(np.fft.rfft(heights)) / heights.size)[some] * k[some] ** 2)
-    group = np.cumsum(np.diff(np.floor(np.log(k) / _ALIKE), prepend=-np.inf) > 0) - 1
-    bends = np.maximum(np.bincount(group, squares), 1e-300)
-    return np.bincount(group, k * squares) / bends, bends
-
-
-@lru_cache(maxsize=512)
-def _seen_spectrum(radius_mm: float, pitch_mm: float, off_mm: float, pixel_mm: float) -> tuple[Array, Array]:
-    """Return the same as a pixel on the screen sees it."""
-    k, bends = _row_spectrum(radius_mm, pitch_mm, off_mm)
-    return k, np.square(np.sinc(k * pixel_mm / (2.0 * np.pi))) * bends
-
-
-@lru_cache(maxsize=8192)
-def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
-    """Return the root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
-    k, bends = _seen_spectrum(radius_mm, pitch_mm, off_mm, pixel_mm)
-    return math.sqrt(float(np.square(finish.kept(k)) @ bends))
+    nearest = np.rint((np.log(k) - np.log(_ROW_WAVES[0])) / _ALIKE).astype(np.int64)
+    seen = squares * np.square(np.sinc(k * pixel_mm / (2.0 * np.pi)))
+    return np.asarray(np.bincount(nearest, seen, minlength=_ROW_WAVES.size), dtype=np.float64)

@@ -20,6 +20,7 @@ from cam.planning.planner import (
     plan_by_score,
     time_by_lens,
 )
+from cam.planning.sampled_time import FEW_ROWS
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
@@ -157,7 +158,9 @@ def _choose_plan(
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
             if not given and not is_surely_worth_it(finished.plan, milled, goal):
-                plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
+                plan = plan_among(
+                    candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms, made_rows=FEW_ROWS
+                )
                 milled = _score_by(seen, plan)
         else:
             milled = plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)

@@ -75,6 +75,8 @@ def test_no_point_of_the_lens_is_inside_the_ball(brute_force, seed, slope, radiu
         coarse = brute_force(spline, cx, cy, radius_mm) - radius_mm
         assert tip >= coarse - 1 * NM  # no gouge
         assert tip <= coarse + 1e-3  # and it touches, as well as the samples can tell
+        row = ToolSurface.over(lens, radius_mm=radius_mm, row_mm=cy)
+        assert row.tip_heights_mm([cx], [cy]) == pytest.approx(tip, abs=1 * NM)  # a surface for that row alone
 
 
 def test_the_contact_lies_on_ball_and_lens(make_bumps):
