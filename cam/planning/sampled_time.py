@@ -231,7 +231,7 @@ def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
     rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
     length_mm, across_mm = _spans_mm(form, spec)
-    whole = None if 2 * spec.radius_mm * made_rows < across_mm else ToolSurface.over(lens, radius_mm=spec.radius_mm)
+    whole = None if 3 * spec.radius_mm * made_rows < across_mm else ToolSurface.over(lens, radius_mm=spec.radius_mm)
 
     def make(y: float) -> Array:
         surface = whole or ToolSurface.over(lens, radius_mm=spec.radius_mm, row_mm=y)

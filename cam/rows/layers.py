@@ -442,7 +442,8 @@ def _link(
     bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
     x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
     y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
-    tips = layer.tips_mm(surface.tip_heights_mm(x, y))
-    tips[1:-1] = np.maximum(tips[1:-1], layer.tips_mm(surface.tip_heights_mm(x, y) + stair_mm)[1:-1])
+    lowest = surface.tip_heights_mm(x, y)
+    tips = layer.tips_mm(lowest)
+    tips[1:-1] = np.maximum(tips[1:-1], layer.tips_mm(lowest + stair_mm)[1:-1])
     points = np.column_stack([x, y, tips])
     return thin_points(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

@@ -14,6 +14,7 @@ short as the pitch, but every row ends in one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from itertools import pairwise
 from math import ceil, inf, log, pi, sqrt
 
@@ -50,9 +51,14 @@ Meets = Callable[[Array], Array]
 
 def feed_at_load(section_mm2: ArrayLike, spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
     """Return the feed at which cuts take off as much a minute as the pass may. steep: slope of the way."""
-    allowed = LOAD_SHARE * slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm) * spec.feed_mm_per_min
-    wanted = np.maximum(allowed / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
+    wanted = np.maximum(_removal_mm3_per_min(spec) / np.maximum(section_mm2, 1e-9), LEAST_FEED * spec.feed_mm_per_min)
     return round_feed(np.minimum(wanted, most_feed_mm_per_min(spec, steep)))
+
+
+@lru_cache(maxsize=64)  # asked at every link
+def _removal_mm3_per_min(spec: PassSpec) -> float:
+    section_mm2 = slot_section_mm2(spec.shape, spec.radius_mm, spec.step_down_mm)
+    return LOAD_SHARE * float(section_mm2) * spec.feed_mm_per_min
 
 
 def round_feed(feed_mm_per_min: ArrayLike) -> Array:

@@ -20,7 +20,7 @@ from cam.planning.pass_time import LensForm, layers_where_s
 from cam.planning.planner import Marks
 from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
-from cam.planning.sampled_time import first_pass_s, rows_s
+from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.posts.dialects import POSTS
 from cam.surface.rough_surface import left_by_flat
 from optics.bench import Bench
@@ -230,7 +230,7 @@ def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple
     for spec in specs:
         made_mm = _left_by(quick.lens, spec)
         if stock_mm is not None:
-            seconds = _seconds_after(quick, spec, stock_mm - made_mm)
+            seconds = _seconds_after(quick, spec, stock_mm - made_mm, made_rows=FEW_ROWS if known_s else ROWS)
         elif known_s:
             seconds = known_s[0]
         else:
@@ -250,13 +250,14 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
     return [*first, *passes, *last]
 
 
-def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
+def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_rows: int) -> float:
     """Return the seconds of a pass that others went before; depth_mm (ny, nx): what it takes off."""
     form, machine = quick.form, quick.job.machine
     mill = kinematics_of(machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
-    return rows_s(form, spec, mill, digits_of(machine)) + layers_where_s(form, spec, depth_mm, mill)
+    own_s = rows_s(form, spec, mill, digits_of(machine), made_rows=made_rows)
+    return own_s + layers_where_s(form, spec, depth_mm, mill)
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
