@@ -80,17 +80,20 @@ def begun(words: list[str], folder: Path) -> subprocess.Popen[str]:
 
 
 def test_the_toml_of_the_guides_is_accepted(tmp_path: Path) -> None:
-    """A job's spec, and a machine of one's own."""
-    texts = ((TOP / "docs" / name).read_text(encoding="utf-8") for name in ("first-lens.md", "mill.md"))
-    (job,), (machine,) = (re.findall(r"^```toml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL) for text in texts)
+    """A job's spec, and a machine of one's own with its spindle."""
+    guides = ((TOP / "docs" / name).read_text(encoding="utf-8") for name in ("first-lens.md", "mill.md", "spindle.md"))
+    job, machine, spindle = (
+        "".join(re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)) for text in guides
+    )
     (tmp_path / "job.toml").write_text(job)
     spec = resolve_spec(file=tmp_path / "job.toml")
     assert spec.optics.throw_mm == 200
     assert [row.name for row in spec.passes] == ["rough", "finish"]
-    (tmp_path / "router.toml").write_text(machine)
+    (tmp_path / "router.toml").write_text(machine + spindle)
     profile = load_profile("router", [tmp_path])
     assert profile.travel_mm == (400, 400, 90)
     assert profile.dialect == "grbl"
+    assert profile.spindle.on_hold == "turns"
 
 
 @pytest.mark.parametrize("file", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in GUIDES)])

@@ -102,6 +102,13 @@ def test_nothing_in_service_knows_what_stands_above_or_beside_it() -> None:
         assert not [room for room in known - {own} if floor[room] <= floor[own]], (path, known)
 
 
+def test_the_client_needs_of_the_server_only_its_address() -> None:
+    """It may run on a computer where there is neither a store nor settings of a server, and no stage is run."""
+    for path in modules("service/client"):
+        inside = ("service.store.", "service.settings.", "service.job.stages.")
+        assert not [name for name in imported(path) if f"{name}.".startswith(inside)], path
+
+
 def test_the_simulated_mill_reads_programs_by_itself() -> None:
     """A parser shared with the streamer would hide the streamer's mistakes from every test."""
     for path in modules("machines/simulated"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 
@@ -13,7 +14,6 @@ from scipy import ndimage
 from cam.moves import Array
 from cam.surface.contact import TILE, Ball, touch_points, touch_rows
 from optics.heightfield import Heightfield, spline_jet
-from optics.threads import run_on_rows
 
 GUARD_SHARE = 0.6
 """Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
@@ -61,8 +61,16 @@ class ToolSurface:
         x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
         y = np.arange(low, high + step, step) + heightfield.y_mm[0]
         heights, most, bend = (np.empty((y.size, x.size)) for _ in range(3))
-        aside_mm = step / np.sqrt(2)
-        run_on_rows(_fill_lattice, y.size, *spline.kernel_arguments, x, y, ball_mm, aside_mm, heights, most, bend)
+
+        def fill(rows: slice) -> None:
+            out = heights[rows], most[rows], bend[rows]
+            _fill_lattice(*spline.kernel_arguments, x, y[rows], ball_mm, step / np.sqrt(2), *out)
+
+        if row_mm is None:
+            with ThreadPoolExecutor(2) as pool:  # asked for their results: what fails in one fails here
+                list(pool.map(fill, (slice(0, y.size // 2), slice(y.size // 2, None))))
+        else:
+            fill(slice(None))
         guarded = _grown(most > GUARD_SHARE / ball_mm, beside / step)
         sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
         tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
@@ -115,20 +123,20 @@ class ToolSurface:
 
 
 @njit(cache=True, nogil=True)
-def _fill_lattice(low, high, coefs, x0, y0, inv_dx, inv_dy, x, y, ball, aside, heights, most, bend):  # type: ignore[no-untyped-def]
-    """Compute on rows low to high of the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and
-    how fast lens and ball together bend down at most where the ball touches no farther than `aside` from there.
+def _fill_lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
+    """Compute on the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and
+    ball together bend down at most where the ball touches no farther than `aside` from there.
     """
-    for j in range(low, high):
+    for j in range(y.size):
         for i in range(x.size):
             z, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
             mean = 0.5 * (zxx + zyy)
             spread = np.sqrt(0.25 * (zxx - zyy) ** 2 + zxy * zxy)
             steep = zx * zx + zy * zy
-            out = min(np.sqrt(steep / (1.0 + steep)) + aside / ball, _RIM)  # of the ball's radius
+            out = min(np.sqrt(steep / (1.0 + steep)) + aside / radius, _RIM)  # of the ball's radius
             heights[j, i] = z
             most[j, i] = mean + spread
-            bend[j, i] = max(0.0, spread - mean) + 1.0 / (ball * (1.0 - out * out) ** 1.5)
+            bend[j, i] = max(0.0, spread - mean) + 1.0 / (radius * (1.0 - out * out) ** 1.5)
 
 
 def _tile_tops(values: np.ndarray) -> np.ndarray:

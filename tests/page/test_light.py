@@ -13,7 +13,7 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Array, Heightfield
-from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.irradiance import ViewedFrom, picture_from_irradiance, target_irradiance
 from optics.lens_settings import LensSettings
 from optics.light import Light
 from service.job.page_data.surface import light_bytes
@@ -77,16 +77,23 @@ def likeness(a: Array, b: Array) -> float:
 def test_the_page_sees_the_servers_caustic_and_no_mirror_of_it(
     modules: Page, made_for: Bench, lit: Bench, change: dict[str, float]
 ) -> None:
+    """From the lens's side and from behind the wall: the same light, the other way round."""
     lens, white = lens_for(made_for)
-    data = base64.b64encode(light_bytes(lens, made_for, white=white, viewed_from="lens")).decode()
     coarse = (PIXELS, SEEN // PIXELS, PIXELS, SEEN // PIXELS)
-    told = (np.array(one).reshape(coarse).mean(axis=(1, 3)) for one in modules.evaluate(DRAW, [data, SEEN, change]))
-    seen, shown = told
+
+    def drawn(viewed_from: ViewedFrom) -> list[Array]:
+        data = base64.b64encode(light_bytes(lens, made_for, white=white, viewed_from=viewed_from)).decode()
+        found = modules.evaluate(DRAW, [data, SEEN, change])
+        return [np.array(one).reshape(coarse).mean(axis=(1, 3)) for one in found]
+
+    seen, shown = drawn("lens")
     wanted = simulate_caustic(lens, lit, pixels=(PIXELS, PIXELS)).irradiance
     assert likeness(seen, wanted) >= 0.99
     assert seen.mean() == pytest.approx(wanted.mean(), rel=0.01)
     assert max(likeness(seen[::-1], wanted), likeness(seen[:, ::-1], wanted), likeness(seen.T, wanted)) < 0.8
     assert likeness(shown, srgb_levels(picture_from_irradiance(wanted, viewed_from="lens"), white=white)) >= 0.98
+    _, behind = drawn("behind")
+    assert likeness(behind, srgb_levels(picture_from_irradiance(wanted, viewed_from="behind"), white=white)) >= 0.98
 
 
 FRAMES = """() => { window.drawn = 0; const draw = WebGL2RenderingContext.prototype.drawArrays;

@@ -232,7 +232,7 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
         assert layout_faults(page) == [], size
         if heard:
             assert serious_faults(page) == [], size
-        for button in page.locator(".stops .big:visible").all():
+        for button in page.locator(":is(.stops, .submit-bar) .big:visible").all():
             expect(button).to_be_in_viewport(ratio=1)
 
 

@@ -126,6 +126,20 @@ def test_take_over_ends_the_former_holders_orders(floor: Shop) -> None:
         problem(bob.jog(5), 409, HEADER)
 
 
+def test_control_is_kept_by_asking_again_and_ends_without_a_sign(floor: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    with people(floor) as (ada, bob):
+        first = ada.take()
+        again = ada.take(status=200)
+        assert (again["since"], again["control"]) == (first["since"], first["control"])
+        with monkeypatch.context() as later:
+            later.setattr("machines.mill.orders.LEASE_S", 0.0)  # as if she had not been heard of for so long
+            lost = problem(ada.jog(1), 409, HEADER)
+            assert lost["code"] == "control_lost" and "take control again" in lost["detail"]
+        until(lambda: holder(floor) is None)
+        bob.take()
+        assert "lost control" in problem(ada.jog(1), 409, HEADER)["detail"]
+
+
 def test_of_many_who_reach_for_it_at_once_one_gets_it(floor: Shop) -> None:
     everybody = [Person(floor, f"P{number}") for number in range(8)]
     with concurrent.futures.ThreadPoolExecutor(8) as pool:
