@@ -48,9 +48,10 @@ function words(job, artifacts, toMill, mills) {
   const seen = likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled) ?? likenessOf(report?.optics);
   const sheet = artifacts.get(SHEET);
   const share = shareWords(programs.length - toMill.length, programs.length, hours(millSeconds(report) ?? NaN));
-  const send = toMill.length > 0 && mills.length > 0 && sendLink(job, toMill[0], mills[0], { alone: mills.length === 1, first: true });
+  const [program, mill] = [toMill[0], mills[0]];
+  const send = program && mill && sendLink(job, program, mill, { alone: mills.length === 1, first: true });
   const steps = [
-    [isMilled, t("Mill it"), share, [send, !isMilled && jump("#programs-title", t("Programs")), sheet && !isMilled && sheetLink(sheet, t("Setup sheet"))]],
+    [isMilled, t("Mill it"), share, !isMilled && [send, jump("#programs-title", t("Programs")), sheet && sheetLink(sheet, t("Setup sheet"))]],
     finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump("#finishing-title", t("How"))]],
     artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump("#photo-title", t("Photograph"))]],
   ];

@@ -69,7 +69,8 @@ function row(job, program, mills) {
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const facts = [seconds && hours(seconds), lines && t`${thousands(lines)} lines`, bytes(program.bytes)];
-  const sends = mayBeMilled(job) && mills.map((mill, k) => sendLink(job, program, mill, { alone: mills.length === 1, first: k === 0 && program === job.programs[0] }));
+  const alone = mills.length === 1, first = program === job.programs[0];
+  const sends = mayBeMilled(job) && mills.map((mill, k) => sendLink(job, program, mill, { alone, first: first && k === 0 }));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save") });
   return h(
     "li", {},

@@ -23,7 +23,8 @@ export function next(link, cards, presses) {
   const unfold = () => (more.hidden = !fold.open);
   const fold = h("details", { class: "next-fold", hidden: true, ontoggle: unfold }, h("summary", {}, t("More")));
   const place = h("div", { class: "next-act" });
-  const node = h("section", { class: "next", "aria-label": t("Next step") }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place), more);
+  const [words, side] = [h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place)];
+  const node = h("section", { class: "next", "aria-label": t("Next step") }, look, words, side, more);
   const size = new ResizeObserver(() => document.documentElement.style.setProperty("--next", `${node.offsetHeight}px`));
   size.observe(node);
   let [shown, drawn, refusal] = ["", "", NONE];

@@ -89,7 +89,7 @@ export function specForm({ profiles, onChange, planned }) {
     reveal();
   }
 
-  /** Puts each problem {field: "spec.KEY", detail, use} beside its row; gives back {placed: rows, the topmost first, unplaced}. */
+  /** Puts each problem {field: "spec.KEY", detail, use} beside its row; gives back {placed: rows from the top, unplaced}. */
   function blame(problems) {
     const all = [...rows, ...milling.rows(), rest];
     const faults = new Map();

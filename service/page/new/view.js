@@ -262,9 +262,10 @@ function submitBar(onclick) {
     line.hidden = Boolean(now.why || now.look.length);
     why.hidden = !line.hidden;
     const more = now.look.length - MOST_NAMED, said = [now.why, ...now.look];
-    if (said.length === told.length && said.every((one, k) => one === told[k])) return; // a name that has the focus keeps it
+    if (said.length === told.length && said.every((one, k) => one === told[k])) return; // what has the focus keeps it
     told = said;
-    replace(why, now.why, now.look.length > 0 && [t("Look at:"), now.look.slice(0, MOST_NAMED).map(name), more > 0 && t`+ ${more} more`]);
+    const names = now.look.slice(0, MOST_NAMED).map(name);
+    replace(why, now.why, names.length > 0 && [t("Look at:"), names, more > 0 && t`+ ${more} more`]);
   }
   return {
     element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
