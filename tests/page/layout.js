@@ -1,8 +1,8 @@
 /**
  * Laws of a screen, for a hand in a glove and an eye at a distance: (page as it is now) -> sentences about what breaks
- * them. Nothing is wider than the screen, no words are cut, broken within a button or lie over others, no control lies in
- * another's way or is too small to hit. What scrolls inside itself may be larger; what is laid over the page is
- * judged by itself.
+ * them. Nothing is wider than the screen, no words are cut, broken within a button or lie over others, inputs of a row
+ * stand on one line, no control lies in another's way or is too small to hit. What scrolls inside itself may be larger;
+ * what is laid over the page is judged by itself.
  */
 ({ least }) => {
   const CONTROLS = "a[href], button, select, textarea, input, summary, [role=radio], canvas[tabindex]";
@@ -148,6 +148,18 @@
       .map(({ one, box }) => `small (${Math.round(box.right - box.left)} x ${Math.round(box.bottom - box.top)}): ${name(one)}`);
   }
 
+  /** Inputs side by side that do not stand on one line, whatever is written above them. */
+  function uneven() {
+    const fields = all.filter((one) => one.matches(".fields > .field:not(:has(> .tick))"));
+    const [top, at] = [(one) => one.getBoundingClientRect().top, (one) => one.children[1].getBoundingClientRect().top];
+    return fields.filter((one, k) => {
+      const before = fields[k - 1];
+      const beside = before?.parentElement === one.parentElement && top(before) === top(one);
+      return beside && Math.abs(at(before) - at(one)) > SLACK;
+    }).map((one) => `out of line: ${name(one)}`);
+  }
+
   const words = lines(), aims = controls();
-  return [...wide(), ...cut(words), ...overWords(words), ...cutFields(), ...broken(), ...inTheWay(aims), ...small(aims)];
+  const ofWords = [...cut(words), ...overWords(words), ...cutFields(), ...broken()];
+  return [...wide(), ...uneven(), ...ofWords, ...inTheWay(aims), ...small(aims)];
 }

@@ -454,13 +454,20 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     expect(ending.get_by_role("link", name="What shows more?")).to_have_attribute(
         "href", f"#/new?from={job['id']}&show=more"
     )
+    mill = ending.get_by_role("link", name=re.compile("^Send to "))
+    expect(mill).to_have_attribute("href", f"#/machines/shop?job={job['id']}&program=1")
     ending.get_by_role("button", name="Programs").click()
     expect(page.get_by_role("heading", name="Programs")).to_be_in_viewport()
     page = open_blank(opened, "job")
+    ending = page.get_by_role("region", name="Your lens is ready to mill")
     runs = [RUN_EXAMPLE | {"job": job["id"], "state": "finished", "program": one} for one in job["programs"]]
     programs = [{key: run["program"][key] for key in ("number", "name", "sha256")} for run in runs]
     told = [run | {"program": program} for run, program in zip(runs, programs, strict=True)]
+    page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told[:1], "next": None}))
+    page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
+    expect(ending.get_by_role("link", name=re.compile("^Send to "))).to_have_attribute("href", re.compile("program=2$"))
     page.route("**/v1/runs?job=*", lambda route: route.fulfill(json={"runs": told, "next": None}))
+    page.evaluate("location.hash = '#/-'")
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     milled = page.get_by_role("region", name="Your lens is milled")
     expect(milled.get_by_role("listitem").first).to_contain_text("done")

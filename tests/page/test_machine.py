@@ -52,7 +52,10 @@ def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened:
     for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left on a real mill")):
         told(page, state)
         page.evaluate(f"location.hash = '{SCREEN}'")
-        expect(page.locator(".meter .row span").first).to_have_text(words)
+        left = page.locator(".meter .row span").first
+        expect(left).to_have_text(words)
+        assert left.evaluate("one => parseFloat(getComputedStyle(one).fontSize)") >= 24, "read from across the room"
+        expect(page.locator(".step")).to_have_text("The program runs.")
         page.evaluate("location.hash = '#/machines'")
 
 

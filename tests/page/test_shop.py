@@ -183,6 +183,10 @@ def test_all_mills_of_the_shop_are_on_one_screen_each_with_its_hold(watched: Cal
     until(lambda: (page.wait_for_timeout(20), way.stops())[1], what="HOLD of one of them")
     assert way.stops() == ["barn hold"]
     assert hold.bounding_box() == place
+    assert page.locator(".hold.taken:visible").count() == 0
+    tell(page, mills | {"barn": ("held", {})})
+    expect(cards.nth(1).locator(".hold.taken")).to_be_enabled()  # one more press of it never does harm
+    expect(page.locator("#mill .hold.taken")).to_be_visible()
 
 
 def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewhere(

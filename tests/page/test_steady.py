@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.page.browser import SIZES
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state, out_of_sight, tick_all
+from tests.page.driving import machine_state, out_of_sight, setup, tick_all
 from tests.page.machine_states import told, with_control
 
 REFUSAL = "Start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
@@ -86,6 +86,7 @@ def test_words_that_come_and_go_move_no_button_that_moves_the_mill(opened: Opene
         expect(machine_state(page)).to_have_text(word)
         assert boxes(page, MOVING + SETTING) == before, word
         assert page.locator(".next").bounding_box() == high, word
+        assert setup(page).get_by_role("button", name="Unlock").is_enabled() == (word == "locked"), word
     page.route("**/control/jog", lambda route: route.fulfill(status=409, json={"detail": "Jog: it leaves the travel"}))
     page.get_by_role("button", name="Z up").click()
     expect(page.locator(".jog .said")).to_have_text("Jog: it leaves the travel.")

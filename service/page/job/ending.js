@@ -6,6 +6,7 @@ import { mark } from "../lib/state.js";
 import { hours, within } from "../lib/words.js";
 import { eyeWords, isHard } from "./eye_words.js";
 import { likenessOf, millSeconds } from "./figures.js";
+import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
 import { sheetLink } from "./save.js";
 
@@ -26,28 +27,31 @@ export function endingPart() {
     if (node.hidden || key === shown) return;
     shown = key;
     picture.alt = t`On the wall, ${within(seen.title)}`;
-    replace(next, words(job, artifacts, 0));
-    const milled = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => finishedOf(job, runs), () => 0);
+    replace(next, words(job, artifacts, job.programs, []));
+    const toMill = api.get(`/v1/runs?job=${job.id}`).then(({ runs }) => unmilledOf(job, runs), () => job.programs);
+    const mills = knownMills();
     picture.src = await shelf.get(artifacts.get(seen.name)).catch(() => "");
-    replace(next, words(job, artifacts, await milled));
+    replace(next, words(job, artifacts, await toMill, await mills));
   }
   return { node, update, free: shelf.free };
 }
 
-/** How many of a job's programs some mill has finished. */
-function finishedOf(job, runs) {
+/** A job's programs that no mill has finished. */
+function unmilledOf(job, runs) {
   const done = new Set(runs.filter(({ state }) => state === "finished").map(({ program }) => program.number));
-  return job.programs.filter(({ number }) => done.has(number)).length;
+  return job.programs.filter(({ number }) => !done.has(number));
 }
 
-function words(job, artifacts, milled) {
-  const { report, programs } = job, isMilled = programs.length > 0 && milled === programs.length;
+function words(job, artifacts, toMill, mills) {
+  const { report, programs } = job, isMilled = programs.length > 0 && toMill.length === 0;
   const finish = report?.finishing?.steps.length > 0 && report.finishing;
   const seen = likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled) ?? likenessOf(report?.optics);
   const sheet = artifacts.get(SHEET);
-  const share = shareWords(milled, programs.length, hours(millSeconds(report) ?? NaN));
+  const share = shareWords(programs.length - toMill.length, programs.length, hours(millSeconds(report) ?? NaN));
+  const [program, mill] = [toMill[0], mills[0]];
+  const send = program && mill && sendLink(job, program, mill, { alone: mills.length === 1, first: true });
   const steps = [
-    [isMilled, t("Mill it"), share, [!isMilled && jump("#programs-title", t("Programs")), sheet && !isMilled && sheetLink(sheet, t("Setup sheet"))]],
+    [isMilled, t("Mill it"), share, !isMilled && [send, jump("#programs-title", t("Programs")), sheet && sheetLink(sheet, t("Setup sheet"))]],
     finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump("#finishing-title", t("How"))]],
     artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump("#photo-title", t("Photograph"))]],
   ];

@@ -37,7 +37,7 @@ export function programsPart() {
     const key = JSON.stringify([job.state, job.cancel_requested, job.programs, programRows(job.report).map((row) => row.time_s)]);
     if (key === shown) return;
     shown = key;
-    if (mayBeMilled(job) && !mills) mills = await machines();
+    if (mayBeMilled(job) && !mills) mills = await knownMills();
     noMill.hidden = !mayBeMilled(job) || mills.length > 0;
     replace(list, job.programs.map((program) => row(job, program, mills ?? [])));
   }
@@ -53,9 +53,12 @@ function waitWords(job) {
     : t("The job was not finished: try again, and they can be sent to a mill once they have been checked.");
 }
 
-async function machines() {
+/** The mills of the shop, real ones first, and of those the ones that are connected. */
+export async function knownMills() {
+  const last = ({ simulated, mill }) => 2 * Number(simulated) + Number(!mill?.connected);
   try {
-    return (await api.get("/v1/machines")).machines ?? [];
+    const { machines = [] } = await api.get("/v1/machines");
+    return machines.sort((one, other) => last(one) - last(other));
   } catch {
     return []; // the files are of use without a mill, too
   }
@@ -66,8 +69,8 @@ function row(job, program, mills) {
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const facts = [seconds && hours(seconds), lines && t`${thousands(lines)} lines`, bytes(program.bytes)];
-  const real = mills.toSorted((one, other) => Number(one.simulated) - Number(other.simulated));
-  const sends = mayBeMilled(job) && real.map((mill, k) => sendLink(job, program, mill, { alone: mills.length === 1, first: k === 0 }));
+  const alone = mills.length === 1, first = program === job.programs[0];
+  const sends = mayBeMilled(job) && mills.map((mill, k) => sendLink(job, program, mill, { alone, first: first && k === 0 }));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: t("Save") });
   return h(
     "li", {},
@@ -85,11 +88,11 @@ function passOf(name, job) {
   return passesOf(job)[number - 1];
 }
 
-function sendLink(job, program, mill, { alone, first }) {
+/** The way to a mill's own screen, which offers the programs after this one, each in its turn. */
+export function sendLink(job, program, mill, { alone, first }) {
   const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
   const words = alone ? t("Send to mill") : t`Send to ${mill.name}`;
-  const isFirst = first && program === job.programs[0]; // the mill's own screen offers those after it, each in its turn
-  return h("a", { class: isFirst ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
+  return h("a", { class: first ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
 }
 
 /** {node, update(job, artifacts)}: what else there is to keep. */

@@ -9,7 +9,7 @@ import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark } from "../lib/state.js";
 import { percentUnderWay } from "../lib/words.js";
-import { isLive, mills } from "./mills.js";
+import { isHeld, isLive, mills } from "./mills.js";
 import { addressOf, needsHand, standingInShop, urgency } from "./words.js";
 
 /** Fills the place in the head of the page, which stays empty where no mill is known. */
@@ -43,6 +43,7 @@ export function showMill(place) {
     bar.hidden = !(live && share > 0);
     bar.value = share ?? 0;
     hold.style.visibility = live && !isOwnScreen(machine) ? "visible" : "hidden"; // its place is kept
+    hold.classList.toggle("taken", isHeld(machine));
     hold.setAttribute("aria-label", t`HOLD ${machine.name}`);
     write(alarm, isOwnScreen(machine) ? "" : mills.stopper(machine.name).words);
   }

@@ -4,7 +4,7 @@ import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { mark, shape } from "../lib/state.js";
 import { percentUnderWay, sentence } from "../lib/words.js";
-import { isLive, mills } from "./mills.js";
+import { isHeld, isLive, mills } from "./mills.js";
 import { notifySwitch } from "./notify.js";
 import { addressOf, leftWords, millWords, outOfReach, standingInShop } from "./words.js";
 
@@ -70,6 +70,7 @@ function card(name) {
     const { simulated, control, profile, run } = machine;
     const cut = run?.share > 0;
     hold.style.visibility = isLive(machine) ? "visible" : "hidden";
+    hold.classList.toggle("taken", isHeld(machine));
     write(alarm, mills.stopper(name).words);
     write(share, cut ? percentUnderWay(run.share) : "");
     meter.style.visibility = cut ? "visible" : "hidden";

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { StopSocket } from "./stop_socket.js";
 import { Stopper } from "./stopper.js";
-import { hasLiveRun } from "./words.js";
+import { hasLiveRun, stands } from "./words.js";
 
 const CALM_MS = 3000;
 const BUSY_MS = 1000;
@@ -52,6 +52,11 @@ export const mills = {
 /** Whether something moves on it, was held, or a program is on it that can go on: what HOLD is for. */
 export function isLive(machine) {
   return ["run", "holding", "held", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
+}
+
+/** Whether it is known to stand already: HOLD, which is still taken, has nothing to do. */
+export function isHeld(machine) {
+  return !api.away && stands(machine);
 }
 
 function tell() {

@@ -19,10 +19,14 @@ export function next(link, cards, presses) {
   const look = h("span", { class: "next-shape" });
   const trouble = h("p", { class: "trouble", role: "alert" });
   const step = h("p", { class: "step", role: "status" });
-  const more = h("div", { class: "next-more", tabIndex: 0 });
-  const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, t("More")), more);
+  const more = h("div", { class: "next-more", tabIndex: 0, hidden: true });
+  const unfold = () => (more.hidden = !fold.open);
+  const fold = h("details", { class: "next-fold", hidden: true, ontoggle: unfold }, h("summary", {}, t("More")));
   const place = h("div", { class: "next-act" });
-  const node = h("section", { class: "next", "aria-label": t("Next step") }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
+  const [words, side] = [h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place)];
+  const node = h("section", { class: "next", "aria-label": t("Next step") }, look, words, side, more);
+  const size = new ResizeObserver(() => document.documentElement.style.setProperty("--next", `${node.offsetHeight}px`));
+  size.observe(node);
   let [shown, drawn, refusal] = ["", "", NONE];
   let fresh = 0;
   let buttons = [];
@@ -82,6 +86,10 @@ export function next(link, cards, presses) {
       const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
       const { act } = nextStep;
       enable(buttons, !act || (free && (!act.press || presses[act.press]()?.disabled === false))); // what only shows is always free
+    },
+    close() {
+      size.disconnect();
+      document.documentElement.style.removeProperty("--next");
     },
   };
 }

@@ -4,7 +4,7 @@
  */
 
 import { t } from "../lib/language.js";
-import { ball, capital, jobName, percent } from "../lib/words.js";
+import { ball, capital, jobName } from "../lib/words.js";
 import { depthInBlock, findForeignAxes, isAtHome, isPlaced, isZeroSet, riseToSafe, isZeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
 import { hasLiveRun, programWords } from "./words.js";
@@ -43,8 +43,7 @@ function makeStep(step, words, more = {}) {
 function findRunningStep({ machine: { mill, run }, mine }) {
   const resume = mine ? RESUME : t("take control, then Resume; or STOP.");
   if (mill.state === "held") return makeStep("resume", resume, { kind: "warn" });
-  const cut = t`The program runs: ${percent(run.share)} is cut.`;
-  if (run.state === "running") return makeStep("run", cut, { kind: "busy", whole: true });
+  if (run.state === "running") return makeStep("run", t("The program runs."), { kind: "busy", whole: true });
   return makeStep("run", t("wait until it stands."), { kind: "busy" });
 }
 

@@ -79,8 +79,8 @@ function meter() {
   const share = h("strong", {});
   const bar = h("progress", { max: 1, "aria-label": t("Cut so far") });
   const line = h("span", {});
-  const left = h("span", {});
-  const node = h("div", { class: "meter" }, h("div", { class: "row spread" }, share, left), bar, h("div", { class: "row spread" }, line, notifySwitch()));
+  const left = h("span", { class: "left-over" });
+  const node = h("div", { class: "meter" }, h("div", { class: "row spread figures" }, share, left), bar, h("div", { class: "row spread" }, line, notifySwitch()));
   return {
     node,
     update(run, simulated) {
@@ -112,7 +112,7 @@ function warningsNode({ warnings = [], travel_in_doubt: travel }, zeroed) {
 function aboutSpindle(run, profile) {
   const words = profile?.spindle?.words ?? [];
   if (!run.open || !words.length) return null;
-  return h("details", { class: "warned" }, h("summary", {}, t("The spindle in a hold, and without the computer")), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
+  return h("details", { class: "warned" }, h("summary", {}, t("What the spindle does on HOLD or if the computer fails")), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
 }
 
 function startControls(link, list, words) {

@@ -47,13 +47,15 @@ export function setup(link) {
       const homing = link.machine?.profile?.homing;
       write(hint, homing === false ? t("This mill has no homing switches: jog to the corner of the block and set the zero there.") : "");
       enable([home], locked === "" && homing !== false && !link.busy);
-      enable([unlock.button], locked === "" && !link.busy);
+      const notLocked = whyNot(link, ["alarm"]);
+      enable([unlock.button], notLocked === "" && !link.busy);
+      unlock.button.title = notLocked;
       enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);
       enable([...zeros, probe.button], idle === "" && !link.busy);
       corner.update(link.run?.setup);
       enable([corner.button], idle === "" && !link.busy && corner.isWhole);
       if (idle) for (const part of [probe, corner]) part.close();
-      if (locked) unlock.close();
+      if (notLocked) unlock.close();
     },
   };
 }

@@ -30,6 +30,7 @@ export function stops(link) {
     update() {
       const state = link.machine?.mill?.state;
       const why = whyNot(link, HELD, { besideRun: true });
+      hold.classList.toggle("taken", !link.away && isConnected(link.machine) && HELD.includes(state));
       resume.hidden = !HELD.includes(state);
       resume.disabled = link.busy || why !== "";
       write(alarm, link.stopper.words || outageWords(link));

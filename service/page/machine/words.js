@@ -113,6 +113,7 @@ export function mayMove(machine) {
 
 /** Whether the mill is known to stand, and to stay where it is: between two lines of a program it only seems to. */
 export function stands({ mill, run }) {
+  if (!mill) return false;
   if (["held", "door", "tool", "alarm", "sleep"].includes(mill.state)) return true;
   return !MOVING.has(mill.state) && !LIVE.has(run?.state);
 }

@@ -9,6 +9,7 @@ import { passes } from "./passes.js";
 import { row } from "./row.js";
 import { isTable, merged, put, same, valueAt } from "./spec.js";
 
+const OTHERS = t("Other values, as JSON");
 const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 
 /**
@@ -88,7 +89,7 @@ export function specForm({ profiles, onChange, planned }) {
     reveal();
   }
 
-  /** Puts each problem {field: "spec.KEY", detail, use} beside its row; gives back {placed: rows, unplaced, focus()}. */
+  /** Puts each problem {field: "spec.KEY", detail, use} beside its row; gives back {placed: rows from the top, unplaced}. */
   function blame(problems) {
     const all = [...rows, ...milling.rows(), rest];
     const faults = new Map();
@@ -103,8 +104,7 @@ export function specForm({ profiles, onChange, planned }) {
       const { use } = own.find(({ field }) => field === `spec.${one.key}`) ?? {};
       one.blame(own.map(({ detail }) => sentence(detail)).join(" "), use);
     }
-    const placed = [...faults.keys()];
-    return { placed, unplaced, focus: () => focusFirst(placed) };
+    return { placed: [...faults.keys()].sort(compareDown), unplaced };
   }
 
   /** Whether all rows of "lens", "light"... are as usual. */
@@ -152,16 +152,14 @@ function rowFor(rows, key) {
   return shown.find((one) => one.key.startsWith(`${key}.`));
 }
 
-/** Focus on the topmost of some rows, with whatever is folded around it opened. */
-function focusFirst(rows) {
-  const [first] = rows.sort((one, other) =>
-    one.element.compareDocumentPosition(other.element) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1,
-  );
-  if (!first) return false;
-  for (let fold = first.element.closest("details"); fold; fold = fold.parentElement.closest("details"))
-    fold.open = true;
-  first.focus();
-  return true;
+function compareDown(one, other) {
+  return one.element.compareDocumentPosition(other.element) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1;
+}
+
+/** Focus on a row, with whatever is folded around it opened. */
+export function focusRow(row) {
+  for (let fold = row.element.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+  row.focus();
 }
 
 function safely(read) {
@@ -189,12 +187,12 @@ function otherValues(onChange) {
     element: h(
       "div",
       { class: "field" },
-      h("span", { id: label }, t("Other values, as JSON")),
+      h("span", { id: label }, OTHERS),
       text,
       h("small", { id: hint }, t("For keys without a field: {\"optics\": {\"outline\": [[0, 0], [50, 0], [25, 40]]}}")),
       words,
     ),
-    field: {},
+    field: { label: OTHERS },
     focus: () => text.focus(),
     blame(found) {
       words.textContent = found ?? "";

@@ -106,5 +106,5 @@ export function passes({ onChange, known }) {
 
 /** What is wrong with a pass as a whole stands at its head, as with a row of the form. */
 function wholePass(key, { element, title, fault }) {
-  return { key, field: {}, element, blame: (words) => write(fault, words ?? ""), focus: () => title.focus() };
+  return { key, field: { label: title.textContent }, element, blame: (words) => write(fault, words ?? ""), focus: () => title.focus() };
 }

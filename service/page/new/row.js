@@ -190,7 +190,7 @@ function select(field, { described, onChange }) {
     return value === field.usual ? undefined : value;
   };
   show(undefined);
-  return { id, element: [input, more], controls: [input], read, show };
+  return { id, element: h("div", { class: "chosen" }, input, more), controls: [input], read, show };
 }
 
 /** Options under the names of their groups, where they have any. */

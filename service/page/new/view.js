@@ -5,12 +5,12 @@ import { toast } from "../lib/dialog.js";
 import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
-import { capital, sentence } from "../lib/words.js";
+import { sentence } from "../lib/words.js";
 import { foretell } from "../job/foretold.js";
 import { couponPart } from "./coupon.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
-import { specForm } from "./form.js";
+import { focusRow, specForm } from "./form.js";
 import { usualOf } from "./fields.js";
 import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
@@ -24,7 +24,8 @@ const MACHINE_USUAL = usualOf("machine.profile");
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
 const MAKE = t("Make the lens");
 const NO_PICTURE = t("Choose a picture first.");
-const CANNOT = t("such a lens cannot be made.");
+const CANNOT = t("Such a lens cannot be made.");
+const MOST_NAMED = 3; // beside the button
 const WAITS = t("The server does not answer. The job is sent as soon as it does; leave this page open.");
 
 export default async function view(root, params, app) {
@@ -87,7 +88,7 @@ function lateCard(title, load) {
 
 /** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: a person comes to see what shows more. */
 function newJob(profiles, app, withMills) {
-  const now = { estimate: null, sent: false, told: [], refused: [], why: "", goThere: null, forMore: false }; // problems by estimate, by refusal
+  const now = { estimate: null, sent: false, told: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
@@ -131,7 +132,7 @@ function newJob(profiles, app, withMills) {
   /** No button for what cannot be made: why not stands beside it. */
   function ready() {
     coupon.show(valueAt(form.read().spec, "machine.profile") ?? MACHINE_USUAL);
-    foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.why && now.goThere);
+    foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.look);
   }
 
   async function begin(/** @type {any} */ { spec, forMore, ...start }) {
@@ -180,15 +181,15 @@ function newJob(profiles, app, withMills) {
   /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
   function showProblems({ focus = false } = {}) {
     const own = form.read().faults.map(({ row, words }) => ({ field: `spec.${row.key}`, detail: words }));
-    const { placed, unplaced, focus: goThere } = form.blame([...own, ...bothOf(now.told, now.refused)]);
+    const { placed, unplaced } = form.blame([...own, ...bothOf(now.told, now.refused)]);
     const ofPicture = unplaced.filter(({ field }) => field === "image");
     side.blame(ofPicture.map(({ detail }) => sentence(detail)).join(" "));
     foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ field, detail }) => sentence(field ? `${field}: ${detail}` : detail)));
-    const names = placed.map(({ field }) => field.label).filter(Boolean);
-    now.why = now.told.length ? capital([...names, CANNOT].join(": ")) : "";
-    now.goThere = placed.length > 0 && goThere;
+    now.why = now.told.length ? CANNOT : "";
+    now.look = placed;
     ready();
-    if (focus && !goThere()) (ofPicture.length ? side : foot).focus();
+    if (focus && placed.length) focusRow(placed[0]);
+    else if (focus) (ofPicture.length ? side : foot).focus();
   }
 
   async function submit() {
@@ -246,31 +247,35 @@ function leaveField({ key, target, isComposing }) {
 /** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */
 function submitBar(onclick) {
   const line = h("p", { class: "line" });
-  const why = h("p", { class: "line why", id: freshId("why") });
-  const show = h("button", { type: "button", class: "quiet", onclick: () => now.goThere() }, t("Show"));
+  const why = h("p", { class: "line why row", id: freshId("why") });
   const button = h("button", { type: "button", class: "primary big", "aria-describedby": why.id, onclick }, MAKE);
   const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
   const faults = h("div", { class: "stack tight", role: "alert" });
   const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
-  const now = { sending: false, why: "", goThere: null };
+  const now = { sending: false, why: "", look: [] };
+  let told = [];
+  const name = (row) => h("button", { type: "button", class: "quiet", onclick: () => focusRow(row) }, row.field.label);
   function update() {
     button.setAttribute("aria-disabled", String(now.sending));
     button.disabled = now.why !== "" && !now.sending;
     write(button, now.sending ? t("Sending…") : MAKE);
-    write(why, now.why);
-    why.hidden = !now.why;
-    line.hidden = Boolean(now.why);
-    show.hidden = !now.goThere;
+    line.hidden = Boolean(now.why || now.look.length);
+    why.hidden = !line.hidden;
+    const more = now.look.length - MOST_NAMED, said = [now.why, ...now.look];
+    if (said.length === told.length && said.every((one, k) => one === told[k])) return; // what has the focus keeps it
+    told = said;
+    const names = now.look.slice(0, MOST_NAMED).map(name);
+    replace(why, now.why, names.length > 0 && [t("Look at:"), names, more > 0 && t`+ ${more} more`]);
   }
   return {
-    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, show, button)),
+    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
     say: (words) => write(line, words),
     blame: (details) => replace(faults, details.map(notice)),
     wait: (waiting) => (waits.hidden = !waiting),
     isBusy: () => now.sending,
     busy: (sending) => ((now.sending = sending), update()),
-    /** why: what is missing before it can be sent, "" nothing; goThere(): where it is. */
-    ready: (why, goThere) => (Object.assign(now, { why, goThere }), update()),
+    /** why: what is missing before it can be sent, "" nothing; look: the rows to look at. */
+    ready: (why, look = []) => (Object.assign(now, { why, look }), update()),
     focus: () => button.focus(),
   };
 }
