@@ -8,6 +8,7 @@ noise, and fills more of the valleys that make the picture's darkest places.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, log2
@@ -189,10 +190,27 @@ def find_candidates(
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
         if rough is None or rough.form is not form:
             rough = Roughing(form=form, shop=shop, like=rough, quickly=quickly)
+        if quickly and not candidates:
+            _plan_beside_rows(rough, lenses, tool)
         candidates += _generate_candidates(tool, rough, rests, light, FEW_ROWS if quickly else ROWS)
     if not candidates:
         raise NoPlanError(tuple(left_out))
     return candidates, tuple(left_out)
+
+
+def _plan_beside_rows(rough: Roughing, lenses: Mapping[float, LensForm], finish_by: Tool) -> None:
+    """Plan the first roughing, which is Python, while kernels make the rows of all balls; both remember."""
+    shop = rough.shop
+
+    def make_rows(tool: Tool) -> None:
+        if (form := lenses.get(tool.radius_mm)) is not None:
+            for finish in _generate_finishes(tool, shop):
+                rows_s(form, finish, shop.mill, shop.digits, made_rows=FEW_ROWS)
+
+    with ThreadPoolExecutor(1) as beside:
+        made = beside.map(make_rows, shop.balls)
+        rough.plan_before(next(_generate_finishes(finish_by, shop)))
+        list(made)
 
 
 def plan_among(

@@ -38,7 +38,7 @@ from optics.heightfield import Array, Heightfield
 
 ROWS, FEW_ROWS = 40, 12  # of a pass that are made; half as many are off by up to 4 %, of a coarse lens by 0.2 %
 _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
-_USUAL_PITCH_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
+_FEW_PITCHES_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
 _MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
@@ -162,7 +162,7 @@ def rows_s(
 
     digits : on which the vertices of a finishing pass are put; None: where they are
     """
-    pitches_mm = _PITCHES_MM if made_rows == ROWS else _USUAL_PITCH_MM
+    pitches_mm = _FEW_PITCHES_MM if made_rows == FEW_ROWS else _PITCHES_MM
     like = replace(spec, strategy="raster", pitch_mm=min(pitches_mm, key=lambda one: abs(log(one / spec.pitch_mm))))
     if spec.finishes:
         rounding = None if digits is None else Rounding(digits=digits, pitch_mm=like.pitch_mm)

@@ -66,8 +66,9 @@ class Spectra:
     def bends_of(self, marks: Marks) -> Array:
         """Return (n,) of what rows leave, as a pixel on the screen sees it [1/mm^2]."""
         if marks not in self._bends:
-            spec, off_mm = marks.spec, round(marks.slopes.off_mm, 6)
-            self._bends[marks] = _row_bends(spec.radius_mm, spec.pitch_mm, off_mm, self._across_mm(spec))
+            spec = marks.spec
+            seen = np.square(np.sinc(_ROW_WAVES * self._across_mm(spec) / (2.0 * np.pi)))
+            self._bends[marks] = seen * _row_bends(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6))
         return self._bends[marks]
 
     def _sum_squares(self, waves: Array) -> Array:
@@ -235,12 +236,11 @@ def _wave_numbers(heights: Array, spacing_mm: float) -> Array:
 
 
 @lru_cache(maxsize=512)
-def _row_bends(radius_mm: float, pitch_mm: float, off_mm: float, pixel_mm: float) -> Array:
-    """Return mean squares [1/mm^2] of the curvature of rows by _ROW_WAVES, as a pixel on the screen sees it."""
+def _row_bends(radius_mm: float, pitch_mm: float, off_mm: float) -> Array:
+    """Return mean squares [1/mm^2] of the curvature of rows by _ROW_WAVES."""
     heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
     k = _wave_numbers(heights, spacing_mm)
     some = slice(1, int(np.searchsorted(k, _ROW_WAVES[-1])))
     k, squares = k[some], 2.0 * np.square((np.abs(np.fft.rfft(heights)) / heights.size)[some] * k[some] ** 2)
     nearest = np.rint((np.log(k) - np.log(_ROW_WAVES[0])) / _ALIKE).astype(np.int64)
-    seen = squares * np.square(np.sinc(k * pixel_mm / (2.0 * np.pi)))
-    return np.asarray(np.bincount(nearest, seen, minlength=_ROW_WAVES.size), dtype=np.float64)
+    return np.asarray(np.bincount(nearest, squares, minlength=_ROW_WAVES.size), dtype=np.float64)
