@@ -88,9 +88,12 @@ class StagedJob:
         self.results[stage] = result
         self.outputs |= result.outputs
 
-    def run_all(self) -> StagedJob:
-        for stage in plan(self.spec):
-            self.run(stage)
+    def run_all(self, *, until: str | None = None, without: Collection[str] = ()) -> StagedJob:
+        """Run all stages, or those before `until`, but for some that none of these needs."""
+        stages = plan(self.spec)
+        for stage in stages[: stages.index(until) if until else None]:
+            if stage not in without:
+                self.run(stage)
         return self
 
     @property

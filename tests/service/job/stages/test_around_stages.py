@@ -74,8 +74,7 @@ def test_without_a_facing_the_first_pass_begins_so() -> None:
 def test_the_lens_is_what_it_is_without_them(job: StagedJob, tmp_path: Path) -> None:
     """Passes begin at a faced block as at one that was flat from the first: the same programs, byte by byte."""
     plain = staged_job(tmp_path, "stock.thickness_mm=4", "machine.coolant=air")
-    for stage in plan(plain.spec)[: plan(plain.spec).index("check")]:
-        plain.run(stage)
+    plain.run_all(until="check", without=("caustic",))
     for name in ("pass-1-rough.nc", "pass-2-finish.nc"):
         assert plain.bytes(name) == job.bytes(name)
 
@@ -83,8 +82,7 @@ def test_the_lens_is_what_it_is_without_them(job: StagedJob, tmp_path: Path) -> 
 def test_the_first_pass_begins_at_what_the_facing_has_left(job: StagedJob, tmp_path: Path) -> None:
     """Under the cusps of a ball it finds another block than under a flat cutter, and goes another way."""
     coarse = staged_job(tmp_path, *AROUND, 'stock.face={above_mm=0.5,radius_mm=1,tool="ball",pitch_mm=1.0}')
-    for stage in plan(coarse.spec)[: plan(coarse.spec).index("pass-2")]:
-        coarse.run(stage)
+    coarse.run_all(until="pass-2", without=("caustic",))
     assert coarse.report["around"]["face"]["left_um"] == pytest.approx(1000 * (1 - 0.75**0.5), rel=0.1)
     assert coarse.bytes("pass-1-rough.nc") != job.bytes("pass-1-rough.nc")
 

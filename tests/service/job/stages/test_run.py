@@ -21,7 +21,7 @@ from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, t
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
-    return staged_job(tmp_path_factory.mktemp("job")).run_all()
+    return staged_job(tmp_path_factory.mktemp("job")).run_all(until="check", without=("caustic",))
 
 
 def silent(_share: float) -> None: ...
@@ -67,9 +67,7 @@ def test_a_damaged_and_a_black_picture_are_refused_by_their_name(job: StagedJob,
 
 def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
     """The feed it carries is that of way and time; one that carries all of it is not told of."""
-    slow = staged_job(tmp_path, "machine.lines_per_s=20")
-    for stage in ("image", "irradiance", "map", "heightfield", "pass-1", "pass-2"):
-        slow.run(stage)
+    slow = staged_job(tmp_path, "machine.lines_per_s=20").run_all(until="check", without=("caustic",))
     row, (told,) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
     found = re.search(r"F(\d+) is asked for, and 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
     assert found is not None, told
