@@ -72,11 +72,12 @@ def write_last_run(name: str, cells: list[str]) -> None:
 
 
 def commit() -> str:
-    """Of what is run; with a star where it is not all committed."""
-    found = subprocess.run(
-        ["git", "describe", "--always", "--dirty=*", "--exclude=*"], capture_output=True, text=True, check=True
-    )
-    return found.stdout.strip()
+    """Of what is run; with a star where it is not all committed, the rows of these trials excepted."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
+
+    return git("rev-parse", "--short", "HEAD") + "*" * bool(git("status", "--porcelain", "--", ".", f":!{LAST_RUNS}"))
 
 
 if __name__ == "__main__":
