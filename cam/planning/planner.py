@@ -176,41 +176,43 @@ def find_candidates(
     quickly : their times from fewer moves, within a tenth or two minutes
     NoPlanError where all are left out.
     """
-    left_out: list[tuple[str, str]] = []
+    reasons = {tool: _find_reason(tool, lenses.get(tool.radius_mm), shop) for tool in shop.balls}
+    left_out = tuple((tool.name, reason) for tool, reason in reasons.items() if reason is not None)
+    fitting = [(tool, lenses[tool.radius_mm]) for tool, reason in reasons.items() if reason is None]
     candidates: list[Candidate] = []
     rough: Roughing | None = None
-    for tool in shop.balls:
-        form = lenses.get(tool.radius_mm)
-        if form is None:
-            left_out.append((tool.name, find_unheld(tool, shop) or "no lens was shaped for it"))
-            continue
-        if (reason := find_exclusion(tool, form, shop) or _find_misfit(tool, form)) is not None:
-            left_out.append((tool.name, reason))
-            continue
+    for tool, form in fitting:
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
         if rough is None or rough.form is not form:
             rough = Roughing(form=form, shop=shop, like=rough, quickly=quickly)
         if quickly and not candidates:
-            _plan_beside_rows(rough, lenses, tool)
+            _plan_beside_rows(rough, fitting)
         candidates += _generate_candidates(tool, rough, rests, light, FEW_ROWS if quickly else ROWS)
     if not candidates:
-        raise NoPlanError(tuple(left_out))
-    return candidates, tuple(left_out)
+        raise NoPlanError(left_out)
+    return candidates, left_out
 
 
-def _plan_beside_rows(rough: Roughing, lenses: Mapping[float, LensForm], finish_by: Tool) -> None:
-    """Plan the first roughing, which is Python, while kernels make the rows of all balls; both remember."""
+def _find_reason(tool: Tool, form: LensForm | None, shop: Shop) -> str | None:
+    """Return why a tool is left out, as a clause; None where it is not."""
+    if form is None:
+        return find_unheld(tool, shop) or "no lens was shaped for it"
+    return find_exclusion(tool, form, shop) or _find_misfit(tool, form)
+
+
+def _plan_beside_rows(rough: Roughing, fitting: list[tuple[Tool, LensForm]]) -> None:
+    """Plan the first roughing, which is Python, while kernels make the rows of all balls; both are remembered."""
     shop = rough.shop
 
-    def make_rows(tool: Tool) -> None:
-        if (form := lenses.get(tool.radius_mm)) is not None:
-            for finish in _generate_finishes(tool, shop):
-                rows_s(form, finish, shop.mill, shop.digits, made_rows=FEW_ROWS)
+    def make_rows(tool: Tool, form: LensForm) -> None:
+        for finish in _generate_finishes(tool, shop):
+            rows_s(form, finish, shop.mill, shop.digits, made_rows=FEW_ROWS)
 
     with ThreadPoolExecutor(1) as beside:
-        made = beside.map(make_rows, shop.balls)
-        rough.plan_before(next(_generate_finishes(finish_by, shop)))
-        list(made)
+        made = [beside.submit(make_rows, tool, form) for tool, form in fitting]
+        rough.plan_before(next(_generate_finishes(fitting[0][0], shop)))
+        for one in made:
+            one.result()
 
 
 def plan_among(
