@@ -238,14 +238,27 @@ def test_off_the_block_by_the_line(opened: Opened) -> None:
     assert sent == [("jog", {"by_mm": [0, 0, 5], "feed_mm_per_min": 500})]
 
 
-def test_travel_is_in_doubt_only_once_every_zero_is_set(opened: Opened) -> None:
-    """Before that it is bound to be: the program is placed by a zero that nobody has set for it."""
-    page = with_control(opened, "parked", mill=XY_SET)
+@pytest.mark.parametrize("said", [{}, {"warnings": [], "travel_in_doubt": False}])
+def test_travel_is_in_doubt_only_once_every_zero_is_set(opened: Opened, said: dict[str, Any]) -> None:
+    """Before that it is bound to be: the program is placed by a zero that nobody has set for it. With the first axis
+    that is set the agent withdraws its warning, and travel is as little known.
+    """
+    page = with_control(opened, "parked", mill=XY_SET, run=said)
     card = page.locator(".running")
     expect(card).to_contain_text("Whether it fits the travel is known once X, Y and Z are set.")
     expect(card.get_by_text("It may not fit the travel")).to_have_count(0)
-    told(page, "parked", operator="Ada", mill=ALL_SET | UP)
-    expect(card.get_by_text("It may not fit the travel")).to_be_visible()
+    told(page, "parked", operator="Ada", mill=ALL_SET | UP, run=said)
+    expect(card.get_by_text("No warnings" if said else "It may not fit the travel")).to_be_visible()
+
+
+def test_the_head_of_the_page_knows_of_a_start_as_soon_as_the_screen_below_it(opened: Opened) -> None:
+    page = with_control(opened, "parked")
+    expect(page.locator(".chip-state")).to_contain_text("waits for your start")
+    page.evaluate(
+        "import('/page/machine/mills.js').then(({ mills }) => { mills.look = async () => {}; })"
+    )  # asks no more
+    told(page, "running", operator="Ada")
+    expect(page.locator(".chip-state")).to_contain_text("running")
 
 
 def test_the_list_says_who_switches_the_spindle_on(opened: Opened) -> None:

@@ -8,6 +8,7 @@ import { t } from "../lib/language.js";
 import { follow } from "../lib/sse.js";
 import { sendGranted } from "./granted.js";
 import { Lease } from "./lease.js";
+import { mills } from "./mills.js";
 import { StopSocket } from "./stop_socket.js";
 import { Stopper } from "./stopper.js";
 
@@ -90,6 +91,7 @@ export class MillLink {
     this.away = "";
     this.lease.check(machine);
     this.stopper.see(machine);
+    mills.hear(machine);
     if (open && open.id === this.run?.id && open.state === this.run.state) {
       Object.assign(this.run, open, { program: this.run.program });
     } else if (open) {

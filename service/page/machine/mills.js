@@ -27,7 +27,13 @@ export const mills = {
     tell();
   },
 
-  /** fn() whenever they were looked at, or a stop was answered. Returns how to stop watching. */
+  /** One of them as its own screen hears of it, sooner than it is looked at. */
+  hear(machine) {
+    mills.seen = { ...mills.seen, machines: mills.seen.machines.map((one) => (one.name === machine.name ? machine : one)) };
+    tell();
+  },
+
+  /** fn() whenever they were looked at or heard of, or a stop was answered. Returns how to stop watching. */
   watch(fn) {
     watchers.add(fn);
     return () => watchers.delete(fn);

@@ -102,7 +102,7 @@ function notes(run, zeroed) {
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
 function warningsNode({ warnings = [], travel_in_doubt: travel }, zeroed) {
-  if (travel && !zeroed) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
+  if (!zeroed && (travel || !warnings.length)) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
   const words = travel ? t("It may not fit the travel") : warnings.length === 1 ? t`${warnings.length} warning` : t`${warnings.length} warnings`;
   return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
