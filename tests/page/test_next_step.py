@@ -79,7 +79,7 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         machine = copy.deepcopy(MACHINE)
         machine["mill"] |= mill
         found: list[str] = modules.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
-        return found
+        return [text.replace("\xa0", " ") for text in found]
 
     assert due({"state": "disconnected", "connected": False}, mine=False)[0] == "trouble"
     assert due(FRESH | LOST, mine=False)[0] == "control"
