@@ -433,3 +433,15 @@ def test_the_console_tells_what_matters(opened: Opened) -> None:
     lines = page.locator(".log li span")
     told_of = ["locked", "Home: done", "pass-1.nc: waits for your start", *(words for _, words, _ in entries[-2:])]
     expect(lines).to_have_text(told_of)
+
+
+def test_an_alarm_is_red_for_who_only_watches_and_a_mill_just_switched_on_is_not(opened: Opened) -> None:
+    page = open_blank(opened, "machine")
+    told(page, "interrupted")
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    expect(page.locator(".next.bad")).to_contain_text("take control")
+    expect(page.locator(".recover")).to_contain_text("Take control first.")
+    page = open_blank(opened, "machine")
+    told(page, "locked", mill={"alarm": 0, "code": "", "detail": ""})
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    expect(page.locator(".next:not(.bad)")).to_contain_text("take control")
