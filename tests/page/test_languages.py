@@ -228,6 +228,13 @@ def test_nothing_is_cut_in_german_whose_words_are_the_longest(opened: Opened, na
         assert layout_faults(page) == [], size
 
 
+def test_what_is_ticked_before_a_start_is_in_the_language_of_the_page(opened: Opened) -> None:
+    page = of_a_machine_watched("parked")(partial(opened, script=of_languages("de")))
+    ticks = page.locator(".checklist .tick small")
+    expect(ticks.nth(0)).to_contain_text("Kugelfräser, R 0.5 (Ø 1 mm); Werkzeug wechseln von R 3 (Ø 6 mm) zu R 0.5")
+    expect(ticks.nth(1)).to_contain_text("vordere linke Ecke der Linse, 8 mm von")
+
+
 def test_english_loads_no_table(page: Page) -> None:
     expect(page.get_by_role("link", name="Jobs", exact=True)).to_be_visible()
     assert "/languages/" not in page.evaluate("performance.getEntriesByType('resource').map((one) => one.name).join()")

@@ -79,7 +79,7 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
         machine = copy.deepcopy(MACHINE)
         machine["mill"] |= mill
         found: list[str] = modules.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
-        return found
+        return [text.replace("\xa0", " ") for text in found]
 
     assert due({"state": "disconnected", "connected": False}, mine=False)[0] == "trouble"
     assert due(FRESH | LOST, mine=False)[0] == "control"
@@ -446,3 +446,15 @@ def test_the_console_tells_what_matters(opened: Opened) -> None:
     lines = page.locator(".log li span")
     told_of = ["locked", "Home: done", "pass-1.nc: waits for your start", *(words for _, words, _ in entries[-2:])]
     expect(lines).to_have_text(told_of)
+
+
+def test_an_alarm_is_red_for_who_only_watches_and_a_mill_just_switched_on_is_not(opened: Opened) -> None:
+    page = open_blank(opened, "machine")
+    told(page, "interrupted")
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    expect(page.locator(".next.bad")).to_contain_text("take control")
+    expect(page.locator(".recover")).to_contain_text("Take control first.")
+    page = open_blank(opened, "machine")
+    told(page, "locked", mill={"alarm": 0, "code": "", "detail": ""})
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    expect(page.locator(".next:not(.bad)")).to_contain_text("take control")

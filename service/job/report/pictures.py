@@ -49,7 +49,7 @@ PICTURES = (
         name="caustic.png",
         part="light",
         title="Ideal caustic",
-        note="of the lens as designed: sharper than it shall be, where the tool will blur it",
+        note="of the lens as designed, before the tool blurs it",
         caption="The simulated caustic: what a perfect surface paints on the wall, at the same exposure.",
         shown="wall",
     ),

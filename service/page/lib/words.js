@@ -24,7 +24,7 @@ export function mm(length) {
 
 /** A ball's size, by its radius as in the spec and by its diameter as on its box: "R 3 (Ø 6 mm)". */
 export function ball(radiusMm) {
-  return `R ${figures(radiusMm, 3)} (Ø ${figures(2 * radiusMm, 3)} mm)`;
+  return `R\u00a0${figures(radiusMm, 3)} (Ø\u00a0${figures(2 * radiusMm, 3)}\u00a0mm)`;
 }
 
 const PASSES = { rough: t("rough"), finish: t("finish") };

@@ -3,8 +3,19 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { ball, thousands } from "../lib/words.js";
 import { enable } from "./refusal_line.js";
-import { checkWords } from "./words.js";
+
+const SHAPES = { "ball end mill": t("ball end mill"), "flat end mill": t("flat end mill"), "bull-nose end mill": t("bull-nose end mill") };
+/**
+ * What the server says of tool and zero, in words of the page.
+ * @type {[RegExp, (...found: string[]) => string][]}
+ */
+const TOLD = [
+  [/^change the tool from (.*) to (.*), set Z zero again; X and Y zero stay$/, (old, one) => t`change the tool from ${old} to ${one}, set Z zero again; X and Y zero stay`],
+  [/^the same tool as before, (.*): it stays in, and all zeros as they are$/, (one) => t`the same tool as before, ${one}: it stays in, and all zeros as they are`],
+  [/^X0 Y0: front left corner of the lens, (.*) mm from the block's left and front edges; Z0: the block's top$/, (margin) => t`X0 Y0: front left corner of the lens, ${margin} mm from the block's left and front edges; Z0: the block's top`],
+];
 
 /**
  * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it what
@@ -61,4 +72,35 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
 function line(check, box, run) {
   const [words, more] = checkWords(check, run);
   return h("label", { class: "tick" }, box, h("span", {}, words, more && h("small", {}, more)));
+}
+
+function told(words = "") {
+  for (const [form, say] of TOLD) if (form.test(words)) return say(...form.exec(words).slice(1));
+  return words;
+}
+
+/** Every program switches it on; what has a switch of its own does not hear that. */
+function spindleWords(rpm) {
+  return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
+}
+
+/** What a person looked at before the mill moves; `setup` of the run says what is right. */
+function checkWords(check, run) {
+  const { tool, stock, zero, change } = run.setup ?? {};
+  switch (check) {
+    case "tool":
+      return [t("The tool is in and tight"), [tool && `${SHAPES[tool.shape] ?? tool.shape}, ${ball(tool.radius_mm)}`, told(change?.words)].filter(Boolean).join("; ")];
+    case "zero":
+      return [t("The work zero is set for this tool"), told(zero)];
+    case "stock":
+      return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
+    case "clear":
+      return [t("Nothing is in the way of the tool"), [t("hands, clamps, wrenches, the probe's cable; goggles on"), spindleWords(tool?.spindle_rpm)].filter(Boolean).join("; ")];
+    case "position":
+      return [t("The position shown is where the tool really is"), t("compare the readout with the block")];
+    case "order":
+      return [t("Passes may be left out"), t`not finished on this mill: ${run.left_out.map((one) => one.name).join(", ")}`];
+    default:
+      return [check, ""];
+  }
 }

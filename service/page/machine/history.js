@@ -30,7 +30,7 @@ export function history(link) {
   const said = refusalLine();
   const place = h("div", { class: "stack" });
   const fold = h("details", { ontoggle: () => fold.open && said.run(show) }, h("summary", {}, h("h2", { id: "history-title" }, t("History"))), place, said.node);
-  const node = h("section", { class: "card history", "aria-labelledby": "history-title" }, fold);
+  const node = h("section", { class: "card folded history", "aria-labelledby": "history-title" }, fold);
 
   async function show() {
     const runs = (await allRuns(link.name)).filter((run) => run.started_at);

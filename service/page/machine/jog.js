@@ -81,7 +81,8 @@ export function jogPanel(link) {
       const able = why === "" && !link.busy;
       const heard = !link.away && isConnected(link.machine);
       inside.update(depthInBlock(link.machine) > 0, link.machine?.mill?.state === "idle");
-      enable([...steps.inputs, feed, inside.node], heard);
+      enable([...steps.inputs, feed], heard);
+      enable([inside.node], heard && link.mine);
       // A step takes a moment; buttons that flicker off and on lose the finger.
       if (able || !isStep(link)) {
         enable([buttons[UP]], able);

@@ -32,7 +32,7 @@ export function findNextStep(link, { load = {}, ticked = false, named = true } =
   if (!link.machine && !trouble) return makeStep("wait", t("Asking the server."), { whole: true });
   if (standsStill) return { ...makeStep("trouble", trouble.next, { kind: trouble.kind }), trouble };
   if (hasLiveRun(link.machine)) return findRunningStep(link);
-  if (!link.mine) return { ...findControlStep(link), trouble };
+  if (!link.mine) return { ...findControlStep(link), ...(trouble && { kind: trouble.kind }), trouble };
   return { ...findStandingStep(link, trouble, load, { ticked, named }), trouble };
 }
 

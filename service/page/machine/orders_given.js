@@ -13,7 +13,7 @@ export function ordersGiven(link) {
   const rows = h("ol", { class: "given", tabIndex: 0, "aria-label": t("Orders and stops") });
   const older = h("button", { type: "button", onclick: () => words.run(() => add(next)) }, t("Show older ones"));
   const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, t("Orders"))), rows, older, words.node);
-  const node = h("section", { class: "card orders", "aria-labelledby": "given-title" }, fold);
+  const node = h("section", { class: "card folded orders", "aria-labelledby": "given-title" }, fold);
   let next = null;
   let seen = ""; // of the log, when they were asked for last
   older.hidden = true;

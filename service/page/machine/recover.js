@@ -19,7 +19,8 @@ const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 export function recover(link) {
   const words = refusalLine();
   const steps = h("ol", { class: "wizard" });
-  const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, t("Go on with this program")), steps, words.node);
+  const closed = h("p", { class: "dim" }, t("Take control first."));
+  const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, t("Go on with this program")), closed, steps, words.node);
   let seen = "";
   let shown = "";
   let list = null;
@@ -94,6 +95,7 @@ export function recover(link) {
       if (!wanted) return void forget();
       const { state, position_trusted: trusted, connected, machine_mm: place } = machine.mill;
       const mayAsk = api.who.scopes.includes("machine:run");
+      closed.hidden = mayAsk;
       const now = [run.id, run.state, state, trusted, connected, state === "idle" && place, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;

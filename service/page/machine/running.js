@@ -97,7 +97,7 @@ function notes(run, zeroed) {
   const own = ["interrupted", "aborted"].includes(run.state) ? "" : tell(run).whole; // said above, with what to do
   const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
   const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
-  return [notice, run.state === "parked" || run.warnings?.length ? warningsNode(run, zeroed) : null];
+  return [notice, run.state === "parked" || (run.state !== "finished" && run.warnings?.length) ? warningsNode(run, zeroed) : null];
 }
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
@@ -105,7 +105,7 @@ function warningsNode({ warnings = [], travel_in_doubt: travel }, zeroed) {
   if (!zeroed && (travel || !warnings.length)) return h("p", { class: "warned dim" }, t("Whether it fits the travel is known once X, Y and Z are set."));
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), t("No warnings"));
   const words = travel ? t("It may not fit the travel") : warnings.length === 1 ? t`${warnings.length} warning` : t`${warnings.length} warnings`;
-  return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
+  return h("details", { class: "warned warn", open: travel }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text).replaceAll(/(?<!\w)-(?=\d)/g, "−")))));
 }
 
 /** What becomes of the spindle in a hold, and without the computer: to be known before one walks away. */

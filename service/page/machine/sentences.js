@@ -179,7 +179,7 @@ const SENTENCES = {
   connect: ({ state }) => (state === "idle" ? t("The mill has not reported its position yet: wait a second.") : t`The mill is ${mill(state)}: connect it; it does not move by that.`),
   wait: ({ state }) => t`The mill is ${mill(state)}: wait until it has carried that out, or hold it.`,
   "stand still": ({ state }) => t`The mill is ${mill(state)} and may hold unfinished blocks: reset it, which clears them and, from standstill, keeps the position.`,
-  unlock: ({ alarm }) => t`The mill is locked${alarm ? ` (${alarmWords(alarm)})` : ""}: home it, which finds its position, or unlock it.`,
+  unlock: t("The mill is locked: home it, or unlock it."),
   position: ({ doubt }) => `${DOUBTS[doubt]}: ${POSITION}`,
   zero: t("The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again."),
 

@@ -25,7 +25,7 @@ function troubleOfMill({ mill, run, profile }) {
   if (!mill.connected) return makeUnpluggedTrouble(mill, run);
   switch (mill.state) {
     case "alarm":
-      return makeLockedTrouble(mill, profile);
+      return makeLockedTrouble(mill, run, profile);
     case "door":
       return makeTrouble("warn", t("The safety door is open."), t("close it, then Resume; or STOP."));
     case "tool":
@@ -37,11 +37,12 @@ function troubleOfMill({ mill, run, profile }) {
   }
 }
 
-function makeLockedTrouble(mill, profile) {
+/** One that was only switched on has nothing wrong. */
+function makeLockedTrouble(mill, run, profile) {
   const { brief, whole } = millWords(mill);
   const homes = profile?.homing !== false;
   const next = homes ? t("see that the tool is free to rise, then home the mill.") : t("see that the tool is free, unlock, set the zero anew.");
-  return makeTrouble("bad", brief || t("The mill is locked."), next, t`${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
+  return makeTrouble(mill.alarm || run ? "bad" : "", brief || t("The mill is locked."), next, t`${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 
 function makeUnpluggedTrouble(mill, run) {

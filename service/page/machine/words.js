@@ -1,7 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
 import { t } from "../lib/language.js";
-import { ball, hours, jobName, sentence, thousands } from "../lib/words.js";
+import { hours, jobName, sentence } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 import { RUN_STATES, STATES, tell } from "./sentences.js";
 
@@ -143,30 +143,4 @@ export function coordinate(value, places = 3) {
   if (!Number.isFinite(value)) return "–";
   const text = Math.abs(value).toFixed(places);
   return value < 0 && Number(text) !== 0 ? `−${text}` : text;
-}
-
-/** Every program switches it on; what has a switch of its own does not hear that. */
-function spindleWords(rpm) {
-  return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
-}
-
-/** What a person looked at before the mill moves; `setup` of the run says what is right. */
-export function checkWords(check, run) {
-  const { tool, stock, zero, change } = run.setup ?? {};
-  switch (check) {
-    case "tool":
-      return [t("The tool is in and tight"), [tool && `${t(tool.shape)}, ${ball(tool.radius_mm)}`, change?.words].filter(Boolean).join("; ")];
-    case "zero":
-      return [t("The work zero is set for this tool"), zero ?? ""];
-    case "stock":
-      return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
-    case "clear":
-      return [t("Nothing is in the way of the tool"), [t("hands, clamps, wrenches, the probe's cable; goggles on"), spindleWords(tool?.spindle_rpm)].filter(Boolean).join("; ")];
-    case "position":
-      return [t("The position shown is where the tool really is"), t("compare the readout with the block")];
-    case "order":
-      return [t("Passes may be left out"), t`not finished on this mill: ${run.left_out.map((one) => one.name).join(", ")}`];
-    default:
-      return [check, ""];
-  }
 }

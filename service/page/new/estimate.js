@@ -130,10 +130,10 @@ function needs({ spec, passes }) {
   const at = (key) => valueOf(spec, key), around = 2 * at("stock.margin_mm");
   const block = [at("optics.width_mm") + around, at("optics.height_mm") + around, at("stock.thickness_mm") + (spec.stock?.face?.above_mm ?? 0)];
   const { choices } = SPEC.find(({ key }) => key === "stock.material"), material = at("stock.material");
-  const lens = t`lens ${at("optics.width_mm")} × ${at("optics.height_mm")} mm, ${around / 2} mm beside it`;
+  const lens = t`lens ${at("optics.width_mm")} × ${at("optics.height_mm")} mm, ${around / 2} mm around it`;
   const cutters = new Set(passes.map(({ tool }) => capital(toolWords(tool.replace(/R .*\((.*)\)/, "$1")))));
   return [
-    figure(t("Block"), `${block.map((side) => +side.toFixed(1)).join(" × ")} mm`, `${choices.find(([name]) => name === material)[1]}; ${lens}`),
+    figure(t("Block"), `${block.map((side) => +side.toFixed(1)).join(" × ")}\u00a0mm`, `${choices.find(([name]) => name === material)[1]}; ${lens}`),
     figure(t("Cutters"), [...cutters].join(", ")),
     figure(t("Distance to the wall"), mm(at("optics.throw_mm"))),
   ];
@@ -141,7 +141,7 @@ function needs({ spec, passes }) {
 
 /** "ball R 3 (Ø 6 mm)", as the server says it. */
 function toolWords(tool) {
-  const size = tool.slice(tool.indexOf(" ") + 1);
+  const size = tool.slice(tool.indexOf(" ") + 1).replaceAll(/(?<=Ø) | (?=mm)/g, "\u00a0");
   if (tool.startsWith("ball ")) return t`ball ${size}`;
   return tool.startsWith("cutter ") ? t`cutter ${size}` : tool;
 }
