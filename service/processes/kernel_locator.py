@@ -10,20 +10,23 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import fcntl
 import hashlib
 import os
 import threading
+import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from numba.core import caching
+from numba.core import caching, dispatcher
 from numba.core import config as numba_config
 
 from service.processes.source_tree import parse
 
 _ROOT = Path(__file__).parents[2]
+_MOST_WAIT_S, _LOOK_S = 120.0, 0.02  # for another process to compile a kernel
 _reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
 
 
@@ -66,7 +69,56 @@ class _Index(caching.IndexDataCacheFile):
         return found
 
 
-caching.IndexDataCacheFile = _Index  # type: ignore[misc]  # numba has no other place for it
+class _SharedCache(caching.FunctionCache):
+    """A kernel's cache that waits where another process is compiling the same: two that begin together, as the tests
+    do, would each compile everything.
+
+    Nobody waits in a circle: who compiles one kernel waits at most for one that it calls. A process that ends lets go
+    of its lock.
+    """
+
+    _lock: IO[bytes] | None = None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is None and isinstance(self._impl.locator, KernelLocator):
+            with contextlib.suppress(OSError):
+                self._impl.locator.ensure_cache_path()  # type: ignore[no-untyped-call]
+                self._lock = _locked(Path(self.cache_path, "compiling"))
+                found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if found is not None:
+                self._let_go()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        self._let_go()
+
+    def _let_go(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+
+def _locked(path: Path) -> IO[bytes]:
+    """Return the file, locked, once nobody else has it: not for ever, one of whom a kernel could not be compiled keeps
+    it.
+    """
+    file = path.open("wb")
+    end = time.monotonic() + _MOST_WAIT_S
+    while time.monotonic() < end:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(_LOOK_S)
+        else:
+            break
+    return file
+
+
+# numba has no other place for them
+caching.IndexDataCacheFile = _Index  # type: ignore[misc]
+dispatcher.FunctionCache = _SharedCache  # type: ignore[attr-defined]
 
 
 def _cache_folder() -> str:
