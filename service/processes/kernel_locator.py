@@ -26,7 +26,7 @@ from numba.core import config as numba_config
 from service.processes.source_tree import parse
 
 _ROOT = Path(__file__).parents[2]
-_MOST_WAIT_S, _LOOK_S = 120.0, 0.02  # for another process to compile a kernel
+_MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # for another process to compile a kernel
 _reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
 
 
