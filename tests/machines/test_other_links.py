@@ -191,6 +191,7 @@ def test_preflight_knows_the_part_and_the_reader_gives_every_block(shop: Shop) -
     assert Preflight.from_json(facts.to_json()) == facts
 
 
+@pytest.mark.thorough
 def test_a_run_to_its_end(shop: Shop) -> None:
     shop.started().until_run(RunState.FINISHED)
     shop.require_all_executed_once()

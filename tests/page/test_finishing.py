@@ -62,9 +62,8 @@ def test_a_job_without_a_finish_has_no_card(opened: Opened) -> None:
     expect(page.locator(".finishing")).to_be_hidden()
 
 
-@pytest.mark.parametrize(
-    ("size", "scheme"), [pytest.param("wide", "light", marks=pytest.mark.thorough), ("phone", "dark")]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("size", "scheme"), [("wide", "light"), ("phone", "dark")])
 def test_the_card_fits_and_can_be_read_by_everybody(
     opened: Opened, picture: Callable[[Page, str], Path | None], size: str, scheme: str
 ) -> None:

@@ -218,6 +218,7 @@ def test_the_lens_appears_where_it_is_cut(modules: Page) -> None:
     assert modules.evaluate(SKETCH, {"line": 30, "whole": True}) == [red, lime, blue, yellow]
 
 
+@pytest.mark.thorough
 def test_the_camera_beside_the_mill_shows_what_is_there_now_or_nothing(opened: Opened) -> None:
     page = open_blank(opened, "machine", errors=("status of 502",))
     asked, answers = [], [True]

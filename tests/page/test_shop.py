@@ -189,6 +189,7 @@ def test_all_mills_of_the_shop_are_on_one_screen_each_with_its_hold(watched: Cal
     expect(page.locator("#mill .hold.taken")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_who_wants_to_be_is_notified_of_what_needs_a_hand_while_looking_elsewhere(
     watched: Callable[..., Watched],
 ) -> None:

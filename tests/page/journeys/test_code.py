@@ -13,6 +13,7 @@ from tests.page.shop import MILL, Shop
 from tests.page.test_key_end import WARNING, end_in
 
 
+@pytest.mark.thorough
 def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(opened: Opened, shop: Shop) -> None:
     page = opened(errors=("status of 40[0-9]", "status of 422"))
     page.get_by_role("button", name="Enter code").click()

@@ -95,6 +95,7 @@ def test_words_and_code_beside_it_are_not(hash_after, name, old, new):
     assert hash_after(name, old, new) == hash_after()
 
 
+@pytest.mark.thorough
 def test_numba_keeps_a_kernel_under_that_name(tmp_path):
     code = (
         "import numpy as np\nfrom service.processes.kernel_cache import use_current_kernels\nuse_current_kernels()\n"

@@ -60,6 +60,7 @@ def test_nothing_of_a_server_is_open_to_others(tmp_path: Path, open_umask: None)
             assert open_to_others(tmp_path / "shop") == {}
 
 
+@pytest.mark.thorough
 def test_nothing_of_an_agent_is_open_to_others(tmp_path: Path, open_umask: None) -> None:
     """Journal, programs, keys, card, token, lock, and what pre-flight found."""
     with bench(8.0) as mill, AgentProcess(tmp_path / "shop" / "mill", mill.url) as agent:

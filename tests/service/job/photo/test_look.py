@@ -65,6 +65,7 @@ def saved(light: Array, path: Path, *, colour: bool = True) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_the_command_tells_prints_and_draws(
     job: Path, wall: Array, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

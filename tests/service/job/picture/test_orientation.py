@@ -20,7 +20,7 @@ from service.job.arrays import load_heightfield
 SIDE_MM, THROW_MM, INDEX = 20.0, 40.0, 1.49
 
 
-@pytest.fixture(scope="module", params=["lens", "behind"])
+@pytest.fixture(scope="module", params=[pytest.param("lens", marks=pytest.mark.thorough), "behind"])
 def job(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """A bright blob in the upper left of the picture, a smaller one half-way down at the left."""
     folder = tmp_path_factory.mktemp("orientation")

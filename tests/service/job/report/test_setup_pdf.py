@@ -86,6 +86,7 @@ def test_it_says_what_the_whole_sheet_says_in_the_same_words() -> None:
     assert "no clamp on top" in pdf  # in the drawing
 
 
+@pytest.mark.thorough
 def test_the_same_job_has_the_same_bytes_whatever_the_clock_says() -> None:
     other = REPORT | {"timings_s": {"lens": 99.0}, "peak_rss_mb": 1.0}
     assert sheet_of() == sheet_of(other)

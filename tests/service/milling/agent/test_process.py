@@ -26,6 +26,7 @@ def agent(tmp_path: Path, mill: Bench) -> Iterator[AgentProcess]:
         yield found
 
 
+@pytest.mark.thorough
 def test_a_program_is_brought_parked_confirmed_and_cut_whole(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 60)
     sha256 = agent.upload(path)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from machines.simulated.traits import Traits
-from tests.levels import mostly_thorough
 from tests.service.mills import (
     AT_ZERO,
     IN_THE_CUT,
@@ -52,7 +51,8 @@ def spindle_words(mill: Bench) -> str:
     return "spindle ON" if mill.mill.firmware.spindle_on() else "spindle off"
 
 
-@pytest.mark.parametrize("number", mostly_thorough((3, 5, 6, 9), quick=(9,)))
+@pytest.mark.thorough  # as through the other doors
+@pytest.mark.parametrize("number", [3, 5, 6, 9])
 def test_after_an_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number: int) -> None:
     """One of each kind (all ten: the driver's tests). And what is said of the spindle is true, at every end."""
     path = program(tmp_path / "p.nc", LINES)
@@ -118,6 +118,7 @@ def test_an_untrusted_position_is_asked_for_and_refuses_nothing(tmp_path: Path) 
         assert ends_on_the_mill(LINES, high_mm) <= set(mill.cut)
 
 
+@pytest.mark.thorough
 def test_a_zero_that_was_set_elsewhere_is_put_back(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LINES)
     with bench(6.0, traits=WITH_SWITCHES) as mill:
@@ -157,6 +158,7 @@ def test_a_locked_mill_is_offered_home_and_unlock_before_the_questions(tmp_path:
         assert ends_on_the_mill(LINES) == set(mill.cut)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("yes", [True, False])
 def test_a_controller_that_hears_nothing_but_a_reset_is_offered_one(tmp_path: Path, yes: bool) -> None:
     """ALARM:1 came while nobody was connected."""

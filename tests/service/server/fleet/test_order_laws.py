@@ -5,6 +5,7 @@ the database, restarts and suspended computers.
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 from collections import Counter
 from functools import cache
@@ -160,5 +161,6 @@ def run_histories(count: int, *, derandomize: bool = True) -> Counter[str]:
 
 
 def test_every_order_acts_for_its_moment_and_every_stop_is_the_last_word() -> None:
-    tally = run_histories(100)
-    assert tally["histories"] >= 100 and all(tally[what] for what in set(ORDERS)), tally
+    count = 100 if "CAUSTICMILL_SLOW" in os.environ else 40
+    tally = run_histories(count)
+    assert tally["histories"] >= count and all(tally[what] for what in set(ORDERS)), tally

@@ -150,6 +150,7 @@ def test_a_program_whose_content_is_not_what_its_hash_says_never_reaches_the_mil
     assert floor.get("/v1/runs?machine=shop")["runs"][0]["state"] == "refused"
 
 
+@pytest.mark.thorough
 def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor_of_processes: Shop) -> None:
     floor = floor_of_processes
     run = floor.park(floor.job((600,)))

@@ -85,6 +85,7 @@ def test_it_is_homed_jogged_and_probed_like_a_mill(workshop: tuple[Serving, http
     assert mill(client)["work_mm"][:2] == [0, 0] and mill(client)["machine_mm"][2] == pytest.approx(-28, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_the_corner_of_its_block_is_probed(workshop: tuple[Serving, httpx.Client]) -> None:
     """A plate stands at machine -210, -210, -30; X0 Y0 lies inside the block's edges, Z0 under the plate."""
     _, client = workshop
