@@ -103,10 +103,12 @@ def plan_finish(
     for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
+    if not exactly:
+        best = _find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+        at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
+        return _find_best(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
     plans = _plan_all(rows, left_out, ways, goal)
     best = _find_best(plans, goal)
-    if not exactly:
-        return best
     two = sorted(plans, key=lambda one: (one is best, merit(one.plan, goal)))[-2:]  # some lenses turn out badly
     for one in two:
         one.light.calibrate(one.plan.chosen.marks, design, fine=True)
