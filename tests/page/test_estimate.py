@@ -328,6 +328,7 @@ def test_a_long_wait_is_explained(watched: Callable[..., Watched]) -> None:
     expect(estimate).not_to_contain_text("installation")
     page.clock.run_for(5000)
     expect(estimate).to_contain_text("The first one after an installation or an update takes up to a minute")
+    after(waiting, 1, page)  # a question that the page prepares for a while
     waiting[0].fulfill(json=ESTIMATE_EXAMPLE)
     expect(estimate).to_contain_text("Machine time")
     expect(estimate).not_to_contain_text("installation")
