@@ -198,6 +198,7 @@ def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_
     expect(bar.locator(".why")).to_have_text("Look at:WidthHeight")
 
 
+@pytest.mark.thorough
 def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_meanwhile(opened: Opened) -> None:
     page = open_blank(opened, "new", errors=("status of 503",))
     answers: list[dict[str, Any] | None] = [

@@ -22,15 +22,7 @@ from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
 PLACEHOLDER = re.compile(r"\{\d\}")
-QUICK = (
-    "jobs",
-    "new-everything",
-    "job-planned",
-    "two-jobs",
-    "machines",
-    "machine-interrupted",
-    "watched-unplugged",
-)
+QUICK = ("new-everything", "job-planned", "machine-interrupted")
 
 
 def of_a_machine_watched(state: str) -> Screen:

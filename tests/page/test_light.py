@@ -130,6 +130,7 @@ def test_wall_and_block_are_moved_by_keys_and_nothing_is_drawn_while_nothing_mov
     expect(page.locator(".light-words")).to_have_text("Wall at 100 mm, where it belongs")
 
 
+@pytest.mark.thorough
 def test_light_begins_with_what_the_wall_will_show_and_says_why_a_sharpened_lens_looks_broken(opened: Opened) -> None:
     """A choice of one's own stays, whatever becomes known; how exactly the wall must stand is said below."""
     job, files = canned()

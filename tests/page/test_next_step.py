@@ -266,7 +266,7 @@ def test_the_list_says_who_switches_the_spindle_on(opened: Opened) -> None:
     expect(page.locator(".checklist")).to_contain_text("the program switches the spindle on, at 18,000 rpm")
 
 
-@pytest.mark.parametrize("size", ["wide", "phone"])
+@pytest.mark.parametrize("size", [pytest.param("wide", marks=pytest.mark.thorough), "phone"])
 def test_what_is_to_be_ticked_is_shown_and_then_the_line_starts(opened: Opened, size: str) -> None:
     """By the very button of the card: once all is ticked, and by whom."""
     page = with_control(opened, "parked", size=size, mill={"needs": []}, run={"travel_in_doubt": False})

@@ -220,7 +220,7 @@ SCREENS: dict[str, Screen] = {
 }
 
 
-QUICK = ("jobs", "new-everything", "machine-interrupted")
+QUICK = ("jobs", "machine-interrupted")
 
 
 @pytest.mark.parametrize("name", mostly_thorough(SCREENS, quick=QUICK))

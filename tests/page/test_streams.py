@@ -72,6 +72,7 @@ def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, stub: Stub) -> None:
     tabs.await_streams(mill, 2)
 
 
+@pytest.mark.thorough
 def test_who_leads_may_close_or_hide_and_the_others_hear_on(tabs: Tabs, stub: Stub) -> None:
     address, token = f"#/machines/{MILL}", stub.key("Ada")
     path = f"/v1/machines/{MILL}/events"

@@ -102,6 +102,7 @@ def test_a_detail_without_a_preparation_is_one_line() -> None:
         resolve_spec(overrides=["image.prepare_detail_mm=2"])
 
 
+@pytest.mark.thorough
 def test_a_job_keeps_both_pictures_and_scores_against_both(tmp_path: Path) -> None:
     """To its end: lens, as milled, as finished; and its sheet leads through the finish."""
     keys = (DETAIL, "image.prepare_detail_mm=0.5", "finish.process=felt")

@@ -125,6 +125,7 @@ def test_a_ticket_for_which_there_is_no_slot_runs_elsewhere(stand: Stand) -> Non
     assert stand.notes("end") == [("busy.1", "b")]
 
 
+@pytest.mark.thorough
 def test_a_killed_process_goes_on_at_its_next_start(stand: Stand) -> None:
     ticket = Ticket("slow", 1)
     stand.engine.submit(ticket, priority=1)
