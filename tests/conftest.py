@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import os
 import signal
 
 import pytest
@@ -12,6 +11,7 @@ from hypothesis import settings
 
 from service.processes.kernel_cache import use_current_kernels
 from tests import order
+from tests.levels import THOROUGH
 
 use_current_kernels()  # before any test module imports numba
 # Freed arrays of up to 256 MB stay with the process, where this is glibc: given back to the system and taken anew, each
@@ -32,7 +32,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What `make test` has no time for is run where time is: see tests/levels.py."""
-    if "CAUSTICMILL_SLOW" not in os.environ:
+    if not THOROUGH:
         skip = pytest.mark.skip(reason="thorough: runs with CAUSTICMILL_SLOW=1, as in .ci/run")
         for item in items:
             if item.get_closest_marker("thorough"):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from typing import Any
 
 import pytest
+
+THOROUGH = "CAUSTICMILL_SLOW" in os.environ
+"""Whether those are run, too."""
 
 
 def mostly_thorough(values: Iterable[Any], quick: Iterable[Any]) -> list[Any]:

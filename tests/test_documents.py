@@ -82,9 +82,8 @@ def begun(words: list[str], folder: Path) -> subprocess.Popen[str]:
 def test_the_toml_of_the_guides_is_accepted(tmp_path: Path) -> None:
     """A job's spec, and a machine of one's own with its spindle."""
     guides = ((TOP / "docs" / name).read_text(encoding="utf-8") for name in ("first-lens.md", "mill.md", "spindle.md"))
-    job, machine, spindle = (
-        "".join(re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)) for text in guides
-    )
+    blocks = (re.findall(r"^```toml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL) for text in guides)
+    (job,), (machine,), (spindle,) = blocks
     (tmp_path / "job.toml").write_text(job)
     spec = resolve_spec(file=tmp_path / "job.toml")
     assert spec.optics.throw_mm == 200

@@ -84,7 +84,7 @@ class _SharedCache(caching.FunctionCache):
         if found is None and isinstance(self._impl.locator, KernelLocator):
             with contextlib.suppress(OSError):
                 self._impl.locator.ensure_cache_path()  # type: ignore[no-untyped-call]
-                self._lock = _locked(Path(self.cache_path, "compiling"))
+                self._lock = _take_lock(Path(self.cache_path, "compiling"))
                 found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if found is not None:
                 self._let_go()
@@ -100,9 +100,9 @@ class _SharedCache(caching.FunctionCache):
             self._lock = None
 
 
-def _locked(path: Path) -> IO[bytes]:
-    """Return the file, locked, once nobody else has it: not for ever, one of whom a kernel could not be compiled keeps
-    it.
+def _take_lock(path: Path) -> IO[bytes]:
+    """Lock the file once nobody else has it, and return it; unlocked after half a minute, for who could not compile a
+    kernel keeps its lock.
     """
     file = path.open("wb")
     end = time.monotonic() + _MOST_WAIT_S

@@ -100,6 +100,7 @@ class FinishedLight(PictureLight):
         return self.psnrs_db([marks])[0]
 
     def psnrs_db(self, several: Sequence[Marks]) -> list[float]:
+        """Return `psnr_db` of several at once, in their order."""
         grains = zip(several, self._grains(several), strict=True)
         return [self.db_of_error(self._lens_error(one.radius_mm) + grain**2 * self._square) for one, grain in grains]
 

@@ -5,7 +5,6 @@ the database, restarts and suspended computers.
 from __future__ import annotations
 
 import hashlib
-import os
 import tempfile
 from collections import Counter
 from functools import cache
@@ -21,6 +20,7 @@ from machines.mill.orders import CARRY_OUT_S, GRANT_S, Stop
 from machines.preflight.preflight import Preflight
 from machines.profile import load_profile
 from service.milling.preflight import run_preflight
+from tests.levels import THOROUGH
 from tests.service.server.fleet.order_network import Weather
 from tests.service.server.fleet.order_people import ASK_S
 from tests.service.server.fleet.order_world import World
@@ -161,6 +161,6 @@ def run_histories(count: int, *, derandomize: bool = True) -> Counter[str]:
 
 
 def test_every_order_acts_for_its_moment_and_every_stop_is_the_last_word() -> None:
-    count = 100 if "CAUSTICMILL_SLOW" in os.environ else 40
+    count = 100 if THOROUGH else 40
     tally = run_histories(count)
     assert tally["histories"] >= count and all(tally[what] for what in set(ORDERS)), tally
