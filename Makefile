@@ -47,7 +47,7 @@ demo: $(INSTALLED)
 	echo "the paper's three passes, made beside it: out/demo-paper" && wait $$beside && \
 	$(BIN)/python docs/draw_result.py out/demo out/demo-paper out/demo.png && echo "both on the wall: out/demo.png"
 
-out/demo-paper/report.json: $(INSTALLED) $(PICTURE) out/demo-paper.of $(shell find cam machines optics service -name '*.py')
+out/demo-paper/report.json: $(INSTALLED) $(PICTURE) out/demo-paper.of $(shell find cam machines phrases optics service -name '*.py')
 	@$(BIN)/causticmill make $(PICTURE) --preset paper --output out/demo-paper --force --quiet
 
 out/demo-paper.of: FORCE

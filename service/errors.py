@@ -17,7 +17,7 @@ class ServiceError(Exception):
     exit_code = EXIT_FAILURE
 
     def __init__(self, *lines: str) -> None:
-        super().__init__("\n".join(map(printable, lines)))
+        super().__init__(printable(lines[0]) if len(lines) == 1 else "\n".join(map(printable, lines)))
 
 
 class InputError(ServiceError):
@@ -53,7 +53,7 @@ class FailedError(ServiceError):
 
 def printable(text: str) -> str:
     """Return the text on one line, control characters shown as '?': names and values may come from anywhere."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def sentence_of_os_error(error: OSError, *, doing: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 TOP = Path(__file__).parents[1]
-PACKAGES = ("optics", "cam", "machines", "service", "examples")
+PACKAGES = ("phrases", "optics", "cam", "machines", "service", "examples")
 MOST_FILES = 3
 
 

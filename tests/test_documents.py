@@ -118,7 +118,7 @@ def test_the_map_names_every_folder_and_no_other() -> None:
     named = set(re.findall(r"[a-z_]+", tree))
     there = {
         part
-        for package in ("optics", "cam", "machines", "service")
+        for package in ("phrases", "optics", "cam", "machines", "service")
         for path in (TOP / package).rglob("*")
         if path.suffix in (".py", ".js", ".toml") and path.name != "__init__.py"
         for part in path.parent.relative_to(TOP).parts
@@ -145,7 +145,7 @@ BANNED = {
 
 @cache
 def parsed_modules() -> dict[Path, ast.Module]:
-    packages = ("optics", "cam", "machines", "service")
+    packages = ("phrases", "optics", "cam", "machines", "service")
     paths = [path for package in packages for path in (TOP / package).rglob("*.py")]
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 

@@ -17,6 +17,7 @@ from machines.errors import (
     ProgramRefusedError,
 )
 from machines.mill.orders import OrderRefusedError, Refusal
+from phrases.phrase import phrases_in
 from service.errors import printable, sentence_of_os_error
 
 _TITLES = {
@@ -201,7 +202,8 @@ def problem_body(problem: Problem) -> dict[str, object]:
         "status": problem.status,
         "detail": problem.detail,
     }
-    told = {"code": problem.code, "values": problem.values} if problem.code else {}
+    told: dict[str, object] = {"code": problem.code, "values": problem.values} if problem.code else {}
+    told |= {"phrases": phrases} if (phrases := phrases_in((problem.detail, problem.more))) else {}
     return body | ({"field": problem.field} if problem.field else {}) | told | problem.more
 
 

@@ -52,7 +52,7 @@ _KNOWN = {
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
-_REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")
+_REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "phrases", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
 

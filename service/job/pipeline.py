@@ -67,7 +67,7 @@ class FolderJob:
         with translate_errors():
             self.picture_queue.raise_failures()  # of a full disk is told now, not after all that comes next
             function(context)
-        self.so_far.add({**context.report, "timings_s": context.watch.timings_s}, context.notes)
+        self.so_far.add({**context.finish_report(), "timings_s": context.watch.timings_s}, context.notes)
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
@@ -150,7 +150,14 @@ def _job(
 
 def _take_over(so_far: JobSoFar, earlier: dict[str, Any], *, programs: bool) -> None:
     """Take over what an earlier report says of the parts that this command does not make anew."""
-    keys = ("source", "image", "optics", "timings_s", *(("passes", "around", "as_milled") if programs else ()))
+    keys = (
+        "source",
+        "image",
+        "optics",
+        "timings_s",
+        "phrases",
+        *(("passes", "around", "as_milled") if programs else ()),
+    )
     so_far.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})
     so_far.notes = {part: list(notes.get(part, ())) for part in ("optics", *(("passes",) if programs else ()))}

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
+from phrases.phrase import Phrase, phrases_in, translate
 from service.page.files import FOLDER
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
@@ -19,9 +23,10 @@ from tests.page.browser import layout_faults, open_blank
 from tests.page.conftest import Opened
 from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 
+TOP = Path(__file__).parents[2]
 TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
-PLACEHOLDER = re.compile(r"\{\d\}")
+PLACEHOLDER = re.compile(r"\{\w+\}")
 QUICK = ("new-everything", "job-planned", "machine-interrupted")
 
 
@@ -125,6 +130,24 @@ def keys_of_the_page(modules: Page) -> set[str]:
     return own | told | {key for source in sources for key in keys_in(source)}
 
 
+def keys_of_the_server() -> set[str]:
+    """Every template of a phrase that says more than its values; each is written out where it is used."""
+    found = set()
+    for package in ("optics", "cam", "machines", "service"):
+        for path in (TOP / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Phrase":
+                    template = getattr(node.args[0], "value", None)
+                    assert isinstance(template, str), (path, node.lineno)
+                    found.add(key_of(template))
+    return {key for key in found if re.search("[A-Za-z]", PLACEHOLDER.sub("", key))}
+
+
+def key_of(template: str) -> str:
+    named = [name for _, name, _, _ in Formatter().parse(template) if name]
+    return Phrase(template, **dict.fromkeys(named, 0)).template
+
+
 def strings_in(told: Any) -> Iterator[str]:
     """What a server says freely; its codes are told in words of the page."""
     if isinstance(told, str) and not re.fullmatch(r"[a-z_-]*|.{1,3}", told):
@@ -165,7 +188,7 @@ def test_keys_are_read_out_of_sources() -> None:
 
 @pytest.mark.parametrize("language", TABLES)
 def test_no_sentence_is_missing_and_none_left_over(modules: Page, language: str) -> None:
-    keys, table = keys_of_the_page(modules), TABLES[language]
+    keys, table = keys_of_the_page(modules) | keys_of_the_server(), TABLES[language]
     assert len(keys) > 1000
     assert sorted(keys - set(table)) == []
     assert sorted(set(table) - keys) == []
@@ -225,6 +248,23 @@ def test_what_is_ticked_before_a_start_is_in_the_language_of_the_page(opened: Op
     ticks = page.locator(".checklist .tick small")
     expect(ticks.nth(0)).to_contain_text("Kugelfräser, R 0.5 (Ø 1 mm); Werkzeug wechseln von R 3 (Ø 6 mm) zu R 0.5")
     expect(ticks.nth(1)).to_contain_text("vordere linke Ecke der Linse, 8 mm von")
+
+
+def test_what_a_server_says_is_told_in_the_language_of_the_page(opened: Opened) -> None:
+    """The page's own way and that of a document on paper come to the same words."""
+    of = Phrase("Left out: {0}, {1}.", **{"0": "ball", "1": "why"})
+    answer = {
+        "a": [Phrase("Save"), "as it is", {"b": Phrase("{file}: {what}", file="x.nc", what=of)}],
+        "c": None,
+        "d": 7,
+    }
+    sent = {**answer, "phrases": phrases_in(answer)}
+    page = opened(script=of_languages("de"))
+    script = "async (sent) => (await import('/page/lib/language.js')).translate(sent)"
+    told = page.evaluate(script, sent)
+    assert told == {**translate(answer, phrases_in(answer), TABLES["de"]), "phrases": sent["phrases"]}
+    assert told["a"][0] == TABLES["de"]["Save"] and told["a"][1] == "as it is"
+    assert told["a"][2]["b"] == f"x.nc: {TABLES['de']['Left out: {0}, {1}.'].format('ball', 'why')}"
 
 
 def test_english_loads_no_table(page: Page) -> None:

@@ -30,6 +30,7 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
+from phrases.phrase import phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
@@ -122,7 +123,7 @@ def estimate(
     detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
     warnings = [f"{name} {sentence}" for sentence in _of_picture(width, height, spec)]
-    return {
+    answer = {
         "relief_mm": quick.lens.relief_mm,
         "max_slope_deg": quick.facts.max_slope_deg,
         "thickness_ok": _floor_mm(quick) >= MIN_FLOOR_MM,
@@ -141,6 +142,7 @@ def estimate(
         "picture": {"width": width, "height": height},
         "spec": spec.model_copy(update={"passes": quick.spec.passes}).plain(),
     }
+    return {**answer, "phrases": phrases_in(answer)}
 
 
 def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 
 from machines.profile import MachineProfile
+from phrases.phrase import phrases_in
 from service.job import files as job_files
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
@@ -99,6 +100,11 @@ class StageContext:
 
     def note(self, part: Part, sentence: str) -> None:
         self.notes.setdefault(part, []).append(sentence)
+
+    def finish_report(self) -> dict[str, Any]:
+        """Return the report with the phrases that it and the notes hold."""
+        self.report["phrases"] = phrases_in((self.report, self.notes))
+        return self.report
 
     @property
     def spec(self) -> JobSpec:

@@ -44,7 +44,7 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
     on_progress(1.0)
     return StageResult(
         outputs=outputs,
-        report=context.report,
+        report=context.finish_report(),
         notes=context.notes,
         seconds=round(time.perf_counter() - begun, 3),
         peak_rss_mb=peak_mb,

@@ -6,7 +6,7 @@
  * with `onAway` is told both.
  */
 
-import { t } from "./language.js";
+import { t, translate } from "./language.js";
 
 const TIMEOUT_MS = 20_000;
 const AGREE_MS = 5000;
@@ -247,7 +247,7 @@ function compareClocks(response) {
 async function problemOf(response) {
   let body = {};
   try {
-    body = await response.json();
+    body = translate(await response.json());
   } catch {
     // a proxy's page, or nothing: the status must do
   }
@@ -258,7 +258,7 @@ async function problemOf(response) {
 async function readJson(response) {
   if (response.status === 204) return null;
   const text = await response.text();
-  return text ? JSON.parse(text) : null;
+  return text ? translate(JSON.parse(text)) : null;
 }
 
 function setWho(found) {

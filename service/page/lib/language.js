@@ -30,6 +30,23 @@ export function t(words, ...values) {
   return values.length ? found.replace(/\{(\d)\}/g, (_, k) => values[k]) : found;
 }
 
+/** An answer of the server with its sentences in the language of who reads it: `phrases`, anywhere in it, tells by its text
+ * of what template and values each is made. */
+export function translate(answer, phrases = {}) {
+  if (typeof answer === "string") return Object.hasOwn(phrases, answer) ? say(phrases[answer]) : answer;
+  if (!table || language === "en" || typeof answer !== "object" || answer === null) return answer;
+  if (Array.isArray(answer)) return answer.map((one) => translate(one, phrases));
+  const known = answer.phrases ? { ...phrases, ...answer.phrases } : phrases;
+  return Object.fromEntries(Object.entries(answer).map(([name, one]) => [name, name === "phrases" ? one : translate(one, known)]));
+}
+
+function say({ template, values }) {
+  return (table?.[template] ?? template).replace(/\{(\w+)\}/g, (place, name) => {
+    if (!Object.hasOwn(values, name)) return place;
+    return typeof values[name] === "string" ? values[name] : say(values[name]);
+  });
+}
+
 /** From now on, in this browser. */
 export function choose(chosen) {
   localStorage.setItem(KEPT, chosen);

@@ -7,7 +7,7 @@
  */
 
 import { api } from "./api.js";
-import { t } from "./language.js";
+import { t, translate } from "./language.js";
 import { canShare, nameOf, share } from "./shared_stream.js";
 
 const SILENCE_MS = 46_000;
@@ -124,7 +124,7 @@ function deliver(block, place, say) {
 
 function parseData(text) {
   try {
-    return JSON.parse(text);
+    return translate(JSON.parse(text));
   } catch {
     return text;
   }

@@ -25,5 +25,16 @@ def one_of(words: Iterable[str]) -> Any:
     return Field(json_schema_extra={"enum": [str(word) for word in words]})
 
 
+class PhraseView(Body):
+    """How a sentence was made: its template, and what stands in it by name, phrases in turn among that."""
+
+    template: str
+    values: dict[str, str | PhraseView]
+
+
+Phrases = Annotated[
+    dict[str, PhraseView],
+    Field(description="sentences of this answer by their text, for who says them in another language"),
+]
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": r"^[0-9a-f]{64}$"})]
 Time = Annotated[float, PlainSerializer(iso_time, return_type=str)]

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from service.server.schemas.base import Body
+from service.server.schemas.base import Body, Phrases
 from service.server.schemas.jobs import ProblemField
 
 ESTIMATE_EXAMPLE: dict[str, Any] = {
@@ -30,6 +30,7 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
     "changes": [{"what": "passes as recommended", "values": {"preset": "recommended"}}],
     "picture": {"width": 1920, "height": 1920},
     "spec": {"preset": "draft"},
+    "phrases": {},
 }
 
 
@@ -76,3 +77,4 @@ class EstimateView(Body):
     changes: Annotated[list[ChangeView], Field(description="single ones that may show more of the picture")]
     picture: PictureSize
     spec: Annotated[dict[str, Any], Field(description="the job spec with everything filled in")]
+    phrases: Phrases

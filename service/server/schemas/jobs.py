@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.server.database.records import PRIORITIES
 from service.server.database.states import JobState, StageState
-from service.server.schemas.base import Body, Sha256, Time, one_of
+from service.server.schemas.base import Body, Phrases, Sha256, Time, one_of
 
 _ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 _HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
@@ -45,6 +45,7 @@ class ProblemBody(BaseModel):
     code: Annotated[str | None, Field(description="which refusal it is, where a program may tell it by that")] = None
     values: Annotated[dict[str, Any] | None, Field(description="what `detail` names, beside `code`")] = None
     problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
+    phrases: Phrases | None = None
 
 
 class JobError(Body):

@@ -1,0 +1,98 @@
+"""Sentences for people that another language can say as well: each keeps the template and the values it is made of.
+
+Every package may use it; it uses none. English stands in the sources, and is the key of a table of another language
+(service/page/languages), as in gettext. tests/page/test_languages.py holds those tables complete.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from string import Formatter
+from typing import Any, Self
+
+_FORMATTER = Formatter()
+_PLACE = re.compile(r"\{(\w+)\}")
+
+
+class Phrase(str):
+    """An English sentence. Wherever a text is wanted it is one; programs read how it was made.
+
+    template : with {name} where a value stands, without formats
+    values   : what stands there, as it was written, or a phrase in turn
+    """
+
+    __slots__ = ("template", "values")
+    template: str
+    values: Mapping[str, str]
+
+    def __new__(cls, template: str, /, **values: object) -> Self:
+        """Make a sentence from a template of `str.format`, whose fields are names of the values."""
+        said, text, key = {}, "", ""
+        for before, name, how, _ in _FORMATTER.parse(template):
+            text, key = text + before, key + before
+            if name is not None:
+                value = values[name]
+                said[name] = value if isinstance(value, Phrase) else format(value, how or "")
+                text, key = text + said[name], f"{key}{{{name}}}"
+        made = super().__new__(cls, text)
+        made.template, made.values = key, said
+        return made
+
+    def __str__(self) -> str:
+        """Return itself: `str(error)` of an error that was told by a phrase is the phrase."""
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _remake, (str.__str__(self), self.template, dict(self.values))
+
+    def plain(self) -> dict[str, Any]:
+        """Return template and values for JSON."""
+        values = {name: one.plain() if isinstance(one, Phrase) else one for name, one in self.values.items()}
+        return {"template": self.template, "values": values}
+
+
+def _remake(text: str, template: str, values: dict[str, str]) -> Phrase:
+    made = str.__new__(Phrase, text)
+    made.template, made.values = template, values
+    return made
+
+
+def join(separator: str, parts: Iterable[str]) -> Phrase:
+    """Return phrases one after the other, as `separator.join` does."""
+    named = {f"part{number}": part for number, part in enumerate(parts)}
+    between = separator.replace("{", "{{").replace("}", "}}")
+    return Phrase(between.join(f"{{{name}}}" for name in named), **named)
+
+
+def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
+    """Return the phrases in a document that goes out as JSON: template and values by text."""
+    return {text: text.plain() for text in _walk(document)}
+
+
+def _walk(document: Any) -> Iterator[Phrase]:
+    if isinstance(document, Phrase):
+        yield document
+    elif isinstance(document, Mapping):
+        for value in document.values():
+            yield from _walk(value)
+    elif isinstance(document, list | tuple):
+        for value in document:
+            yield from _walk(value)
+
+
+def translate(document: Any, phrases: Mapping[str, Mapping[str, Any]], table: Mapping[str, str]) -> Any:
+    """Return a document with its phrases in the language of a table; what the table has not stays English."""
+    if isinstance(document, str):
+        return _say(phrases[document], table) if document in phrases else document
+    if isinstance(document, Mapping):
+        return {key: translate(value, phrases, table) for key, value in document.items() if key != "phrases"}
+    if isinstance(document, list | tuple):
+        return [translate(value, phrases, table) for value in document]
+    return document
+
+
+def _say(phrase: Mapping[str, Any], table: Mapping[str, str]) -> str:
+    template = phrase["template"]
+    values = {name: one if isinstance(one, str) else _say(one, table) for name, one in phrase["values"].items()}
+    return _PLACE.sub(lambda place: values.get(place[1], place[0]), table.get(template, template))
