@@ -67,18 +67,18 @@ def join(separator: str, parts: Iterable[str]) -> Phrase:
 
 def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
     """Return the phrases in a document that goes out as JSON: template and values by text."""
-    return {text: text.plain() for text in _walk(document)}
+    return {text: text.plain() for text in _find(document)}
 
 
-def _walk(document: Any) -> Iterator[Phrase]:
+def _find(document: Any) -> Iterator[Phrase]:
     if isinstance(document, Phrase):
         yield document
     elif isinstance(document, Mapping):
         for value in document.values():
-            yield from _walk(value)
+            yield from _find(value)
     elif isinstance(document, list | tuple):
         for value in document:
-            yield from _walk(value)
+            yield from _find(value)
 
 
 def translate(document: Any, phrases: Mapping[str, Mapping[str, Any]], table: Mapping[str, str]) -> Any:

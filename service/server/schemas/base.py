@@ -34,7 +34,7 @@ class PhraseView(Body):
 
 Phrases = Annotated[
     dict[str, PhraseView],
-    Field(description="sentences of this answer by their text, for who says them in another language"),
+    Field(default_factory=dict, description="sentences of this answer by text, for who says them in another language"),
 ]
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": r"^[0-9a-f]{64}$"})]
 Time = Annotated[float, PlainSerializer(iso_time, return_type=str)]

@@ -45,7 +45,7 @@ class ProblemBody(BaseModel):
     code: Annotated[str | None, Field(description="which refusal it is, where a program may tell it by that")] = None
     values: Annotated[dict[str, Any] | None, Field(description="what `detail` names, beside `code`")] = None
     problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
-    phrases: Phrases | None = None
+    phrases: Phrases
 
 
 class JobError(Body):
