@@ -50,8 +50,8 @@ def use_current_kernels() -> None:
 def _delete_unused(folder: Path) -> None:
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # another process may do the same
-            if path.is_dir() and time.time() - path.stat().st_mtime > _UNUSED_S:
-                shutil.rmtree(path, ignore_errors=True)
+            if time.time() - path.stat().st_mtime > _UNUSED_S:
+                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
 
 
 def ready_mark(task: str) -> Path:

@@ -21,10 +21,10 @@ def parse(path: Path) -> ast.Module:
 
 
 def hash_files(paths: Iterable[Path]) -> str:
-    """Return hash of what these files hold, in this order."""
+    """Return hash of what these files are called and hold, in this order."""
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(path.read_bytes())
+        digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 
+from service.processes import kernel_locator
 from service.processes.kernel_locator import _definition, _names, kernel_hash
 
 _FILES = {
@@ -96,6 +99,29 @@ def test_words_and_code_beside_it_are_not(hash_after, name, old, new):
 
 
 @pytest.mark.thorough
+def test_what_a_process_has_found_the_next_knows_while_the_sources_are_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_locator.numba_config, "CACHE_DIR", str(tmp_path))
+    ends = []
+    monkeypatch.setattr(kernel_locator.atexit, "register", lambda *end: ends.append(partial(*end)))
+    source = tmp_path / "optics" / "lower.py"
+    source.parent.mkdir()
+
+    def known_to_a_process() -> dict[str, str]:
+        for one in (kernel_locator._known_hashes, _definition, _names):
+            one.cache_clear()
+        known = dict(kernel_locator._known_hashes(tmp_path))
+        assert kernel_locator._find_hash("optics.lower", "kernel", tmp_path)
+        ends.pop()()
+        return known
+
+    source.write_text("def kernel(x): return x\n")
+    assert known_to_a_process() == {}
+    assert known_to_a_process() == {"optics.lower.kernel": kernel_hash("optics.lower", "kernel", tmp_path)}
+    source.write_text("def kernel(x): return -x\n")
+    assert known_to_a_process() == {}
+
+
+@pytest.mark.thorough
 def test_numba_keeps_a_kernel_under_that_name(tmp_path):
     code = (
         "import numpy as np\nfrom service.processes.kernel_cache import use_current_kernels\nuse_current_kernels()\n"
@@ -111,7 +137,9 @@ def test_numba_keeps_a_kernel_under_that_name(tmp_path):
     with ThreadPoolExecutor(3) as several:  # at once: one compiles, the others wait for it
         assert sorted(one.result() for one in [several.submit(hits) for _ in range(3)]) == [0, 1, 1]
     assert hits() == 1
-    (folder,) = tmp_path.iterdir()
+    hashes, folder = sorted(tmp_path.iterdir())
+    kept = json.loads(hashes.read_text())
+    assert kept == {name: kernel_hash(*name.rsplit(".", 1)) for name in kept} != {}
     assert folder.name == f"optics.transport.anderson._remember-{kernel_hash('optics.transport.anderson', '_remember')}"
     # A type of an argument that stands elsewhere now: compiled anew, and found again afterwards.
     (index,) = folder.glob("*.nbi")
