@@ -6,7 +6,7 @@ import ast
 import json
 import re
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -160,23 +160,21 @@ def strings_in(told: Any) -> Iterator[str]:
             yield from strings_in(value)
 
 
-SAID = sorted(
-    strings_in(
-        [
-            *(machine_states.MACHINE, machine_states.RUN, machine_states.PLAN, list(machine_states.STATES.values())),
-            *(canned_job.job(), canned_job.plan(), ESTIMATE_EXAMPLE, FAULT, LONG_NAME, LONG_NAME.removesuffix(".png")),
-            *(f"{LONG_NAME}: line 3: no value", "this is not a picture that can be read", "grbl-3018: engraver"),
-            [f"{state}-{LONG_NAME}" for state in machine_states.STATES],
-        ]
-    ),
-    key=len,
-    reverse=True,
-)
+@cache
+def texts_said() -> list[str]:
+    states = machine_states
+    told = [
+        *(states.MACHINE, states.RUN, states.PLAN, list(states.STATES.values()), ESTIMATE_EXAMPLE, FAULT),
+        *(canned_job.job(), canned_job.plan(), LONG_NAME, LONG_NAME.removesuffix(".png")),
+        *(f"{LONG_NAME}: line 3: no value", "this is not a picture that can be read", "grbl-3018: engraver"),
+        [f"{state}-{LONG_NAME}" for state in states.STATES],
+    ]
+    return sorted(strings_in(told), key=len, reverse=True)
 
 
 def without_what_is_said(text: str) -> str:
     """What is left of a text that no table has."""
-    for said in SAID:
+    for said in texts_said():
         text = re.sub(re.escape(said).replace(r"\-", "[-−]"), " ", text, flags=re.IGNORECASE)
     return " ".join(SAME.sub(" ", text).split())
 

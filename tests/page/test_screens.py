@@ -113,8 +113,11 @@ def of_a_finished_job(opened: Opened) -> Page:
 
 
 def of_a_job_without_results(state: str) -> Screen:
-    stages = jobs.stopped_at(jobs.canned()[0], "image", "cancelled" if state == "cancelled" else "waiting")
-    return of_a_job(state, report=None, programs=[], stages=stages, progress=0.0, queue_position=3)
+    def screen(opened: Opened) -> Page:
+        stages = jobs.stopped_at(jobs.canned()[0], "image", "cancelled" if state == "cancelled" else "waiting")
+        return of_a_job(state, report=None, programs=[], stages=stages, progress=0.0, queue_position=3)(opened)
+
+    return screen
 
 
 def of_no_jobs(opened: Opened) -> Page:

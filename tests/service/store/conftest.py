@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from moto.server import ThreadedMotoServer
 
 from service.settings import ServerSettings
 from service.store.base import Store
@@ -27,6 +26,8 @@ _AWS = {
 @pytest.fixture(scope="session")
 def s3_address() -> Iterator[str]:
     """A server of the S3 protocol with an empty bucket; the AWS_... variables of this process lead to it."""
+    from moto.server import ThreadedMotoServer  # slow to import: for who asks for it
+
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
