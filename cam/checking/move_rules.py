@@ -14,6 +14,7 @@ from cam.checking.removal import Drops, RemovalGrid
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase
 
 _TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)
 _AXES = "xyz"
@@ -89,7 +90,7 @@ class MoveRules:
             )
         )
         self._extra: list[str] = []
-        self.notes: list[str] = []
+        self.notes: list[Phrase] = []
         self.lines = self.bytes = self.moves = self.entries = 0
         self.path_length_mm = self.max_engagement_mm = self.gouge_mm = 0.0
         self._low_corner, self._high_corner = np.full(3, np.inf), np.full(3, -np.inf)
