@@ -192,23 +192,25 @@ def _by_hand(planned: Planned) -> Iterator[Phrase]:
 def _ball(planned: Planned) -> Iterator[Phrase]:
     """Yield what the ball is chosen for, and which others were not."""
     radius = planned.chosen.finish.radius_mm
-    words = Phrase(
-        "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
-        "mrad), a smaller ball steeper ones",
-        size=ball(radius),
-        slope_um_per_mm=1000 * planned.chosen.slopes.across.rms,
-    )
+    size, slope_um_per_mm = ball(radius), 1000 * planned.chosen.slopes.across.rms
     if planned.shapes_lens:
         perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
         yield Phrase(
-            "{words}; the lens is shaped for it, which takes {lost_db:.1f} dB of the {least_db:.1f} dB of one without "
-            "marks.",
-            words=words,
+            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
+            "mrad), a smaller ball steeper ones; the lens is shaped for it, which takes {lost_db:.1f} dB of the "
+            "{least_db:.1f} dB of one without marks.",
+            size=size,
+            slope_um_per_mm=slope_um_per_mm,
             lost_db=max(0.0, least - perfect),
             least_db=least,
         )
     else:
-        yield Phrase("{words}.", words=words)
+        yield Phrase(
+            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
+            "mrad), a smaller ball steeper ones.",
+            size=size,
+            slope_um_per_mm=slope_um_per_mm,
+        )
     if any(planned.foreseen_blur_mm()):
         plain = planned.light.unsharpened_db(planned.chosen.marks)
         yield Phrase(
