@@ -21,6 +21,7 @@ from optics.outline import share_notched
 from optics.spline import Array
 from optics.transport.grid_levels import average_boxes
 from optics.transport.solver import solve_transport
+from phrases.phrase import Phrase
 
 DARK = 0.02  # of the brightest pixel: below is black
 _LEAK_WORTH_A_WORD = 0.01
@@ -40,11 +41,14 @@ class Advice:
     figures : of this very lens; of a coarse one they are no more than a first guess, and its words are enough
     """
 
-    words: str
-    figures: str = ""
+    words: Phrase
+    figures: Phrase | None = None
 
-    def __str__(self) -> str:
-        return f"{self.words} ({self.figures})" if self.figures else self.words
+    def sentence(self) -> Phrase:
+        """Return the words with the figures."""
+        if self.figures is None:
+            return self.words
+        return Phrase("{words} ({figures})", words=self.words, figures=self.figures)
 
 
 def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
@@ -88,46 +92,68 @@ def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_p
     found = []
     leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
-        black = 100 * np.mean(target < DARK * target.max())
-        found.append(
-            Advice(
-                "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light "
-                f"in it{_advise_branch(target, bench, radius_mm)}",
-                f"black covers {black:.0f} % of the picture; in valleys for a ball of radius {radius_mm:g} mm, "
-                f"Ø {2 * radius_mm:g}, about {100 * leak:.1f} % of the light ends there",
-            )
+        figures = Phrase(
+            "black covers {black_percent:.0f} % of the picture; in valleys for a ball of radius {radius_mm:g} mm, "
+            "Ø {diameter_mm:g}, about {percent:.1f} % of the light ends there",
+            black_percent=100 * np.mean(target < DARK * target.max()),
+            radius_mm=radius_mm,
+            diameter_mm=2 * radius_mm,
+            percent=100 * leak,
         )
+        found.append(Advice(_word_black(target, bench, radius_mm), figures))
     if fine >= _FINE_WORTH_A_WORD:
-        finer = ", a finer lens grid (vertices per pixel)" if vertices_per_pixel < 4 else ""
-        beside = _MISPLACED_PER_FINE * fine
-        found.append(
-            Advice(
-                f"{100 * fine:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
-                f"{100 * beside:.0f} % of it will fall beside its place; thicker strokes, more pixels for the same "
-                f"detail{finer} or grey instead of black help"
-            )
-        )
+        found.append(Advice(_word_fine(fine, vertices_per_pixel)))
     if peak >= _PEAK_WORTH_A_WORD:
         found.append(
             Advice(
-                f"the brightest pixel is to get {peak:.0f} times the mean, more than a lens of this grid can focus; "
-                "larger spots or a floor of grey under the picture (a hundredth of its white) help"
+                Phrase(
+                    "the brightest pixel is to get {times:.0f} times the mean, more than a lens of this grid can "
+                    "focus; larger spots or a floor of grey under the picture (a hundredth of its white) help",
+                    times=peak,
+                )
             )
         )
     if notched := share_notched(bench):
         found.append(
             Advice(
-                f"the outline leaves out {100 * notched:.0f} % of its convex hull: the picture's frame gets its light "
-                "from beside the notches too, and with it dark and bright lines; a convex outline has none"
+                Phrase(
+                    "the outline leaves out {percent:.0f} % of its convex hull: the picture's frame gets its light "
+                    "from beside the notches too, and with it dark and bright lines; a convex outline has none",
+                    percent=100 * notched,
+                )
             )
         )
     return tuple(found)
 
 
-def _advise_branch(target: Array, bench: Bench, radius_mm: float) -> str:
+def _word_black(target: Array, bench: Bench, radius_mm: float) -> Phrase:
     if choose_branch(target, bench, radius_mm) == bench.branch:
-        return ""
-    return ", and the inverted branch avoids it"
+        return Phrase(
+            "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light in it"
+        )
+    return Phrase(
+        "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light in it, "
+        "and the inverted branch avoids it"
+    )
+
+
+def _word_fine(fine: float, vertices_per_pixel: int) -> Phrase:
+    percent, beside_percent = 100 * fine, 100 * _MISPLACED_PER_FINE * fine
+    if vertices_per_pixel < 4:
+        return Phrase(
+            "{percent:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
+            "{beside_percent:.0f} % of it will fall beside its place; thicker strokes, more pixels for the same "
+            "detail, a finer lens grid (vertices per pixel) or grey instead of black help",
+            percent=percent,
+            beside_percent=beside_percent,
+        )
+    return Phrase(
+        "{percent:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
+        "{beside_percent:.0f} % of it will fall beside its place; thicker strokes, more pixels for the same detail or "
+        "grey instead of black help",
+        percent=percent,
+        beside_percent=beside_percent,
+    )
 
 
 def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:

@@ -15,6 +15,7 @@ from optics.polish import PolishRecord, polish_lens
 from optics.spline import Array
 from optics.transport.solver import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from optics.paper.flow import PaperFlow
@@ -37,7 +38,7 @@ class LensDesign:
     transport_map: TransportMap
     converged: bool
     history: list[dict[str, Any]]
-    message: str
+    message: Phrase
     seconds: float
     flow: PaperFlow | None = None  # the paper's method step by step, where that was the method
     warnings: tuple[Advice, ...] = ()
@@ -109,24 +110,51 @@ def _design_by_transport(
     )
 
 
-def _message(seen: Pass) -> str:
-    last, lost = seen.path.levels[-1], seen.lost_share
-    way = f"rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
-    if seen.path.floor > 0:
-        way += f", aimed at {_word_softening(seen.path)}, as without the surface would fold"
+def _message(seen: Pass) -> Phrase:
+    way = _word_way(seen.path)
     if seen.converged:
-        return f"converged: {way}"
+        return Phrase("converged: {way}", way=way)
+    if seen.loses_light and seen.path.bench.light.extended:
+        return Phrase(
+            "{percent:.0f} % of the light misses the screen: the source is large for this picture and screen, or the "
+            "picture is finer than the lens can show (the map has {way})",
+            percent=100 * seen.lost_share,
+            way=way,
+        )
     if seen.loses_light:
-        reason = "the picture is finer than the lens can show"
-        if seen.path.bench.light.extended:
-            reason = f"the source is large for this picture and screen, or {reason}"
-        return f"{100 * lost:.0f} % of the light misses the screen: {reason} (the map has {way})"
-    return f"stopped: {way}, wanted {TOLERANCE:g}; the lens is usable, its contrast may be lower than the picture's"
+        return Phrase(
+            "{percent:.0f} % of the light misses the screen: the picture is finer than the lens can show (the map has "
+            "{way})",
+            percent=100 * seen.lost_share,
+            way=way,
+        )
+    return Phrase(
+        "stopped: {way}, wanted {tolerance:g}; the lens is usable, its contrast may be lower than the picture's",
+        way=way,
+        tolerance=TOLERANCE,
+    )
 
 
-def _word_softening(path: OpticalPath) -> str:
-    aim = f"the picture with {100 * path.floor:g} % of even light"
-    return f"{aim} and blurred by {path.blur_pixels:g} pixels" if path.blur_pixels > 0 else aim
+def _word_way(path: OpticalPath) -> Phrase:
+    last = path.levels[-1]
+    way = Phrase(
+        "rms {rms:.1e} of the mean irradiance after {count} steps at full size", rms=last.rms, count=last.iterations
+    )
+    if path.floor <= 0:
+        return way
+    if path.blur_pixels <= 0:
+        return Phrase(
+            "{way}, aimed at the picture with {floor_percent:g} % of even light, as without the surface would fold",
+            way=way,
+            floor_percent=100 * path.floor,
+        )
+    return Phrase(
+        "{way}, aimed at the picture with {floor_percent:g} % of even light and blurred by {blur_px:g} pixels, as "
+        "without the surface would fold",
+        way=way,
+        floor_percent=100 * path.floor,
+        blur_px=path.blur_pixels,
+    )
 
 
 def _warnings(cost: ClosingCost | None) -> tuple[Advice, ...]:
@@ -135,9 +163,16 @@ def _warnings(cost: ClosingCost | None) -> tuple[Advice, ...]:
     lost_db, leak = cost.psnr_db_without - cost.psnr_db_with, cost.dark_leak_with - cost.dark_leak_without
     if lost_db < _DEAR_DB and leak < _DEAR_LEAK:
         return ()
-    words = (
+    words = Phrase(
         "the picture will be flatter and its dark areas brighter, as the ball does not fit the lens's narrow valleys: "
         "a smaller ball, a wall farther away or a wider lens keeps more of it"
     )
-    ball = f"ball of radius {cost.radius_mm:g} mm, Ø {2 * cost.radius_mm:g}"
-    return (Advice(words, f"{ball}: {lost_db:.1f} dB, {100 * leak:.1f} % more of the light in dark areas"),)
+    figures = Phrase(
+        "ball of radius {radius_mm:g} mm, Ø {diameter_mm:g}: {lost_db:.1f} dB, {percent:.1f} % more of the light in "
+        "dark areas",
+        radius_mm=cost.radius_mm,
+        diameter_mm=2 * cost.radius_mm,
+        lost_db=lost_db,
+        percent=100 * leak,
+    )
+    return (Advice(words, figures),)

@@ -39,6 +39,11 @@ class Phrase(str):
         made.template, made.values = key, said
         return made
 
+    @classmethod
+    def of_text(cls, text: str) -> Self:
+        """Make a sentence of a whole text, which stands in a file of data and has no places for values."""
+        return cls(text.replace("{", "{{").replace("}", "}}"))
+
     def __str__(self) -> str:
         """Return itself: `str(error)` of an error that was told by a phrase is the phrase."""
         return self

@@ -7,6 +7,7 @@ from math import floor
 from typing import Any
 
 from cam.cutters import cutter_shape
+from phrases.phrase import Phrase
 
 MISSING = "\N{EN DASH}"
 
@@ -61,11 +62,12 @@ def shape_of(row: Mapping[str, Any]) -> str:
     return cutter_shape(row.get("radius_mm") or 1.0, row.get("corner_radius_mm")).name
 
 
-def cutter(row: Mapping[str, Any]) -> str:
+def cutter(row: Mapping[str, Any]) -> Phrase:
     """Return a pass's end mill by shape and size."""
-    shape, corner_mm = shape_of(row), row.get("corner_radius_mm")
     size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
-    return f"{shape} {size}" + (f", corner R {corner_mm:g} mm" if shape == "bull-nose" else "")
+    if (shape := shape_of(row)) == "bull-nose":
+        return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
+    return Phrase("flat {size}", size=size) if shape == "flat" else Phrase("ball {size}", size=size)
 
 
 def size(count: Any) -> str:

@@ -34,6 +34,7 @@ from cam.rows.rest import RestAreas
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_left import ExcessFound, StockLeft, Unreached, find_excess
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 
 GOUGE_ALLOWED_UM = 1.0
 GAP_ALLOWED_PITCHES = 1.5
@@ -89,8 +90,8 @@ class PassCheck:
     stock_top        : what is left, for the next pass
     """
 
-    faults: tuple[str, ...]
-    notes: tuple[str, ...]
+    faults: tuple[Phrase, ...]
+    notes: tuple[Phrase, ...]
     lines: int
     bytes: int
     moves: int
@@ -269,7 +270,7 @@ class _Run:
         depth, cell = self.whole.cut_at_rest()
         idle = self.rest is not None and not self.rest.core.any()
         if idle:
-            self.rules.notes.append("the ball before has left nothing to this one: the program only lifts")
+            self.rules.notes.append(Phrase("the ball before has left nothing to this one: the program only lifts"))
         self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole, may_idle=idle)
         for window in self.windows:
             window.cut_at_rest()
@@ -354,20 +355,41 @@ class _Run:
     def _judge_gap(self, gap_mm: float, x_mm: float, y_mm: float, *, allowed_mm: float) -> None:
         if gap_mm > allowed_mm:
             self.rules.add_fault(
-                f"tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)"
+                Phrase(
+                    "tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)",
+                    gap_mm=gap_mm,
+                    x_mm=x_mm,
+                    y_mm=y_mm,
+                    allowed_mm=allowed_mm,
+                )
             )
 
     def _judge_excess(self, excess: ExcessFound) -> None:
         allowed_mm = UNCUT_ALLOWED_MM + 0.25 * self.spec.stock_to_leave_mm + 1.5 * self.digit_mm
         if excess.uncut_mm > allowed_mm:
             self.rules.add_fault(
-                f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "
-                f"Y{excess.y_mm:.3f} where the ball could reach (allowed {1000 * allowed_mm:.1f} µm)"
+                Phrase(
+                    "{left_um:.1f} µm more than the cusps are left at X{x_mm:.3f} Y{y_mm:.3f} where the ball could "
+                    "reach (allowed {allowed_um:.1f} µm)",
+                    left_um=1000 * excess.uncut_mm,
+                    x_mm=excess.x_mm,
+                    y_mm=excess.y_mm,
+                    allowed_um=1000 * allowed_mm,
+                )
             )
         if excess.unreached and (excess.unreached_share > SEEN_SHARE or excess.unreached[0].excess_um > SEEN_UM):
+            highest = excess.unreached[0]
             self.rules.notes.append(
-                f"the ball of radius {self.spec.radius_mm:g} mm cannot reach {100 * excess.unreached_share:.2g} % of "
-                f"the aperture; highest at {excess.unreached[0]}"
+                Phrase(
+                    "the ball of radius {radius_mm:g} mm cannot reach {percent:.2g} % of the aperture; highest at "
+                    "X{x_mm:.2f} Y{y_mm:.2f}: the ball leaves {excess_um:.1f} µm over {area_mm2:.3g} mm²",
+                    radius_mm=self.spec.radius_mm,
+                    percent=100 * excess.unreached_share,
+                    x_mm=highest.x_mm,
+                    y_mm=highest.y_mm,
+                    excess_um=highest.excess_um,
+                    area_mm2=highest.area_mm2,
+                )
             )
 
 

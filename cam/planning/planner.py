@@ -22,6 +22,7 @@ from cam.planning.row_slopes import RowSlopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.planning.shop import Shop, find_exclusion, find_unheld, pitches_mm
 from cam.tools import Tool, tool_pass
+from phrases.phrase import Phrase
 
 DOUBLING_DB = 0.75
 """That a picture must gain to be worth twice the time; an eye sees about 1. `camera` finished by hand on steps of 1 um:
@@ -131,7 +132,7 @@ class Plan:
 
     chosen: Candidate
     front: tuple[Candidate, ...]
-    left_out: tuple[tuple[str, str], ...]
+    left_out: tuple[tuple[str, Phrase], ...]
     met: bool  # the goal, as far as hours, blur or PSNR were given
 
     @property
@@ -146,7 +147,7 @@ class Plan:
 class NoPlanError(ValueError):
     """No tool of the shop can finish the lens; `left_out` says of each why."""
 
-    def __init__(self, left_out: tuple[tuple[str, str], ...]) -> None:
+    def __init__(self, left_out: tuple[tuple[str, Phrase], ...]) -> None:
         super().__init__("; ".join(f"{name}: {reason}" for name, reason in left_out) or "there are no tools")
         self.left_out = left_out
 
@@ -170,7 +171,7 @@ def find_candidates(
     *,
     fillings: Mapping[float, Filled],
     quickly: bool = False,
-) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
+) -> tuple[list[Candidate], tuple[tuple[str, Phrase], ...]]:
     """Return all candidates, each with the light's guess, and the tools left out, each with the reason.
 
     quickly : their times from fewer moves, within a tenth or two minutes
@@ -193,10 +194,10 @@ def find_candidates(
     return candidates, left_out
 
 
-def _find_reason(tool: Tool, form: LensForm | None, shop: Shop) -> str | None:
+def _find_reason(tool: Tool, form: LensForm | None, shop: Shop) -> Phrase | None:
     """Return why a tool is left out, as a clause; None where it is not."""
     if form is None:
-        return find_unheld(tool, shop) or "no lens was shaped for it"
+        return find_unheld(tool, shop) or Phrase("no lens was shaped for it")
     return find_exclusion(tool, form, shop) or _find_misfit(tool, form)
 
 
@@ -217,7 +218,7 @@ def _plan_beside_rows(rough: Roughing, fitting: list[tuple[Tool, LensForm]]) -> 
 
 def plan_among(
     candidates: list[Candidate],
-    left_out: tuple[tuple[str, str], ...],
+    left_out: tuple[tuple[str, Phrase], ...],
     light: Light,
     goal: Goal,
     *,
@@ -276,7 +277,7 @@ def time_by_lens(plan: Plan, lens: LensForm, goal: Goal, *, guessed: LensForm, s
     return plan_by_score([*front, timed], plan.left_out, goal)
 
 
-def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
+def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, Phrase], ...], goal: Goal) -> Plan:
     """Choose among candidates by what they say of themselves."""
     front = _select_front(candidates)
     chosen, met = choose(front, goal)
@@ -318,11 +319,15 @@ def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
     return near
 
 
-def _find_misfit(tool: Tool, form: LensForm) -> str | None:
+def _find_misfit(tool: Tool, form: LensForm) -> Phrase | None:
     """Return how little of the lens a ball fits, as a clause; None where it fits enough."""
     if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
         return None
-    return f"its ball fits {100 * share:.1f} % of the lens; {100 * LEAST_FIT:.0f} % are needed"
+    return Phrase(
+        "its ball fits {percent:.1f} % of the lens; {least_percent:.0f} % are needed",
+        percent=100 * share,
+        least_percent=100 * LEAST_FIT,
+    )
 
 
 def _generate_candidates(

@@ -13,6 +13,7 @@ from cam.planning.pass_time import LensForm
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.posts.post import Digits
 from cam.tools import Speeds, Tool
+from phrases.phrase import Phrase
 
 CLEAR_MM = 1.0
 """Of the margin that must stay beside what a ball clears."""
@@ -96,11 +97,15 @@ class Shop:
         )
 
 
-def find_unheld(tool: Tool, shop: Shop) -> str | None:
+def find_unheld(tool: Tool, shop: Shop) -> Phrase | None:
     """Return why the spindle cannot take a tool, as a clause; None where it can."""
     if shop.holds(tool):
         return None
-    return f"it has a shank of {2 * tool.shank_radius_mm:g} mm; the mill's collet takes {shop.collet_mm:g} mm"
+    return Phrase(
+        "it has a shank of {diameter_mm:g} mm; the mill's collet takes {collet_mm:g} mm",
+        diameter_mm=2 * tool.shank_radius_mm,
+        collet_mm=shop.collet_mm,
+    )
 
 
 def pitches_mm(tool: Tool) -> tuple[float, ...]:
@@ -108,18 +113,25 @@ def pitches_mm(tool: Tool) -> tuple[float, ...]:
     return tuple(pitch for pitch in PITCHES_MM if pitch <= PITCH_SHARE * tool.radius_mm)
 
 
-def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> str | None:
+def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> Phrase | None:
     """Return why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked
     elsewhere.
     """
     if (unheld := find_unheld(tool, shop)) is not None:
         return unheld
     if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:
-        need_mm = 2 * tool.radius_mm + CLEAR_MM
-        return f"it clears {2 * tool.radius_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}"
+        return Phrase(
+            "it clears {diameter_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}",
+            diameter_mm=2 * tool.radius_mm,
+            need_mm=2 * tool.radius_mm + CLEAR_MM,
+        )
     steepest = float(form.slopes[-1])
     if tool.shank_radius_mm > tool.radius_mm and steepest * tool.shank_radius_mm > tool.flute_length_mm:
-        return f"its shank would touch slopes of {steepest:.2g}"
+        return Phrase("its shank would touch slopes of {slope:.2g}", slope=steepest)
     if form.deepest_mm > tool.stick_out_mm:
-        return f"it sticks out {tool.stick_out_mm:g} mm; the lens is {form.deepest_mm:.1f} mm deep"
+        return Phrase(
+            "it sticks out {stick_out_mm:g} mm; the lens is {depth_mm:.1f} mm deep",
+            stick_out_mm=tool.stick_out_mm,
+            depth_mm=form.deepest_mm,
+        )
     return None

@@ -113,11 +113,6 @@ class Unreached:
     excess_um: float
     area_mm2: float
 
-    def __str__(self) -> str:
-        return (
-            f"X{self.x_mm:.2f} Y{self.y_mm:.2f}: the ball leaves {self.excess_um:.1f} µm over {self.area_mm2:.3g} mm²"
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StockLeft:

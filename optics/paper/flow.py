@@ -41,7 +41,7 @@ from optics.paper.flow_record import (
 from optics.paper.flow_rules import (
     check_target,
     face_intensities,
-    floor_note,
+    floor_notes,
     judge_convergence,
     project_to_frame,
     rms_over,
@@ -49,6 +49,7 @@ from optics.paper.flow_rules import (
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
+from phrases.phrase import Phrase, join
 
 __all__ = [
     "FlowSettings",
@@ -103,7 +104,7 @@ def _plain_flow(
     steps: list[FlowStep] = []
     snapshots: list[FlowSnapshot] = []
     lens, lens_step = rest, 0
-    verdict: tuple[bool, str] | None = judge_convergence(steps, rms_over(difference, faces), settings)
+    verdict: tuple[bool, Phrase] | None = judge_convergence(steps, rms_over(difference, faces), settings)
     while verdict is None:
         solution = poisson.solve(mesh, difference * faces, tolerance=settings.solver_tolerance)
         velocity = project_to_frame(mesh.vertex_gradients(solution.values, weights), (ny, nx))
@@ -138,7 +139,7 @@ def _plain_flow(
         lens_step=lens_step,
         target=wanted.reshape(ny, nx),
         converged=converged,
-        message=message + floor_note(lifted, settings.floor),
+        message=join(" ", (message, *floor_notes(lifted, settings.floor))),
         steps=tuple(steps),
         snapshots=tuple(snapshots),
         pair=MeshPair(screen=rest, lens=lens),

@@ -15,12 +15,13 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, judge_convergence, raise_to_floor, rms_over
+from optics.paper.flow_rules import excess_on_faces, floor_notes, judge_convergence, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import neighbours_of
 from optics.paper.poisson import NeumannPoisson
 from optics.paper.remesh import without_short_lived
 from optics.spline import Array
+from phrases.phrase import Phrase, join
 
 
 def flow_with_darts(
@@ -79,7 +80,7 @@ def flow_with_darts(
         lens_step=len(steps),
         target=wanted,
         converged=converged,
-        message=message + _note_remeshing(steps) + floor_note(lifted, settings.floor),
+        message=join(" ", (message, _note_remeshing(steps), *floor_notes(lifted, settings.floor))),
         steps=tuple(steps),
         snapshots=tuple(snapshots),
         pair=pair,
@@ -122,6 +123,6 @@ def _project_to_frame(velocity: Array, pair: MeshPair, size_mm: tuple[float, flo
     return velocity
 
 
-def _note_remeshing(steps: list[FlowStep]) -> str:
+def _note_remeshing(steps: list[FlowStep]) -> Phrase:
     removed, inserted = sum(step.removed for step in steps), sum(step.inserted for step in steps)
-    return f" Remeshing removed {removed} vertices and threw in {inserted}."
+    return Phrase("Remeshing removed {removed} vertices and threw in {inserted}.", removed=removed, inserted=inserted)

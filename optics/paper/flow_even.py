@@ -31,12 +31,13 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, project_to_frame, raise_to_floor, rms_over
+from optics.paper.flow_rules import excess_on_faces, floor_notes, project_to_frame, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import Neighbours, neighbours_of
 from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
 from optics.transport_map import screen_positions
+from phrases.phrase import Phrase, join
 
 _COARSER = (2, 1)
 _LEAST_CELLS = 24  # of the smaller side of a coarse grid
@@ -123,7 +124,7 @@ def flow_on_even_grids(
         lens_step=len(run.steps),
         target=wanted,
         converged=run.settled,
-        message=run.message() + floor_note(lifted, settings.floor),
+        message=join(" ", (run.message(), *floor_notes(lifted, settings.floor))),
         steps=tuple(run.steps),
         snapshots=tuple(run.snapshots),
         pair=pair,
@@ -171,11 +172,15 @@ class _Run:
                 pair = state.pair()
             self._record(state, pair, across, dt, largest_dt, solution.iterations, again)
 
-    def message(self) -> str:
-        remeshings = sum(step.remeshed for step in self.steps)
-        state = f"rms difference {100.0 * self.rms:.2f} % of the mean after {len(self.steps)} steps"
-        end = "The flow has settled" if self.settled else "The flow was stopped at its limit"
-        return f"{end}: {state}, {remeshings} of them ended on an even grid again."
+    def message(self) -> Phrase:
+        return Phrase(
+            "{end}: rms difference {percent:.2f} % of the mean after {count} steps, {remeshings} of them ended on an "
+            "even grid again.",
+            end=Phrase("The flow has settled") if self.settled else Phrase("The flow was stopped at its limit"),
+            percent=100.0 * self.rms,
+            count=len(self.steps),
+            remeshings=sum(step.remeshed for step in self.steps),
+        )
 
     def _record(
         self,

@@ -10,6 +10,7 @@ import numpy as np
 
 from optics.paper.mesh import MeshPair
 from optics.spline import Array
+from phrases.phrase import Phrase
 
 Progress = Callable[[str, float], None]
 Remeshing = Literal["none", "simple", "clean"]
@@ -87,7 +88,7 @@ class PaperFlow:
     lens_step: int  # after which the mesh lay like this
     target: Array
     converged: bool
-    message: str
+    message: Phrase
     steps: tuple[FlowStep, ...]
     snapshots: tuple[FlowSnapshot, ...]
     pair: MeshPair

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from optics.paper.flow_record import FlowSettings, FlowStep, pixel_vertices
 from optics.paper.mesh import MeshPair
 from optics.paper.mesh_surgery import Neighbours
 from optics.spline import Array
+from phrases.phrase import Phrase
 
 
 def project_to_frame(velocity: Array, shape: tuple[int, int]) -> Array:
@@ -71,31 +73,41 @@ def rms_over(difference: Array, faces: Array) -> float:
     return float(np.sqrt(np.dot(faces, difference**2) / faces.sum()))
 
 
-def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple[bool, str] | None:
+def judge_convergence(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple[bool, Phrase] | None:
     """Return whether to stop, and the sentence why; None goes on."""
-    state = f"rms difference {100.0 * rms:.2f} % of the mean after {len(steps)} steps"
+    state = Phrase(
+        "rms difference {percent:.2f} % of the mean after {count} steps", percent=100.0 * rms, count=len(steps)
+    )
     if rms <= settings.converged_rms:
-        return True, f"The flow converged: {state}."
+        return True, Phrase("The flow converged: {state}.", state=state)
     recent = steps[-settings.settled_steps - 1 :]
     gains = [1.0 - b.rms_percent / a.rms_percent for a, b in pairwise(recent)]
     full = all(step.dt == 1.0 for step in recent[1:])
     shown = len(steps) >= min(settings.least_steps, settings.max_steps)
     if shown and full and len(gains) == settings.settled_steps and max(gains) < settings.settled_gain:
-        return True, f"The flow has settled: {state}; what is left is finer than the mesh can move."
+        return True, Phrase("The flow has settled: {state}; what is left is finer than the mesh can move.", state=state)
     if steps and steps[-1].dt < (settings.stuck_dt if shown else settings.immovable_dt):
-        return False, (
-            f"The mesh got stuck: {state}; the next triangle to flip allows a step of only {steps[-1].largest_dt:.1e} "
-            "(a bright region beside a very dark one). The lens shows the picture with less contrast than asked for."
+        return False, Phrase(
+            "The mesh got stuck: {state}; the next triangle to flip allows a step of only {largest_dt:.1e} (a bright "
+            "region beside a very dark one). The lens shows the picture with less contrast than asked for.",
+            state=state,
+            largest_dt=steps[-1].largest_dt,
         )
     if len(steps) >= settings.max_steps:
-        return False, f"The flow was stopped at its limit of {settings.max_steps} steps: {state}."
+        return False, Phrase(
+            "The flow was stopped at its limit of {max_steps} steps: {state}.",
+            max_steps=settings.max_steps,
+            state=state,
+        )
     return None
 
 
-def floor_note(lifted: float, floor: float) -> str:
-    if lifted == 0.0:
-        return ""
-    return (
-        f" {100.0 * lifted:.1f} % of the picture is darker than {100.0 * floor:g} % of its mean and was lifted "
-        "to that: this method cannot make black."
-    )
+def floor_notes(lifted: float, floor: float) -> Iterator[Phrase]:
+    """Yield what was done to a picture darker than the floor; nothing where none of it is."""
+    if lifted > 0.0:
+        yield Phrase(
+            "{percent:.1f} % of the picture is darker than {floor_percent:g} % of its mean and was lifted to that: "
+            "this method cannot make black.",
+            percent=100.0 * lifted,
+            floor_percent=100.0 * floor,
+        )

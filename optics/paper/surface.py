@@ -26,6 +26,7 @@ from optics.paper.poisson import NeumannPoisson, divergence_load
 from optics.refraction import slope_for_shift
 from optics.spline import Array
 from optics.transport_map import screen_positions
+from phrases.phrase import Phrase
 
 Progress = Callable[[str, float], None]
 
@@ -116,12 +117,15 @@ class PaperLens:
         return self.flow.converged and self.surface.converged
 
     @property
-    def message(self) -> str:
+    def message(self) -> Phrase:
         sweeps = len(self.surface.changes_mm)
         if self.surface.converged:
-            return f"{self.flow.message} The surface took {sweeps} sweeps."
-        return (
-            f"{self.flow.message} The surface still moved {self.surface.changes_mm[-1]:.1e} mm after {sweeps} sweeps."
+            return Phrase("{flow} The surface took {count} sweeps.", flow=self.flow.message, count=sweeps)
+        return Phrase(
+            "{flow} The surface still moved {moved_mm:.1e} mm after {count} sweeps.",
+            flow=self.flow.message,
+            moved_mm=self.surface.changes_mm[-1],
+            count=sweeps,
         )
 
     def history(self) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
 from service.job.errors import translate_errors
@@ -128,7 +129,7 @@ def _note_shortage(context: StageContext) -> None:
         check_disk_space,  # what it stands on is slow to import: a lens alone does without
     )
 
-    disk = f"the disk of {context.folder.parent}"
+    disk = Phrase("the disk of {folder}", folder=context.folder.parent)
     if sentence := check_disk_space(context.folder, disk, cam_stock_of(context.spec), cam_passes_of(context.spec)):
         context.note("passes", sentence)
 

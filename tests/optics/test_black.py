@@ -92,8 +92,8 @@ def test_each_difficulty_gets_its_words() -> None:
     (leak,) = find_advice(ring(), BENCH, 2.0)
     assert "a ball of half the radius or a wall twice as far away" in leak.words
     assert not any(digit in leak.words for digit in "0123456789")
-    assert "Ø 4" in leak.figures
-    assert str(leak) == f"{leak.words} ({leak.figures})"
+    assert leak.figures is not None and "Ø 4" in leak.figures
+    assert leak.sentence() == f"{leak.words} ({leak.figures})"
     assert any("thin strokes, dots, noise" in one.words for one in find_advice(noise, BENCH, 0.1))
     assert any("2048 times the mean" in one.words for one in find_advice(dots, BENCH, 0.1))
     assert fine_detail(dots) > fine_detail(noise) > 0.3 > fine_detail(ring())

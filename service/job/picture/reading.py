@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
@@ -57,7 +58,7 @@ class Picture:
     width: int
     height: int
     mode: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Phrase, ...]
 
     @property
     def is_one_tone(self) -> bool:
@@ -105,14 +106,26 @@ def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: floa
 def _with_warnings(picture: Picture, settings: Reading) -> Picture:
     notes = []
     if picture.is_one_tone:
-        notes.append("is one tone all over: the light will be even, with nothing to see in it")
+        notes.append(Phrase("is one tone all over: the light will be even, with nothing to see in it"))
     if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
         ny, nx = picture.linear.shape
-        notes.append(f"has {picture.width} x {picture.height} pixels, enlarged to {nx} x {ny}")
+        notes.append(word_enlarged((picture.width, picture.height), (nx, ny)))
     return Picture(
         linear=picture.linear, width=picture.width, height=picture.height,
         mode=picture.mode, warnings=tuple(notes),
     )  # fmt: skip
+
+
+def word_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
+    """Return a warning without its subject, the picture; sizes as columns and rows."""
+    (width, height), (columns, rows) = size, to
+    return Phrase(
+        "has {width} x {height} pixels, enlarged to {columns} x {rows}",
+        width=width,
+        height=height,
+        columns=columns,
+        rows=rows,
+    )
 
 
 def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span]:

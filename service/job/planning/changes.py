@@ -8,6 +8,7 @@ from math import hypot
 from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
+from phrases.phrase import Phrase
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolve import without_derived
 from service.job.spec.resolved import ResolvedJob
@@ -21,7 +22,7 @@ _ROUND_MM = 5.0
 class Change:
     """what: in words; values: of the spec, by dotted key."""
 
-    what: str
+    what: Phrase
     values: dict[str, Any]
 
     def apply_to(self, job: ResolvedJob) -> ResolvedJob:
@@ -39,23 +40,26 @@ def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
     """Yield changes that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
     spec = job.spec
     if not spec.to_be_planned:
-        yield Change(what="passes as recommended", values={"preset": "recommended"})
+        yield Change(what=Phrase("passes as recommended"), values={"preset": "recommended"})
     elif spec.finish.process == "none":
-        yield Change(what="finished by hand", values={"finish.process": "best"})
+        yield Change(what=Phrase("finished by hand"), values={"finish.process": "best"})
     width_mm, height_mm = (_to_fives(_LARGER * side) for side in (spec.optics.width_mm, spec.optics.height_mm))
     larger = {"optics.width_mm": width_mm, "optics.height_mm": height_mm}
-    yield Change(what=f"a lens of {width_mm:g} x {height_mm:g} mm", values=larger)
+    yield Change(
+        what=Phrase("a lens of {width_mm:g} x {height_mm:g} mm", width_mm=width_mm, height_mm=height_mm), values=larger
+    )
     throw_mm = _to_fives(_NEARER * spec.optics.throw_mm)
     if throw_mm >= _LEAST_THROW * spec.optics.width_mm:
-        yield Change(what=f"the wall {throw_mm:g} mm away", values={"optics.throw_mm": throw_mm})
+        nearer = Phrase("the wall {throw_mm:g} mm away", throw_mm=throw_mm)
+        yield Change(what=nearer, values={"optics.throw_mm": throw_mm})
     if spec.plan.hours is not None:
         hours = _LONGER * spec.plan.hours
-        yield Change(what=f"{hours:g} hours of milling", values={"plan.hours": hours})
+        yield Change(what=Phrase("{hours:g} hours of milling", hours=hours), values={"plan.hours": hours})
     if (finer := _finer_mill(job.machine)) is not None:
-        yield Change(what=f"a mill as exact as {finer}", values={"machine.profile": finer})
+        yield Change(what=Phrase("a mill as exact as {mill}", mill=finer), values={"machine.profile": finer})
     if spec.image.prepare == "none":
         coarser = {"image.prepare": "detail", "image.prepare_detail_mm": float(f"{detail_mm:.2g}")}
-        yield Change(what="a picture that is prepared for what shows", values=coarser)
+        yield Change(what=Phrase("a picture that is prepared for what shows"), values=coarser)
 
 
 def _to_fives(length_mm: float) -> float:

@@ -30,13 +30,13 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
-from phrases.phrase import phrases_in
+from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
-from service.job.picture.reading import picture_of
+from service.job.picture.reading import picture_of, word_enlarged
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
 from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
@@ -54,6 +54,7 @@ from service.job.spec.lens_task import (
     finish_of,
     lens_settings,
     require_contrast,
+    warn_of_reflection,
     with_branch,
 )
 from service.job.spec.model import JobSpec
@@ -122,7 +123,7 @@ def estimate(
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
-    warnings = [f"{name} {sentence}" for sentence in _of_picture(width, height, spec)]
+    warnings = [Phrase("{picture} {sentence}", picture=name, sentence=one) for one in _of_picture(width, height, spec)]
     answer = {
         "relief_mm": quick.lens.relief_mm,
         "max_slope_deg": quick.facts.max_slope_deg,
@@ -245,7 +246,11 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
     """Return the same with what is milled around the passes, before and after them."""
     rates = job.machine.max_rate_mm_per_min
     around = {
-        name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
+        name: {
+            "name": name,
+            "tool": Phrase("cutter {size}", size=ball(radius_mm)),
+            "hours": seconds_of(paths, min(rates)) / 3600,
+        }
         for name, radius_mm, paths in paths_around(job)
     }
     first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
@@ -287,10 +292,13 @@ class Blur:
     def whole_mm(self) -> float:
         return hypot(self.milling_mm, self.light_mm)
 
-    def words(self, pixel_mm: float) -> Iterator[str]:
-        if self.detail_mm > pixel_mm:
-            cause = "the light's own size" if self.light_mm > self.milling_mm else "the tool's marks"
-            yield f"details under {self.detail_mm:.2g} mm will blur: {cause}"
+    def words(self, pixel_mm: float) -> Iterator[Phrase]:
+        if self.detail_mm <= pixel_mm:
+            return
+        if self.light_mm > self.milling_mm:
+            yield Phrase("details under {detail_mm:.2g} mm will blur: the light's own size", detail_mm=self.detail_mm)
+        else:
+            yield Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=self.detail_mm)
 
 
 def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
@@ -378,18 +386,20 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
         yield from error.rows()
 
 
-def _warnings(quick: QuickLens) -> Iterator[str]:
+def _warnings(quick: QuickLens) -> Iterator[Phrase]:
     yield from (advice.words for advice in quick.design.warnings)
     yield from warn_of_removal(quick.spec, quick.job.machine)
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
-        share = 100 * quick.reflected_share
-        yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
+        yield warn_of_reflection(quick.reflected_share)
     if quick.facts.max_slope_deg > _STEEP_DEG:
-        yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a wall farther away makes them gentler"
+        yield Phrase(
+            "slopes of {slope_deg:.0f}° are hard to mill; a wall farther away makes them gentler",
+            slope_deg=quick.facts.max_slope_deg,
+        )
     if blocked := explain_blocked_light(quick.spec):
         yield blocked
 
 
-def _of_picture(width: int, height: int, spec: JobSpec) -> Iterator[str]:
+def _of_picture(width: int, height: int, spec: JobSpec) -> Iterator[Phrase]:
     if width < spec.image.pixels // 2 or height < spec.pixel_rows // 2:
-        yield f"has {width} x {height} pixels, enlarged to {spec.image.pixels} x {spec.pixel_rows}"
+        yield word_enlarged((width, height), (spec.image.pixels, spec.pixel_rows))

@@ -9,10 +9,11 @@ import numpy as np
 
 from cam.planning.planner import WORTH_DB, Candidate, Goal, Plan, plan_by_score
 from optics.finish import Finish
+from phrases.phrase import Phrase
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.finish import BEST, NONE
-from service.job.spec.finish_library import Process
+from service.job.spec.finish_library import Process, say
 from service.job.spec.lens_task import finish_of
 from service.job.spec.resolved import ResolvedJob
 
@@ -55,7 +56,7 @@ def list_finishings(job: ResolvedJob) -> list[Finishing]:
     if not given.finishes:
         return []
     if (finish := finish_of(spec)) is not None:
-        title = "Your own finish" if given.process == NONE else processes[given.process].title
+        title = Phrase("Your own finish") if given.process == NONE else say(processes[given.process].title)
         return [
             Finishing(process=given.process, title=title, finish=finish, minutes=given.minutes, depth_um=given.depth_um)
         ]
@@ -73,7 +74,7 @@ def _by_minutes(process: Process, area_mm2: float) -> Iterator[Finishing]:
         if _LEAST_K0 <= k0 <= _MOST_K0:
             yield Finishing(
                 process=process.name,
-                title=process.title,
+                title=say(process.title),
                 finish=Finish(k0_rad_per_mm=round(k0, 4), order=process.order, pad_mm=min(process.pad_mm, 5000.0)),
                 minutes=minutes,
                 depth_um=round(process.depth_after_um(minutes, area_mm2), 2),
@@ -83,7 +84,7 @@ def _by_minutes(process: Process, area_mm2: float) -> Iterator[Finishing]:
 def plan_finish(
     finishings: list[Finishing],
     candidates: list[Candidate],
-    left_out: tuple[tuple[str, str], ...],
+    left_out: tuple[tuple[str, Phrase], ...],
     milled: PictureLight,
     design: Design,
     goal: Goal,
@@ -127,7 +128,7 @@ def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
 
 def _plan_all(
     candidates: list[Candidate],
-    left_out: tuple[tuple[str, str], ...],
+    left_out: tuple[tuple[str, Phrase], ...],
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
 ) -> list[FinishedPlan]:

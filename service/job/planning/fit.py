@@ -15,13 +15,14 @@ from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase, join
 from service.errors import FailedError, SpecError
 from service.job.planning.lens_facts import LensFacts
 from service.job.planning.program_size import SURE, pass_bytes
 from service.wording import ball
 
 
-def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
+def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> Phrase | None:
     """Return a warning when the finishing ball does not fit everywhere; SpecError when it touches too little of the
     lens.
     """
@@ -31,15 +32,34 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     share = facts.reached_share(radius_mm)
     if 1 - share < SEEN_SHARE:
         return None
-    fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
-    for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
-        fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
+    fits = _word_fits(facts)
     if share < LEAST_REACHED:
         number = next(n for n, spec in enumerate(passes) if spec.finishes and spec.radius_mm == radius_mm)
         words = f"{radius_mm:g} touches only {100 * share:.0f} % of the lens; allowed: at least"
         raise SpecError([(f"passes.{number}.radius_mm", f"{words} {100 * LEAST_REACHED:.0f} %; {fits}")])
-    remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
-    return f"the finishing ball {ball(radius_mm)} does not fit {100 * (1 - share):.2g} % of the lens; {fits}{remedy}"
+    unfit = Phrase(
+        "the finishing ball {size} does not fit {percent:.2g} % of the lens",
+        size=ball(radius_mm),
+        percent=100 * (1 - share),
+    )
+    if shaped_for_mm >= radius_mm:
+        return join("; ", (unfit, fits))
+    remedy = Phrase("optics.min_radius_mm = {radius_mm:g} shapes the lens for it", radius_mm=radius_mm)
+    return join("; ", (unfit, fits, remedy))
+
+
+def _word_fits(facts: LensFacts) -> Phrase:
+    """Return which balls fit everywhere and nearly everywhere."""
+    parts = [
+        Phrase("the largest that fits everywhere has {radius_mm:.3g} mm", radius_mm=facts.min_concave_radius_mm),
+        *(
+            Phrase("on {percent} % of the area {radius_mm:.3g} mm", percent=percent, radius_mm=radius_mm)
+            if isfinite(radius_mm)
+            else Phrase("on {percent} % of the area any", percent=percent)
+            for percent, radius_mm in (("99.9", facts.radius_for_999_mm), ("99", facts.radius_for_99_mm))
+        ),
+    ]
+    return join(", ", parts)
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
@@ -92,14 +112,19 @@ def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
     return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
 
 
-def check_disk_space(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+def check_disk_space(folder: Path, disk: Phrase, stock: Stock, passes: tuple[PassSpec, ...]) -> Phrase | None:
     """Return a warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
 
     disk : what the disk of the folder is called
     """
     wanted_mb = sum(estimate_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6
-    sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
+    sentence = Phrase(
+        "the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free",
+        wanted_mb=wanted_mb,
+        disk=disk,
+        free_mb=free_mb,
+    )
     if free_mb < wanted_mb / SURE:
         raise FailedError(sentence)
     return sentence if free_mb < wanted_mb else None

@@ -12,6 +12,7 @@ from cam.planning.planner import DOUBLING_DB, Candidate
 from cam.planning.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
 from optics.metrics import blurred_psnr_db
+from phrases.phrase import Phrase, join
 from service.job.planning.plan import Planned
 from service.job.report.milled import UNSEEN_DB
 from service.wording import ball, cutter, duration
@@ -26,14 +27,13 @@ _NEAR = 0.15  # ball by reach of light: beyond, that differs too much from place
 _SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
 
 
-def reasons(planned: Planned) -> list[str]:
+def reasons(planned: Planned) -> list[Phrase]:
     """Return why these passes, most important first."""
-    first = (_aim(planned), _by_hand(planned))
-    found = (*first, *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), *_rough(planned))
-    return [sentence for sentence in found if sentence]
+    first = (_aim(planned), *_by_hand(planned))
+    return [*first, *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), _rough(planned)]
 
 
-def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
+def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[Phrase]:
     """Return what the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it
     blurs.
     """
@@ -41,52 +41,76 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
     chosen = planned.chosen
     if not planned.plan.met:
         found.append(_not_met(planned))
-    if not milled_next and (lost := blur_warning(planned, chosen, f"; {_remedy(planned)}")):
+    if not milled_next and (lost := blur_warning(planned, chosen, _remedy(planned))):
         found.append(lost)
     if (speed := _speed_at_contact_m_per_min(planned)) < RUBBING_M_PER_MIN:
         found.append(
-            "on half of the lens the ball rubs more than it cuts; a larger ball or a faster spindle leaves a clearer "
-            f"surface (less than {speed:.0f} m/min; ball of radius {chosen.finish.radius_mm:g} mm, "
-            f"Ø {2 * chosen.finish.radius_mm:g})"
+            Phrase(
+                "on half of the lens the ball rubs more than it cuts; a larger ball or a faster spindle leaves a "
+                "clearer surface (less than {speed_m_per_min:.0f} m/min; ball of radius {radius_mm:g} mm, Ø "
+                "{diameter_mm:g})",
+                speed_m_per_min=speed,
+                radius_mm=chosen.finish.radius_mm,
+                diameter_mm=2 * chosen.finish.radius_mm,
+            )
         )
     return found
 
 
-def blur_warning(planned: Planned, one: Candidate, remedy: str = "") -> str | None:
+def blur_warning(planned: Planned, one: Candidate, remedy: Phrase | None = None) -> Phrase | None:
     """Return what a plan cannot show of the picture, if anything; figures last."""
     pixels = planned.blur_px(one)
     if pixels <= 1.0 or blurred_psnr_db(planned.light.target, (pixels / 2**0.5,) * 2) > UNSEEN_DB:
         return None
-    return (
-        f"the picture's finest detail will not be seen{remedy} (the tool's marks blur it by {one.blur_mm:.2g} mm, "
-        f"{pixels:.1f} pixels)"
+    if remedy is None:
+        return Phrase(
+            "the picture's finest detail will not be seen (the tool's marks blur it by {blur_mm:.2g} mm, {blur_px:.1f} "
+            "pixels)",
+            blur_mm=one.blur_mm,
+            blur_px=pixels,
+        )
+    return Phrase(
+        "the picture's finest detail will not be seen; {remedy} (the tool's marks blur it by {blur_mm:.2g} mm, "
+        "{blur_px:.1f} pixels)",
+        remedy=remedy,
+        blur_mm=one.blur_mm,
+        blur_px=pixels,
     )
 
 
-def finish_words(finish: PassSpec) -> str:
+def finish_words(finish: PassSpec) -> Phrase:
     """Return a finishing pass in a few words."""
-    rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
-    return f"ball {ball(finish.radius_mm)}, pitch {finish.pitch_mm:g} mm, {rows}"
+    size, pitch_mm = ball(finish.radius_mm), finish.pitch_mm
+    if finish.strategy == "contour":
+        return Phrase("ball {size}, pitch {pitch_mm:g} mm, contours", size=size, pitch_mm=pitch_mm)
+    axis = finish.direction.upper()
+    return Phrase("ball {size}, pitch {pitch_mm:g} mm, rows along {axis}", size=size, pitch_mm=pitch_mm, axis=axis)
 
 
-def candidate_words(one: Candidate) -> str:
+def candidate_words(one: Candidate) -> Phrase:
     """Return how a lens is finished, in a few words."""
-    return "; ".join(filter(None, (finish_words(one.finish), rest_words(one))))
+    return join("; ", filter(None, (finish_words(one.finish), rest_words(one))))
 
 
-def rest_words(one: Candidate) -> str:
-    """Return words on the rest pass; nothing where there is none."""
-    return "" if one.rest is None else f"then ball {ball(one.rest.spec.radius_mm)} in what it leaves"
+def rest_words(one: Candidate) -> Phrase | None:
+    """Return words on the rest pass; None where there is none."""
+    if one.rest is None:
+        return None
+    return Phrase("then ball {size} in what it leaves", size=ball(one.rest.spec.radius_mm))
 
 
-def best_possible(planned: Planned) -> str:
+def best_possible(planned: Planned) -> Phrase:
     """Return what no plan on this mill can surpass."""
     best = planned.plan.best
     perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
-    return (
-        f"No plan does better than {best.psnr_db:.1f} dB on this mill ({duration(3600 * best.hours)}): its steps of "
-        f"{1000 * planned.machine.step_mm:g} µm and its noise of {1000 * planned.machine.z_noise_mm:g} µm decide; "
-        f"the lens itself could show {perfect:.1f} dB."
+    return Phrase(
+        "No plan does better than {best_db:.1f} dB on this mill ({time}): its steps of {step_um:g} µm and its noise of "
+        "{noise_um:g} µm decide; the lens itself could show {perfect_db:.1f} dB.",
+        best_db=best.psnr_db,
+        time=duration(3600 * best.hours),
+        step_um=1000 * planned.machine.step_mm,
+        noise_um=1000 * planned.machine.z_noise_mm,
+        perfect_db=perfect,
     )
 
 
@@ -97,59 +121,108 @@ def hopeful_db(planned: Planned) -> float | None:
     return HOPEFUL_DB if radius_mm <= _NEAR * reach_mm else None
 
 
-def _aim(planned: Planned) -> str:
-    chosen, goal = planned.chosen, planned.goal
-    less = "several dB less for so near a wall" if (most := hopeful_db(planned)) is None else f"up to {most:g} dB less"
-    seen = "once finished by hand" if planned.finishing is not None else f"as milled {less}"
-    shown = f"{chosen.psnr_db:.1f} dB, {seen}, in {duration(3600 * chosen.hours)}"
+def _aim(planned: Planned) -> Phrase:
+    goal, shown, best = planned.goal, _word_shown(planned), best_possible(planned)
     if not planned.plan.met:
-        return f"{shown}, the nearest to what was asked for. {best_possible(planned)}"
+        return Phrase("{shown}, the nearest to what was asked for. {best}", shown=shown, best=best)
     if goal.hours is not None:
-        return f"{shown}: the best picture within {goal.hours:g} h. {best_possible(planned)}"
+        return Phrase("{shown}: the best picture within {hours:g} h. {best}", shown=shown, hours=goal.hours, best=best)
     if goal.blur_mm is not None:
-        return f"{shown}: the quickest plan that blurs by no more than {goal.blur_mm:g} mm. {best_possible(planned)}"
+        return Phrase(
+            "{shown}: the quickest plan that blurs by no more than {blur_mm:g} mm. {best}",
+            shown=shown,
+            blur_mm=goal.blur_mm,
+            best=best,
+        )
     if goal.psnr_db is not None:
-        return f"{shown}: the quickest plan that reaches {goal.psnr_db:g} dB. {best_possible(planned)}"
-    return f"{shown}: twice the time would not gain {DOUBLING_DB:g} dB. {best_possible(planned)}"
+        return Phrase(
+            "{shown}: the quickest plan that reaches {psnr_db:g} dB. {best}",
+            shown=shown,
+            psnr_db=goal.psnr_db,
+            best=best,
+        )
+    return Phrase(
+        "{shown}: twice the time would not gain {gain_db:g} dB. {best}", shown=shown, gain_db=DOUBLING_DB, best=best
+    )
 
 
-def _by_hand(planned: Planned) -> str:
-    """Return which finish, how long, and what the same goal would show without it; nothing where there is none."""
+def _word_shown(planned: Planned) -> Phrase:
+    """Return what the plan shows, and in which time."""
+    psnr_db, time = planned.chosen.psnr_db, duration(3600 * planned.chosen.hours)
+    if planned.finishing is not None:
+        return Phrase("{psnr_db:.1f} dB, once finished by hand, in {time}", psnr_db=psnr_db, time=time)
+    if (most_db := hopeful_db(planned)) is None:
+        return Phrase(
+            "{psnr_db:.1f} dB, as milled several dB less for so near a wall, in {time}", psnr_db=psnr_db, time=time
+        )
+    return Phrase(
+        "{psnr_db:.1f} dB, as milled up to {most_db:g} dB less, in {time}", psnr_db=psnr_db, most_db=most_db, time=time
+    )
+
+
+def _by_hand(planned: Planned) -> Iterator[Phrase]:
+    """Yield which finish, how long, and what the same goal would show without it; nothing where there is none."""
     finishing, without = planned.finishing, planned.unfinished
     if finishing is None:
-        return ""
-    work = "" if finishing.minutes is None else f", {duration(60 * finishing.minutes)} of work"
-    words = f"{finishing.title}{work}, takes off what rows leave; the lens is made for it"
+        return
+    if finishing.minutes is None:
+        words = Phrase("{title}, takes off what rows leave; the lens is made for it", title=finishing.title)
+    else:
+        words = Phrase(
+            "{title}, {time} of work, takes off what rows leave; the lens is made for it",
+            title=finishing.title,
+            time=duration(60 * finishing.minutes),
+        )
     if without is None:
-        return f"{words}."
+        yield Phrase("{words}.", words=words)
+        return
     best = without.chosen
     gain = planned.chosen.psnr_db - best.psnr_db
     if gain < 0:
-        return f"{words}, but it shows {-gain:.1f} dB less than no finish would."
-    return f"{words}: {gain:.1f} dB more than the best without, in {duration(3600 * best.hours)} of milling."
+        yield Phrase("{words}, but it shows {less_db:.1f} dB less than no finish would.", words=words, less_db=-gain)
+    else:
+        yield Phrase(
+            "{words}: {gain_db:.1f} dB more than the best without, in {time} of milling.",
+            words=words,
+            gain_db=gain,
+            time=duration(3600 * best.hours),
+        )
 
 
-def _ball(planned: Planned) -> Iterator[str]:
+def _ball(planned: Planned) -> Iterator[Phrase]:
     """Yield what the ball is chosen for, and which others were not."""
     radius = planned.chosen.finish.radius_mm
-    across = 1000 * planned.chosen.slopes.across.rms
-    slopes = f"slopes of {across:.1f} µm per mm ({across:.1f} mrad)"
-    words = f"A ball {ball(radius)} finishes: its rows leave {slopes}, a smaller ball steeper ones"
+    size, slope_um_per_mm = ball(radius), 1000 * planned.chosen.slopes.across.rms
     if planned.shapes_lens:
         perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
-        lost = max(0.0, least - perfect)
-        words += f"; the lens is shaped for it, which takes {lost:.1f} dB of the {least:.1f} dB of one without marks"
-    yield words + "."
+        yield Phrase(
+            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
+            "mrad), a smaller ball steeper ones; the lens is shaped for it, which takes {lost_db:.1f} dB of the "
+            "{least_db:.1f} dB of one without marks.",
+            size=size,
+            slope_um_per_mm=slope_um_per_mm,
+            lost_db=max(0.0, least - perfect),
+            least_db=least,
+        )
+    else:
+        yield Phrase(
+            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
+            "mrad), a smaller ball steeper ones.",
+            size=size,
+            slope_um_per_mm=slope_um_per_mm,
+        )
     if any(planned.foreseen_blur_mm()):
         plain = planned.light.unsharpened_db(planned.chosen.marks)
-        gain = planned.chosen.psnr_db - plain
-        yield f"The lens is made sharper by what milling will blur, which gains {gain:.1f} dB on the wall."
-    larger = [(name, why) for name, why in planned.plan.left_out if _radius(planned, name) > radius]
-    for name, why in larger:
-        yield f"Left out, though larger: {name}: {why}."
+        yield Phrase(
+            "The lens is made sharper by what milling will blur, which gains {gain_db:.1f} dB on the wall.",
+            gain_db=planned.chosen.psnr_db - plain,
+        )
+    for name, why in planned.plan.left_out:
+        if _radius(planned, name) > radius:
+            yield Phrase("Left out, though larger: {tool}: {why}.", tool=name, why=why)
 
 
-def _rest(planned: Planned) -> Iterator[str]:
+def _rest(planned: Planned) -> Iterator[Phrase]:
     """Yield what is left in valleys too narrow for the ball, and who takes it out."""
     chosen = planned.chosen
     filled = planned.light.fillings.get(chosen.finish.radius_mm)
@@ -157,43 +230,59 @@ def _rest(planned: Planned) -> Iterator[str]:
         rest, gain = chosen.rest, planned.rest_gain_db(chosen)
         form = planned.light.forms[chosen.finish.radius_mm]
         share = 100 * rest.extent.area_mm2 / (form.width_mm * form.height_mm)
-        places = "one place" if rest.extent.regions == 1 else f"{rest.extent.regions} places"
-        yield (
-            "It does not fit every valley: a rest pass takes out what it leaves, with a ball "
-            f"{ball(rest.spec.radius_mm)} in rows {rest.spec.pitch_mm:g} mm apart, only there: {places}, {share:.2g} % "
-            f"of the lens, {duration(rest.extent.seconds)}. That gains {gain:.1f} dB."
+        count = rest.extent.regions
+        yield Phrase(
+            "It does not fit every valley: a rest pass takes out what it leaves, with a ball {size} in rows "
+            "{pitch_mm:g} mm apart, only there: {places}, {percent:.2g} % of the lens, {time}. That gains "
+            "{gain_db:.1f} dB.",
+            size=ball(rest.spec.radius_mm),
+            pitch_mm=rest.spec.pitch_mm,
+            places=Phrase("one place") if count == 1 else Phrase("{count} places", count=count),
+            percent=share,
+            time=duration(rest.extent.seconds),
+            gain_db=gain,
         )
     elif filled is not None and filled.share >= _SEEN_SHARE:
-        yield (
-            f"It leaves {100 * filled.share:.2g} % of the lens filled, in valleys too narrow for it: a rest pass with "
-            "a smaller ball would not show enough more for its time."
+        yield Phrase(
+            "It leaves {percent:.2g} % of the lens filled, in valleys too narrow for it: a rest pass with a smaller "
+            "ball would not show enough more for its time.",
+            percent=100 * filled.share,
         )
 
 
-def _rows(planned: Planned) -> Iterator[str]:
+def _rows(planned: Planned) -> Iterator[Phrase]:
     chosen = planned.chosen
     finish = chosen.finish
     front = planned.plan.front
     sharper = front[front.index(chosen) + 1 :]
-    words = f"Rows {finish.pitch_mm:g} mm apart"
     if sharper:
-        gain, more_s = sharper[0].psnr_db - chosen.psnr_db, 3600 * (sharper[0].hours - chosen.hours)
-        other = candidate_words(sharper[0])
-        yield f"{words}; the next sharper plan ({other}) would gain {gain:.2g} dB for {duration(more_s)} more."
+        yield Phrase(
+            "Rows {pitch_mm:g} mm apart; the next sharper plan ({other}) would gain {gain_db:.2g} dB for {time} more.",
+            pitch_mm=finish.pitch_mm,
+            other=candidate_words(sharper[0]),
+            gain_db=sharper[0].psnr_db - chosen.psnr_db,
+            time=duration(3600 * (sharper[0].hours - chosen.hours)),
+        )
     else:
-        grain = 100 * planned.light.grain(chosen.marks)
-        yield (
-            f"{words}: closer ones would not help, as the rows that lie deepest by the mill's noise hide the others "
-            + (f"and make stripes, here of {grain:.0f} % of the light.")
+        yield Phrase(
+            "Rows {pitch_mm:g} mm apart: closer ones would not help, as the rows that lie deepest by the mill's noise "
+            "hide the others and make stripes, here of {percent:.0f} % of the light.",
+            pitch_mm=finish.pitch_mm,
+            percent=100 * planned.light.grain(chosen.marks),
         )
     if finish.strategy == "raster":
         gain = chosen.psnr_db - _psnr_turned_db(planned, chosen)
         if gain >= 0.05:
             way, other = finish.direction.upper(), "Y" if finish.direction == "x" else "X"
-            yield f"They run along {way}: along {other} their blur would cost this picture {gain:.1f} dB more."
+            yield Phrase(
+                "They run along {way}: along {other} their blur would cost this picture {lost_db:.1f} dB more.",
+                way=way,
+                other=other,
+                lost_db=gain,
+            )
 
 
-def _steps(planned: Planned) -> Iterator[str]:
+def _steps(planned: Planned) -> Iterator[Phrase]:
     machine, chosen = planned.machine, planned.chosen
     if not machine.whole_steps:
         return
@@ -209,39 +298,55 @@ def _steps(planned: Planned) -> Iterator[str]:
         tooth_rad=form.tooth_slopes_rad(finish, machine.step_mm),
     )
     gain = chosen.psnr_db - planned.light.aimed_db(replace(chosen.marks, slopes=between))
-    yield (
-        f"Heights are written in whole steps of the mill, {1000 * machine.step_mm:g} µm: vertices stand where the path "
-        f"goes through one, which gains {max(0.0, gain):.1f} dB."
+    yield Phrase(
+        "Heights are written in whole steps of the mill, {step_um:g} µm: vertices stand where the path goes through "
+        "one, which gains {gain_db:.1f} dB.",
+        step_um=1000 * machine.step_mm,
+        gain_db=max(0.0, gain),
     )
 
 
-def _rough(planned: Planned) -> Iterator[str]:
-    before = planned.chosen.before
-    first = before[0]
+def _rough(planned: Planned) -> Phrase:
+    first, *later = planned.chosen.before
     tool = cutter(asdict(first))
-    words = f"A {tool} roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
-    if len(before) > 1:
-        words += f"; a second rough with {ball(before[1].radius_mm)} is quicker than layers of the finish"
-    else:
-        words += "; a second rough would not pay"
-    yield words + "."
+    if later:
+        return Phrase(
+            "A {tool} roughs in layers of {layer_mm:g} mm, the quickest of the tools; a second rough with {size} is "
+            "quicker than layers of the finish.",
+            tool=tool,
+            layer_mm=first.step_down_mm,
+            size=ball(later[0].radius_mm),
+        )
+    return Phrase(
+        "A {tool} roughs in layers of {layer_mm:g} mm, the quickest of the tools; a second rough would not pay.",
+        tool=tool,
+        layer_mm=first.step_down_mm,
+    )
 
 
-def _not_met(planned: Planned) -> str:
+def _not_met(planned: Planned) -> Phrase:
     goal = planned.goal
     if goal.blur_mm is not None:
-        return f"plan.blur_mm = {goal.blur_mm:g} cannot be reached: {planned.chosen.blur_mm:.2g} mm is the least"
-    return f"plan.psnr_db = {goal.psnr_db or 0:g} cannot be reached: {planned.chosen.psnr_db:.1f} dB is the most"
+        return Phrase(
+            "plan.blur_mm = {blur_mm:g} cannot be reached: {least_mm:.2g} mm is the least",
+            blur_mm=goal.blur_mm,
+            least_mm=planned.chosen.blur_mm,
+        )
+    return Phrase(
+        "plan.psnr_db = {psnr_db:g} cannot be reached: {most_db:.1f} dB is the most",
+        psnr_db=goal.psnr_db or 0,
+        most_db=planned.chosen.psnr_db,
+    )
 
 
-def _remedy(planned: Planned) -> str:
+def _remedy(planned: Planned) -> Phrase:
     """Return what would help most: a larger ball, or a mill that is off by less."""
     largest = max(planned.light.lenses)
     if planned.plan.left_out and any(_radius(planned, name) > largest for name, _ in planned.plan.left_out):
-        return "a wider margin of the block leaves room for a larger ball"
-    noise_mm = planned.machine.z_noise_mm
-    cause = "finer steps of the mill" if planned.chosen.slopes.off_mm > 1.5 * noise_mm else "a steadier mill"
-    return f"{cause}, a larger ball, or a coarser picture on a larger screen helps"
+        return Phrase("a wider margin of the block leaves room for a larger ball")
+    if planned.chosen.slopes.off_mm > 1.5 * planned.machine.z_noise_mm:
+        return Phrase("finer steps of the mill, a larger ball, or a coarser picture on a larger screen helps")
+    return Phrase("a steadier mill, a larger ball, or a coarser picture on a larger screen helps")
 
 
 def _psnr_turned_db(planned: Planned, chosen: Candidate) -> float:

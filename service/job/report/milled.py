@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.wording import number, psnr_in_words
 
 CAUSES = {
@@ -45,7 +46,7 @@ def _main_cause(milled: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | None:
+def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase | None:
     """Return a warning where the milled surface blurs more than a pixel, of a picture with detail so fine.
 
     planned : the planner chose the passes, for a goal
@@ -53,15 +54,16 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | No
     pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
     if not pixels > 1.0 or milled.get("psnr_db_blurred", 0.0) > UNSEEN_DB:
         return None
-    figures = f"(the tool's marks blur it by {pixels:.1f} of its pixels)"
     if planned:
-        return (
+        return Phrase(
             "the picture's fine detail will not be seen with the passes planned for this goal: a larger lens shows "
-            f"more {figures}"
+            "more (the tool's marks blur it by {blur_px:.1f} of its pixels)",
+            blur_px=pixels,
         )
-    return (
+    return Phrase(
         "the picture's fine detail will not be seen: “Recommended” plans the passes that show most on this mill, and a "
-        f"larger lens shows more {figures}"
+        "larger lens shows more (the tool's marks blur it by {blur_px:.1f} of its pixels)",
+        blur_px=pixels,
     )
 
 

@@ -15,11 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from machines.profile_values import BadValueError, Rule, Rules, number
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, read_library
 
 _BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = _BUILT_IN.name
+_SENTENCES, _LISTS = ("title", "removal", "when_to_stop", "law"), ("needs", "steps", "donts")
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
 _LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
 LEAST_K0_RAD_PER_MM = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
@@ -118,7 +120,7 @@ def instruct_finishing(
     k0, order, depth_um, pad_mm = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um", "pad_mm"))
     if name == "none" and k0 is None:
         return None
-    title = "a finish of your own" if name == "none" else name
+    title = Phrase("a finish of your own") if name == "none" else name
     told: dict[str, Any] = {"process": name, "title": title, "minutes": finish.get("minutes")}
     told |= {"needs": [], "steps": [], "donts": []}
     if process is not None:
@@ -126,11 +128,10 @@ def instruct_finishing(
         low, high = process.least_and_most_minutes(area_mm2)
         told |= {
             "minutes": minutes,
-            "title": process.title,
             "least_minutes": low,
             "most_minutes": high,
-            **{key: list(getattr(process, key)) for key in ("needs", "steps", "donts")},
-            **{key: getattr(process, key) for key in ("removal", "when_to_stop", "law")},
+            **{key: [say(one) for one in getattr(process, key)] for key in _LISTS},
+            **{key: say(getattr(process, key)) for key in _SENTENCES},
         }
         k0 = process.k0_rad_per_mm(minutes, area_mm2) if k0 is None else k0
         order = process.order if order is None else order
@@ -146,6 +147,20 @@ def instruct_finishing(
             "run_out_mm": 3 * math.sqrt(2) / k0,
         }
     return told
+
+
+def say(text: str) -> str:
+    """Return a sentence of the built-in processes as a phrase; one of a person's own as it is written."""
+    return built_in_sentences().get(text, text)
+
+
+@cache
+def built_in_sentences() -> Mapping[str, Phrase]:
+    """Return by text what the built-in processes say to the person who does the work."""
+    processes = built_in_processes().values()
+    texts = [getattr(one, key) for one in processes for key in _SENTENCES]
+    texts += [text for one in processes for key in _LISTS for text in getattr(one, key)]
+    return {text: Phrase.of_text(text) for text in texts}
 
 
 def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:

@@ -16,6 +16,7 @@ from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
 from optics.lens_settings import LensSettings
 from optics.light import Light
+from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.light import LIGHT_WORDS
@@ -106,7 +107,7 @@ def _profile(optics: OpticsSpec) -> Array | None:
     return np.asarray(rows / rows.mean())
 
 
-def explain_blocked_light(spec: JobSpec) -> str | None:
+def explain_blocked_light(spec: JobSpec) -> Phrase | None:
     """Explain where the screen, as it stands, keeps the light from a mirror, which is lit past its screen."""
     optics, light = spec.optics, spec.optics.light
     if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:
@@ -117,9 +118,19 @@ def explain_blocked_light(spec: JobSpec) -> str | None:
     need_y = (narrowed * optics.height_mm + screen[1]) / 2
     if abs(optics.screen_shift_x_mm) >= need_x or abs(optics.screen_shift_y_mm) >= need_y:
         return None
-    return (
-        f"the screen stands in the light of the mirror and would shade it; optics.screen_shift_x_mm = {need_x:.0f} or "
-        f"optics.screen_shift_y_mm = {need_y:.0f} lets the light pass"
+    return Phrase(
+        "the screen stands in the light of the mirror and would shade it; optics.screen_shift_x_mm = {x_mm:.0f} or "
+        "optics.screen_shift_y_mm = {y_mm:.0f} lets the light pass",
+        x_mm=need_x,
+        y_mm=need_y,
+    )
+
+
+def warn_of_reflection(share: float) -> Phrase:
+    """Warn of the share of the light that does not get out of a lens."""
+    return Phrase(
+        "{percent:.2g} % of the light is totally reflected inside the lens; a wall farther away helps",
+        percent=100 * share,
     )
 
 

@@ -14,6 +14,7 @@ from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, Clamp, PassSpec, Stock
 from machines.profile import MachineProfile
+from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.finish import FinishSpec, resolve_finish
 from service.job.spec.model import JobSpec, PassRow
@@ -219,17 +220,22 @@ def most_removal_mm3_per_min(machine: MachineProfile, material: Material) -> flo
     return min(by_frame, by_spindle)
 
 
-def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[str]:
+def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[Phrase]:
     """Yield what passes with figures of the person's own ask for beyond what the mill takes off."""
     most = most_removal_mm3_per_min(machine, MATERIALS[spec.stock.material])
     for number, row in enumerate(spec.passes):
         assert row.step_down_mm is not None and row.feed_mm_per_min is not None  # by complete_job
         asked = row.pitch_mm * row.step_down_mm * row.feed_mm_per_min
         if asked > (1 + _ROUNDING) * most:
-            yield (
-                f"passes.{number} ({row.name}) takes off {asked / 1000:.2g} cm3/min in rows; '{machine.name}' stands "
-                f"about {most / 1000:.2g} (machine.removal_cm3_per_min, spindle_w): a smaller step_down_mm, or expect "
-                "chatter and lost steps"
+            yield Phrase(
+                "passes.{number} ({name}) takes off {asked_cm3_per_min:.2g} cm3/min in rows; '{mill}' stands about "
+                "{most_cm3_per_min:.2g} (machine.removal_cm3_per_min, spindle_w): a smaller step_down_mm, or expect "
+                "chatter and lost steps",
+                number=number,
+                name=row.name,
+                asked_cm3_per_min=asked / 1000,
+                mill=machine.name,
+                most_cm3_per_min=most / 1000,
             )
 
 

@@ -23,6 +23,7 @@ from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
@@ -62,9 +63,15 @@ def run_cut_out(context: StageContext) -> None:
     if depth_mm > _SLENDER * diameter_mm:
         context.note(
             "passes",
-            f"{written[0].file}: a flat end mill of {diameter_mm:g} mm diameter has to reach {depth_mm:g} mm deep in a "
-            f"slot, {depth_mm / diameter_mm:.0f} times its diameter; a thicker one (stock.cut_out.radius_mm, with its "
-            "margin) or a thinner block bends and breaks less",
+            Phrase(
+                "{file}: a flat end mill of {diameter_mm:g} mm diameter has to reach {depth_mm:g} mm deep in a slot, "
+                "{times:.0f} times its diameter; a thicker one (stock.cut_out.radius_mm, with its margin) or a thinner "
+                "block bends and breaks less",
+                file=written[0].file,
+                diameter_mm=diameter_mm,
+                depth_mm=depth_mm,
+                times=depth_mm / diameter_mm,
+            ),
         )
     settings = {"name": CUT_OUT, "tool": "flat", **context.spec.stock.cut_out.model_dump()}
     context.report["around"] = {CUT_OUT: _row(written, verdict, settings)}

@@ -12,6 +12,7 @@ from optics.finish import Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
+from phrases.phrase import Phrase
 from service.job import arrays
 from service.job.files import (
     AS_FINISHED,
@@ -67,14 +68,16 @@ def run_as_finished(context: StageContext) -> None:
     _draw(context, target, seen.irradiance)
 
 
-def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
+def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:
     """Warn where what is milled around the lens is narrower than the finish reaches."""
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None
-    return (
-        f"the finish rounds whatever stands within {finish.reach_mm:.2g} mm, and {milled_mm:g} mm are milled around "
-        f"the lens: its outermost {narrower_mm:.2g} mm may come out rounder than foretold; mask the rim, or take a "
-        "larger ball"
+    return Phrase(
+        "the finish rounds whatever stands within {reach_mm:.2g} mm, and {milled_mm:g} mm are milled around the lens: "
+        "its outermost {narrower_mm:.2g} mm may come out rounder than foretold; mask the rim, or take a larger ball",
+        reach_mm=finish.reach_mm,
+        milled_mm=milled_mm,
+        narrower_mm=narrower_mm,
     )
 
 

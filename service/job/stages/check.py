@@ -10,6 +10,7 @@ from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
 from machines.preflight.limits import MillLimits, limits_of
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.job.page_data.path import PathDrawing
@@ -27,13 +28,13 @@ def run_final_check(context: StageContext) -> None:
     """
     rows = context.so_far["passes"]
     limits = limits_of(context.machine)
-    for warning in warn_of_removal(context.spec, context.machine):
-        context.note("passes", warning)
+    for sentence in warn_of_removal(context.spec, context.machine):
+        context.note("passes", sentence)
     with context.watch.stage("pre-flight") as on_progress:
         files = [file for row in programs_in_order(context.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):
             for warning in _warnings(context.folder / name, sha256, limits, _part(on_progress, number, len(files))):
-                context.note("passes", f"{name}: {warning}")
+                context.note("passes", Phrase("{file}: {warning}", file=name, warning=warning))
     _draw(context, [[context.folder / name for name in names_of_pass(row)] for row in rows])
 
 

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 
 from machines.profile import MachineProfile
-from phrases.phrase import phrases_in
+from phrases.phrase import Phrase, phrases_in
 from service.job import files as job_files
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
@@ -98,12 +98,12 @@ class StageContext:
     report: dict[str, Any] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)
 
-    def note(self, part: Part, sentence: str) -> None:
+    def note(self, part: Part, sentence: Phrase) -> None:
         self.notes.setdefault(part, []).append(sentence)
 
     def finish_report(self) -> dict[str, Any]:
         """Return the report with the phrases that it and the notes hold."""
-        self.report["phrases"] = phrases_in((self.report, self.notes))
+        self.report["phrases"] = {**self.report.get("phrases", {}), **phrases_in((self.report, self.notes))}
         return self.report
 
     @property

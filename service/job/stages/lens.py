@@ -16,6 +16,7 @@ from optics.foreseen import sharpen
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.lens_settings import LensSettings
+from phrases.phrase import Phrase
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
 from service.job.finite_json import plain
@@ -46,7 +47,7 @@ def run_image(context: StageContext) -> None:
         )
         context.hand_over(PICTURE, picture.linear, arrays.picture_bytes)
     for sentence in picture.warnings:
-        context.note("optics", f"{THE_PICTURE} {sentence}")
+        context.note("optics", Phrase("{picture} {sentence}", picture=THE_PICTURE, sentence=sentence))
     context.report["source"] = {"width": picture.width, "height": picture.height, "mode": picture.mode}
 
 
@@ -206,9 +207,9 @@ def _tell_of_design(context: StageContext, design: LensDesign, target: Array, se
         "polish": None if design.polish is None else _without_clock(asdict(design.polish)),
     }
     if not design.converged:
-        context.note("optics", f"the lens design has not converged: {design.message}")
+        context.note("optics", Phrase("the lens design has not converged: {message}", message=design.message))
     for advice in design.warnings:
-        context.note("optics", str(advice))
+        context.note("optics", advice.sentence())
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from service.job import arrays
 from service.job.files import HEIGHTFIELD, LIGHT, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
-from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of
+from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of, warn_of_reflection
 from service.job.stages.context import StageContext
 
 _BEAMS_OUT_OF_FOCUS = 7
@@ -141,10 +141,7 @@ def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None
         }
     )
     if in_focus.reflected_share > 1e-6 and context.spec.optics.surface == "lens":
-        share = 100 * in_focus.reflected_share
-        context.note(
-            "optics", f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
-        )
+        context.note("optics", warn_of_reflection(in_focus.reflected_share))
     if blocked := explain_blocked_light(context.spec):
         context.note("optics", blocked)
 

@@ -21,6 +21,7 @@ from cam.surface.stock_grid import StockGrid
 from machines.preflight.rules import STARVED_SHARE
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import arrays
 from service.job.files import (
@@ -66,7 +67,7 @@ def run_pass(context: StageContext) -> None:
     notes = () if rest_follows else verdict.notes  # what is left here is taken there
     of_finish = (*notes, *_of_coarse_steps(context.job, spec), *_of_parts(written)) if spec.finishes else ()
     for sentence in (*of_finish, *_of_starving(context.machine, spec, verdict)):
-        context.note("passes", f"{written[0].file}: {sentence}")
+        context.note("passes", Phrase("{file}: {sentence}", file=written[0].file, sentence=sentence))
     row = {
         "file": written[0].file,
         **verdict.as_report(),
@@ -91,8 +92,13 @@ def require_millable(context: StageContext, heightfield: Heightfield) -> None:
         if unfit:
             context.note("passes", unfit)
         if not passes[-1].finishes:
-            left = passes[-1].stock_to_leave_mm
-            context.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
+            context.note(
+                "passes",
+                Phrase(
+                    "the last pass leaves {left_mm:g} mm of stock: no pass makes the optical surface",
+                    left_mm=passes[-1].stock_to_leave_mm,
+                ),
+            )
 
 
 def first_stock(stock: Stock) -> StockGrid:
@@ -132,15 +138,18 @@ def _step_mm(machine: MachineProfile) -> float:
     return machine.step_mm if machine.whole_steps else 0.0
 
 
-def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
+def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[Phrase]:
     if len(written) > 1:
-        yield (
-            f"the pass is split into {len(written)} programs up to {written[-1].file}; each goes on in the track of "
-            f"the one before, {len(written) - 1} entries more at the most: do not change tool or zero between them"
+        yield Phrase(
+            "the pass is split into {count} programs up to {file}; each goes on in the track of the one before, "
+            "{entries} entries more at the most: do not change tool or zero between them",
+            count=len(written),
+            file=written[-1].file,
+            entries=len(written) - 1,
         )
 
 
-def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
+def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[Phrase]:
     """Yield what the raster of heights does to the light, where it can be seen.
 
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
@@ -150,24 +159,31 @@ def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
     if digits.z_mm < _COARSE_STEP_MM or job.spec.finish.finishes:
         return
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
-    yield (
+    yield Phrase(
         "the mill's steps in height will blur the picture; finer positions or a larger ball show more (steps of "
-        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm ({1000 * slope:.0f} mrad) from row "
-        "to row)"
+        "{step_mm:g} mm tilt the surface by about {slope_um_per_mm:.0f} µm per mm ({slope_um_per_mm:.0f} mrad) from "
+        "row to row)",
+        step_mm=digits.z_mm,
+        slope_um_per_mm=1000 * slope,
     )
 
 
-def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[str]:
+def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) -> Iterator[Phrase]:
     """Yield what feed the link carries, and what would help, where the mill stands waiting for lines."""
     if verdict.starved_s < STARVED_SHARE * verdict.time_s:
         return
     carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
-    yield (
-        f"the link is too slow: F{spec.feed_mm_per_min:g} is asked for, and {machine.lines_per_s:g} lines a second "
-        f"carry F{carried:.0f} on average; the mill waits for lines {duration(verdict.starved_s)} of "
-        f"{duration(verdict.time_s)}. {verdict.lines / moving_s:.0f} lines a second would carry it "
-        "(machine.lines_per_s), so would the control's own memory; else ask for the feed that is carried and turn the "
-        "spindle slower by as much, or the cutter rubs"
+    yield Phrase(
+        "the link is too slow: F{feed_mm_per_min:g} is asked for, and {lines_per_s:g} lines a second carry "
+        "F{carried_mm_per_min:.0f} on average; the mill waits for lines {starved} of {whole}. {need_per_s:.0f} lines a "
+        "second would carry it (machine.lines_per_s), so would the control's own memory; else ask for the feed that is "
+        "carried and turn the spindle slower by as much, or the cutter rubs",
+        feed_mm_per_min=spec.feed_mm_per_min,
+        lines_per_s=machine.lines_per_s,
+        carried_mm_per_min=carried,
+        starved=duration(verdict.starved_s),
+        whole=duration(verdict.time_s),
+        need_per_s=verdict.lines / moving_s,
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, ServiceError, SpecError, sentence_of_os_error
 from service.job.errors import translate_errors
 from service.job.planning.fit import check_disk_space
@@ -96,7 +97,7 @@ def _put(scratch: Path, fetched: set[str], store: Store) -> dict[str, FileRef]:
 
 def _require_space(context: StageContext) -> None:
     spec = cam_passes_of(context.spec)[context.number - 1]
-    check_disk_space(context.folder, "the server's disk", cam_stock_of(context.spec), (spec,))
+    check_disk_space(context.folder, Phrase("the server's disk"), cam_stock_of(context.spec), (spec,))
 
 
 @contextmanager

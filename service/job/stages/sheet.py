@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
 from service.job import files as job_files
 from service.job.report.setup_pdf import SHOWN, render_setup_pdf
@@ -21,6 +23,7 @@ def run_report(context: StageContext) -> None:
     }
     context.report.update(
         {
+            "phrases": _with_name(context.so_far.get("phrases", {}), context.picture_name),
             "passes": [],
             "warnings": [sentence for sentences in by_part.values() for sentence in sentences],
             "warnings_by_part": by_part,
@@ -34,7 +37,7 @@ def run_report(context: StageContext) -> None:
     area_mm2 = context.spec.optics.width_mm * context.spec.optics.height_mm
     if told := instruct_finishing(spec.get("finish", {}), context.job.figures.processes, area_mm2=area_mm2):
         context.report["finishing"] = told
-    report = merge_reports((context.so_far, context.report))
+    report = merge_reports((context.so_far, context.finish_report()))
     job_files.write_json(context.folder / job_files.SPEC, spec)
     spec["machine"] = {**asdict(context.machine), **spec["machine"]}
     files = {path.name for path in context.folder.iterdir()} | context.files | {job_files.REPORT, job_files.REPORT_PAGE}
@@ -43,3 +46,12 @@ def run_report(context: StageContext) -> None:
     picture = next((path for name in SHOWN if (path := context.folder / name).is_file()), None)
     context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture.read_bytes() if picture else None))
     job_files.write_json(context.folder / job_files.REPORT, report)
+
+
+def _with_name(phrases: Mapping[str, Mapping[str, Any]], picture_name: str) -> dict[str, Any]:
+    """Return the phrases of notes on the picture with its name in its place."""
+    return {
+        text.replace(THE_PICTURE, picture_name): {**phrase, "values": {**phrase["values"], "picture": picture_name}}
+        for text, phrase in phrases.items()
+        if THE_PICTURE in text
+    }

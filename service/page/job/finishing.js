@@ -19,7 +19,7 @@ export function finishingPart() {
     node.hidden = !finishing;
     if (!finishing || key === shown) return;
     shown = key;
-    title.textContent = t`Finishing by hand: ${t(finishing.title)}`;
+    title.textContent = t`Finishing by hand: ${finishing.title}`;
     replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing));
   }
   return { node, update };

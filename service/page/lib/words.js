@@ -113,5 +113,5 @@ export function freshKey() {
 /** Words of the server as a sentence: "no such job" is "No such job."; a name at the beginning stays as it is. */
 export function sentence(words) {
   const first = /^[a-z]+[ ,:']/.test(words) ? capital(words) : words;
-  return /[.!?。]$/.test(first) ? first : `${first}.`;
+  return /[.!?。]$/.test(first) ? first : first + (language === "ja" ? "。" : ".");
 }

@@ -139,11 +139,9 @@ function needs({ spec, passes }) {
   ];
 }
 
-/** "ball R 3 (Ø 6 mm)", as the server says it. */
+/** "ball R 3 (Ø 6 mm)", as the server says it, in one piece. */
 function toolWords(tool) {
-  const size = tool.slice(tool.indexOf(" ") + 1).replaceAll(/(?<=Ø) | (?=mm)/g, "\u00a0");
-  if (tool.startsWith("ball ")) return t`ball ${size}`;
-  return tool.startsWith("cutter ") ? t`cutter ${size}` : tool;
+  return tool.replaceAll(/(?<=Ø) | (?=mm)/g, "\u00a0");
 }
 
 function notice(kind, words) {

@@ -98,7 +98,7 @@ export function improvements({ make, take, draw }) {
     h(
       "li",
       {},
-      h("button", { type: "button", onclick: () => take(change) }, draw(change.values, seen.blur_mm), h("span", {}, sentence(change.what).replace(/\.$/, ""))),
+      h("button", { type: "button", onclick: () => take(change) }, draw(change.values, seen.blur_mm), h("span", {}, sentence(change.what).replace(/[.。]$/, ""))),
       h("small", {}, [eyeWords(now.exact.psnr_db + seen.psnr_db - now.estimate.psnr_db), hours(3600 * seen.hours)].join(", ")),
     );
 

@@ -6,18 +6,19 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from phrases.phrase import Phrase, phrases_in
 from service.server.schemas.base import Body, Phrases
 from service.server.schemas.jobs import ProblemField
 
-ESTIMATE_EXAMPLE: dict[str, Any] = {
+_EXAMPLE: dict[str, Any] = {
     "relief_mm": 9.31,
     "max_slope_deg": 27.7,
     "thickness_ok": True,
     "throw_ok": True,
     "smallest_detail_mm": 2.5,
     "passes": [
-        {"name": "rough", "tool": "ball R 3 (Ø 6 mm)", "hours": 0.82},
-        {"name": "finish", "tool": "ball R 3 (Ø 6 mm)", "hours": 1.4},
+        {"name": "rough", "tool": Phrase("ball {size}", size="R 3 (Ø 6 mm)"), "hours": 0.82},
+        {"name": "finish", "tool": Phrase("ball {size}", size="R 3 (Ø 6 mm)"), "hours": 1.4},
     ],
     "planned": False,
     "exact": True,
@@ -26,12 +27,12 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
     "psnr_db": 24.5,
     "blur_by": {"light_mm": 0.0, "milling_mm": 1.2},
     "refusals": [],
-    "warnings": ["details under 2.5 mm will blur: the tool's marks"],
-    "changes": [{"what": "passes as recommended", "values": {"preset": "recommended"}}],
+    "warnings": [Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=2.5)],
+    "changes": [{"what": Phrase("passes as recommended"), "values": {"preset": "recommended"}}],
     "picture": {"width": 1920, "height": 1920},
     "spec": {"preset": "draft"},
-    "phrases": {},
 }
+ESTIMATE_EXAMPLE = {**_EXAMPLE, "phrases": phrases_in(_EXAMPLE)}
 
 
 class PassEstimate(Body):

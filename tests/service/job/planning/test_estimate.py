@@ -28,6 +28,7 @@ from service.job.spec.lens_task import lens_settings, with_branch
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolved import ResolvedJob, look_up
+from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import run_job
 
 PICTURES = Path(__file__).parents[4] / "examples"
@@ -185,6 +186,14 @@ def test_passes_that_are_still_to_be_planned_are_planned() -> None:
     assert [row["name"] for row in found["spec"]["passes"]] == [row["name"] for row in found["passes"]]
     assert len(found["passes"]) >= 1
     assert found["hours"] > 0
+
+
+def test_what_an_estimate_says_can_be_said_in_another_language() -> None:
+    found = estimated(
+        small("optics.throw_mm=12", "image.pixels=2000", "stock.cut_out.radius_mm=1", "passes.0.corner_radius_mm=0")
+    )
+    assert len(found["warnings"]) > 2
+    assert untold(found, "tool") == []
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,7 @@ from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
 from tests.levels import mostly_thorough
 from tests.page import canned_job
+from tests.phrases.sentences import untold
 
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
 ASTRONAUT = Path(__file__).parents[4] / "examples" / "astronaut.png"
@@ -69,6 +70,10 @@ def planned(spec: JobSpec) -> Planned:
 
 def report(planned: Planned) -> dict[str, Any]:
     return {"plan": plan_figures(planned)}
+
+
+def test_what_a_plan_says_can_be_said_in_another_language(planned: Planned) -> None:
+    assert untold(plan_figures(planned)) == []
 
 
 @pytest.mark.thorough

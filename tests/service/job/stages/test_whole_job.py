@@ -15,6 +15,7 @@ from service.job.spec.resolved import look_up
 from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter
+from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
 
 CORRECTED = "optics.corrections=2"
@@ -71,6 +72,17 @@ def test_the_parts_of_the_report_add_up_to_the_file(job: StagedJob) -> None:
     parts = [job.results[stage].report for stage in plan(job.spec)]
     merged = {key: value for key, value in merge_reports(parts).items() if key not in OWN_OF_A_RUN}
     assert _plain(merged) == _settled(json.loads(job.bytes("report.json")))
+
+
+def test_what_a_report_says_can_be_said_in_another_language(job: StagedJob, tmp_path: Path) -> None:
+    assert untold(json.loads(job.bytes("report.json"))) == []
+    enlarged = staged_job(tmp_path, "image.pixels=128", "finish.process=sanding", image_name="Anna {0}.png")
+    for stage in ("image", "report"):
+        enlarged.run(stage)
+    told = json.loads(enlarged.bytes("report.json"))
+    assert untold(told) == []
+    assert told["warnings"][0].startswith("Anna {0}.png has 48 x 40 pixels")
+    assert told["finishing"]["steps"]
 
 
 def test_outputs_are_recorded_as_they_are(job: StagedJob) -> None:
