@@ -23,6 +23,7 @@ from cam.moves import Array
 from cam.passes import Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts
 from cam.surface.stock_grid import StockGrid
+from phrases.phrase import Phrase
 
 _FLAT = CUTTERS["flat"]
 _TOUCH_MM = 1e-6
@@ -53,7 +54,7 @@ class AroundCheck:
     stock_top  : what is left
     """
 
-    faults: tuple[str, ...]
+    faults: tuple[Phrase, ...]
     lines: int
     bytes: int
     moves: int
@@ -97,9 +98,15 @@ def check_facing(
     left_mm, below_mm = float(after.top_mm.max()), max(0.0, -float(after.top_mm.min()))
     allowed_mm = facing.cusp_mm + 1.5 * mill.digit_mm + _TOUCH_MM
     if left_mm > allowed_mm:
-        run.faults.append(f"{left_mm:.4f} mm are left above Z0 (allowed {allowed_mm:.4f} mm)")
+        run.faults.append(
+            Phrase(
+                "{left_mm:.4f} mm are left above Z0 (allowed {allowed_mm:.4f} mm)",
+                left_mm=left_mm,
+                allowed_mm=allowed_mm,
+            )
+        )
     if below_mm > _TOUCH_MM:
-        run.faults.append(f"{below_mm:.4f} mm are taken off below Z0 (allowed: none)")
+        run.faults.append(Phrase("{depth_mm:.4f} mm are taken off below Z0 (allowed: none)", depth_mm=below_mm))
     return run.verdict(gouge_mm=below_mm, left_mm=max(0.0, left_mm))
 
 
@@ -126,17 +133,26 @@ def check_cut_out(
     inside = _inside(corners_mm, after)
     if (touched & inside).any():
         depth_mm = float((stock_top.top_mm - after.top_mm)[inside].max())
-        run.faults.append(f"{depth_mm:.3f} mm of the lens itself are taken off (allowed: none)")
+        run.faults.append(
+            Phrase("{depth_mm:.3f} mm of the lens itself are taken off (allowed: none)", depth_mm=depth_mm)
+        )
     tabs = _tabs(cut_out, after, loop_mm, stock.thickness_mm)
     for tab in tabs:
         if abs(tab.height_mm - cut_out.tab_height_mm) > _TAB_ALLOWED_MM + 1.5 * mill.digit_mm:
             run.faults.append(
-                f"the tab at X{tab.x_mm:.3f} Y{tab.y_mm:.3f} is {tab.height_mm:.3f} mm high "
-                f"(asked for: {cut_out.tab_height_mm:g} mm)"
+                Phrase(
+                    "the tab at X{x_mm:.3f} Y{y_mm:.3f} is {height_mm:.3f} mm high (asked for: {wanted_mm:g} mm)",
+                    x_mm=tab.x_mm,
+                    y_mm=tab.y_mm,
+                    height_mm=tab.height_mm,
+                    wanted_mm=cut_out.tab_height_mm,
+                )
             )
     left_mm = _left_in_slot(cut_out, after, loop_mm) - lowest_mm
     if left_mm > _TOUCH_MM + 1.5 * mill.digit_mm:
-        run.faults.append(f"{left_mm:.4f} mm are left in the slot between the tabs (allowed: none)")
+        run.faults.append(
+            Phrase("{left_mm:.4f} mm are left in the slot between the tabs (allowed: none)", left_mm=left_mm)
+        )
     clear_mm = run.nearest_mm - cut_out.radius_mm
     return run.verdict(
         gouge_mm=max(0.0, -clear_mm), left_mm=max(0.0, left_mm), clear_um=1000 * max(0.0, clear_mm), tabs=tabs
@@ -158,7 +174,7 @@ class _FlatRun:
         cutter: CutterShape = _FLAT,
         lens_mm: Array | None = None,
     ) -> None:
-        self.faults: list[str] = []
+        self.faults: list[Phrase] = []
         self.nearest_mm = np.inf
         self._spec, self._mill, self._lens_mm, self._before = spec, mill, lens_mm, stock_top
         self._lowest_mm, self._highest_mm = lowest_mm, float(stock_top.top_mm.max())
@@ -172,15 +188,35 @@ class _FlatRun:
         self._ended, self._airborne = False, True
         self._least, self._most = np.full(3, np.inf), np.full(3, -np.inf)
         self._kinds = {
-            "rapid": Finding(says=lambda v: f"is a rapid {v:.3f} mm into stock or too near (allowed: none)"),
-            "low": Finding(says=lambda v: f"is a rapid across at Z{-v:.3f}, below the safe height"),
-            "deep": Finding(
-                says=lambda v: f"takes off {v:.3f} mm in one cut (allowed: the step-down of {spec.step_down_mm:g} mm)"
+            "rapid": Finding(
+                says=lambda v: Phrase("is a rapid {depth_mm:.3f} mm into stock or too near (allowed: none)", depth_mm=v)
             ),
-            "still": Finding(says=lambda v: f"cuts {v:.3f} mm with the spindle off (allowed: only after M3)"),
-            "bottom": Finding(says=lambda v: f"goes to Z{-v:.4f} (allowed: at least Z{lowest_mm:g})"),
-            "outside": Finding(says=lambda v: f"is {v:.3f} mm beyond the block and its run-out (allowed: none)"),
-            "lens": Finding(says=lambda v: f"cuts {1000 * v:.1f} µm into the lens (allowed: none)"),
+            "low": Finding(says=lambda v: Phrase("is a rapid across at Z{z_mm:.3f}, below the safe height", z_mm=-v)),
+            "deep": Finding(
+                says=lambda v: Phrase(
+                    "takes off {depth_mm:.3f} mm in one cut (allowed: the step-down of {step_down_mm:g} mm)",
+                    depth_mm=v,
+                    step_down_mm=spec.step_down_mm,
+                )
+            ),
+            "still": Finding(
+                says=lambda v: Phrase(
+                    "cuts {depth_mm:.3f} mm with the spindle off (allowed: only after M3)", depth_mm=v
+                )
+            ),
+            "bottom": Finding(
+                says=lambda v: Phrase(
+                    "goes to Z{z_mm:.4f} (allowed: at least Z{lowest_mm:g})", z_mm=-v, lowest_mm=lowest_mm
+                )
+            ),
+            "outside": Finding(
+                says=lambda v: Phrase(
+                    "is {beyond_mm:.3f} mm beyond the block and its run-out (allowed: none)", beyond_mm=v
+                )
+            ),
+            "lens": Finding(
+                says=lambda v: Phrase("cuts {depth_um:.1f} µm into the lens (allowed: none)", depth_um=1000 * v)
+            ),
         }
 
     def add(self, batch: MoveBatch) -> None:
@@ -245,14 +281,25 @@ class _FlatRun:
     ) -> AroundCheck:
         faults = [sentence for kind in self._kinds.values() for sentence in kind.sentences]
         if not self._moves:
-            faults.append("the program moves nothing (allowed: at least one move)")
+            faults.append(Phrase("the program moves nothing (allowed: at least one move)"))
         if not self._ended:
-            faults.append(f"the program stops after line {self._lines} without M2 or M30 (allowed: only with one)")
+            faults.append(
+                Phrase(
+                    "the program stops after line {line} without M2 or M30 (allowed: only with one)", line=self._lines
+                )
+            )
         for axis, low, high, travel_mm in zip(_AXES, self._least, self._most, self._mill.travel_mm, strict=True):
             if self._moves and high - low > travel_mm + 1e-9:
                 faults.append(
-                    f"the program spans {high - low:.3f} mm in {axis.upper()}, from {low:.3f} to {high:.3f} mm "
-                    f"(allowed: the mill's travel of {travel_mm:g} mm)"
+                    Phrase(
+                        "the program spans {span_mm:.3f} mm in {axis}, from {low_mm:.3f} to {high_mm:.3f} mm (allowed: "
+                        "the mill's travel of {travel_mm:g} mm)",
+                        span_mm=high - low,
+                        axis=axis.upper(),
+                        low_mm=low,
+                        high_mm=high,
+                        travel_mm=travel_mm,
+                    )
                 )
         return AroundCheck(
             faults=(*faults, *self.faults, *self._clamps.faults),

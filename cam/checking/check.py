@@ -34,6 +34,7 @@ from cam.rows.rest import RestAreas
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_left import ExcessFound, StockLeft, Unreached, find_excess
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 
 GOUGE_ALLOWED_UM = 1.0
 GAP_ALLOWED_PITCHES = 1.5
@@ -89,7 +90,7 @@ class PassCheck:
     stock_top        : what is left, for the next pass
     """
 
-    faults: tuple[str, ...]
+    faults: tuple[Phrase, ...]
     notes: tuple[str, ...]
     lines: int
     bytes: int
@@ -354,15 +355,27 @@ class _Run:
     def _judge_gap(self, gap_mm: float, x_mm: float, y_mm: float, *, allowed_mm: float) -> None:
         if gap_mm > allowed_mm:
             self.rules.add_fault(
-                f"tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)"
+                Phrase(
+                    "tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)",
+                    gap_mm=gap_mm,
+                    x_mm=x_mm,
+                    y_mm=y_mm,
+                    allowed_mm=allowed_mm,
+                )
             )
 
     def _judge_excess(self, excess: ExcessFound) -> None:
         allowed_mm = UNCUT_ALLOWED_MM + 0.25 * self.spec.stock_to_leave_mm + 1.5 * self.digit_mm
         if excess.uncut_mm > allowed_mm:
             self.rules.add_fault(
-                f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "
-                f"Y{excess.y_mm:.3f} where the ball could reach (allowed {1000 * allowed_mm:.1f} µm)"
+                Phrase(
+                    "{uncut_um:.1f} µm more than the cusps are left at X{x_mm:.3f} Y{y_mm:.3f} where the ball could "
+                    "reach (allowed {allowed_um:.1f} µm)",
+                    uncut_um=1000 * excess.uncut_mm,
+                    x_mm=excess.x_mm,
+                    y_mm=excess.y_mm,
+                    allowed_um=1000 * allowed_mm,
+                )
             )
         if excess.unreached and (excess.unreached_share > SEEN_SHARE or excess.unreached[0].excess_um > SEEN_UM):
             self.rules.notes.append(

@@ -14,6 +14,7 @@ from cam.checking.findings import Finding
 from cam.passes import Clamp
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
+from phrases.phrase import Phrase
 
 CLEARANCE_MM = 1.0
 """Of air beside and above a clamp: it is set by hand, and its screw stands out."""
@@ -26,10 +27,14 @@ class Clamps:
         self._clamps, self._keep_mm = clamps, max(radius_mm, shank_radius_mm or 0.0) + CLEARANCE_MM
         self._near = [Finding(says=partial(self._say, number)) for number in range(len(clamps))]
 
-    def _say(self, number: int, into_mm: float) -> str:
-        return (
-            f"comes {into_mm:.3f} mm too near the clamp stock.clamps.{number} (allowed: {self._keep_mm:g} mm from the "
-            f"cutter's axis, or {CLEARANCE_MM:g} mm above it): move the clamp or widen stock.margin_mm"
+    def _say(self, number: int, into_mm: float) -> Phrase:
+        return Phrase(
+            "comes {into_mm:.3f} mm too near the clamp stock.clamps.{number} (allowed: {keep_mm:g} mm from the "
+            "cutter's axis, or {clearance_mm:g} mm above it): move the clamp or widen stock.margin_mm",
+            into_mm=into_mm,
+            number=number,
+            keep_mm=self._keep_mm,
+            clearance_mm=CLEARANCE_MM,
         )
 
     def add(self, batch: MoveBatch) -> None:
@@ -38,7 +43,7 @@ class Clamps:
             finding.note_moves(into_mm > 0, into_mm, batch.line, batch.end_mm)
 
     @property
-    def faults(self) -> list[str]:
+    def faults(self) -> list[Phrase]:
         return [sentence for finding in self._near for sentence in finding.sentences]
 
 

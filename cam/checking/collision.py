@@ -17,6 +17,7 @@ from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
 from cam.surface.rough_surface import find_highest, surface_under
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 
 RUB_MM = 0.01
 """A wall that the flutes have cut stands just beside the shank: rubbing this much is no collision."""
@@ -37,11 +38,13 @@ class Collisions:
     """Gathers the strikes of one program, batch by batch."""
 
     def __init__(self, spec: PassSpec) -> None:
-        shank = f"a shank of radius {spec.shank_radius_mm or spec.radius_mm:g} mm"
         self._strikes = Finding(
-            says=lambda v: (
-                f"brings stock {v:.3f} mm above the end of the flutes against {shank} (allowed: none above "
-                f"flute_length_mm = {spec.flute_length_mm:g})"
+            says=lambda v: Phrase(
+                "brings stock {over_mm:.3f} mm above the end of the flutes against a shank of radius {radius_mm:g} mm "
+                "(allowed: none above flute_length_mm = {flutes_mm:g})",
+                over_mm=v,
+                radius_mm=spec.shank_radius_mm or spec.radius_mm,
+                flutes_mm=spec.flute_length_mm,
             )
         )
 
@@ -53,7 +56,7 @@ class Collisions:
             self._strikes.note_moves(guilty, over_mm, batch.line, np.column_stack([x_mm, y_mm]))
 
     @property
-    def faults(self) -> list[str]:
+    def faults(self) -> list[Phrase]:
         return self._strikes.sentences
 
 

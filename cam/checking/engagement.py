@@ -19,6 +19,7 @@ from cam.checking.sweep import LEFT, REACH, RIGHT
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
+from phrases.phrase import Phrase
 
 SLOT_SHARE = 0.6
 """Of a slot's section, on both sides alike: more than this counts as cutting at full width."""
@@ -100,9 +101,11 @@ class Engagement:
         self.flute_need_mm = 0.0
         self._plunge_allowed_mm = PLUNGE_ALLOWED * spec.radius_mm
         self._plunge = Finding(
-            says=lambda v: (
-                f"goes straight down {v:.3f} mm deep into stock (allowed: {self._plunge_allowed_mm:g} mm; a ball's "
-                "dead centre does not cut, nor do all flat mills', so it enters on a ramp or a helix)"
+            says=lambda v: Phrase(
+                "goes straight down {depth_mm:.3f} mm deep into stock (allowed: {allowed_mm:g} mm; a ball's dead "
+                "centre does not cut, nor do all flat mills', so it enters on a ramp or a helix)",
+                depth_mm=v,
+                allowed_mm=self._plunge_allowed_mm,
             )
         )
 
@@ -154,15 +157,24 @@ class Engagement:
         return float(self._found[_SLOT_DEPTH])
 
     @property
-    def faults(self) -> list[str]:
+    def faults(self) -> list[Phrase]:
         found, spec = self._found, self._spec
         allowed_mm = FAST_ALLOWED_RADII * spec.radius_mm
         if found[_FAST_LENGTH] <= allowed_mm:
             return self._plunge.sentences
         return [
             *self._plunge.sentences,
-            f"line {int(found[_FAST_LINE])} at X{found[_FAST_X]:.3f} Y{found[_FAST_Y]:.3f} cuts at its full width "
-            f"at {found[_FAST_FEED]:.0f} mm/min, and so do {found[_FAST_LENGTH]:.1f} mm in all (allowed: "
-            f"{allowed_mm:g} mm; deeper than {SLOW_DEPTH * spec.step_down_mm:.3g} mm at most "
-            f"{SLOW_FEED * spec.feed_mm_per_min:.0f} mm/min)",
+            Phrase(
+                "line {line} at X{x_mm:.3f} Y{y_mm:.3f} cuts at its full width at {feed:.0f} mm/min, and so do "
+                "{length_mm:.1f} mm in all (allowed: {allowed_mm:g} mm; deeper than {depth_mm:.3g} mm at most "
+                "{most_feed:.0f} mm/min)",
+                line=int(found[_FAST_LINE]),
+                x_mm=found[_FAST_X],
+                y_mm=found[_FAST_Y],
+                feed=found[_FAST_FEED],
+                length_mm=found[_FAST_LENGTH],
+                allowed_mm=allowed_mm,
+                depth_mm=SLOW_DEPTH * spec.step_down_mm,
+                most_feed=SLOW_FEED * spec.feed_mm_per_min,
+            ),
         ]

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phrases.phrase import Phrase
+
 
 @dataclass(slots=True, kw_only=True)
 class Finding:
     """One kind of fault. `says` puts (value, allowed) into words: "gouges the lens by 2.1 µm (allowed 1 µm)"."""
 
-    says: Callable[[float], str]
+    says: Callable[[float], Phrase]
     count: int = 0
     first_line: int = 0
     worst_line: int = 0
@@ -43,10 +45,21 @@ class Finding:
         self.first_line = first
 
     @property
-    def sentences(self) -> list[str]:
+    def sentences(self) -> list[Phrase]:
         if self.count == 0:
             return []
-        text = f"line {self.worst_line} at X{self.x_mm:.3f} Y{self.y_mm:.3f} {self.says(self.worst)}"
+        words = Phrase(
+            "line {line} at X{x_mm:.3f} Y{y_mm:.3f} {fault}",
+            line=self.worst_line,
+            x_mm=self.x_mm,
+            y_mm=self.y_mm,
+            fault=self.says(self.worst),
+        )
         if self.count > 1:
-            text += f"; the worst of {self.count} lines, the first of them is line {self.first_line}"
-        return [text]
+            words = Phrase(
+                "{fault}; the worst of {count} lines, the first of them is line {line}",
+                fault=words,
+                count=self.count,
+                line=self.first_line,
+            )
+        return [words]

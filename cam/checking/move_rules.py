@@ -14,6 +14,7 @@ from cam.checking.removal import Drops, RemovalGrid
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase
 
 _TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)
 _AXES = "xyz"
@@ -60,35 +61,58 @@ class MoveRules:
         self._spec, self._stock = spec, stock
         self._highest_mm, self._safe_z_mm = highest_mm, safe_z_mm
         self._gouge_allowed_mm = gouge_allowed_um / 1000
-        self._gouge = Finding(says=lambda v: f"cuts {1000 * v:.2f} µm below the lens (allowed {gouge_allowed_um:g} µm)")
+        self._gouge = Finding(
+            says=lambda v: Phrase(
+                "cuts {depth_um:.2f} µm below the lens (allowed {allowed_um:g} µm)",
+                depth_um=1000 * v,
+                allowed_um=gouge_allowed_um,
+            )
+        )
         self._deep = Finding(
-            says=lambda v: (
-                f"takes off {v:.3f} mm in one cut (allowed {self.allowed_drop_mm:.3f} mm: the step-down of "
-                f"{spec.step_down_mm:g} mm and the cusps of the layer before)"
+            says=lambda v: Phrase(
+                "takes off {depth_mm:.3f} mm in one cut (allowed {allowed_mm:.3f} mm: the step-down of "
+                "{step_down_mm:g} mm and the cusps of the layer before)",
+                depth_mm=v,
+                allowed_mm=self.allowed_drop_mm,
+                step_down_mm=spec.step_down_mm,
             )
         )
         self._rapid = Finding(
-            says=lambda v: (
-                f"is a rapid through stock or near it, {v:.3f} mm too deep (allowed: none in stock; straight down "
-                f"to {rapid_clearance_mm:g} mm above it)"
+            says=lambda v: Phrase(
+                "is a rapid through stock or near it, {depth_mm:.3f} mm too deep (allowed: none in stock; straight "
+                "down to {clearance_mm:g} mm above it)",
+                depth_mm=v,
+                clearance_mm=rapid_clearance_mm,
             )
         )
         self._low = Finding(
-            says=lambda v: f"is a rapid across at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
+            says=lambda v: Phrase(
+                "is a rapid across at Z{z_mm:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})",
+                z_mm=-v,
+                safe_z_mm=safe_z_mm,
+            )
         )
-        self._still = Finding(says=lambda v: f"cuts {v:.3f} mm with the spindle off (allowed: only after M3)")
+        self._still = Finding(
+            says=lambda v: Phrase("cuts {depth_mm:.3f} mm with the spindle off (allowed: only after M3)", depth_mm=v)
+        )
         self._bottom = Finding(
-            says=lambda v: f"goes to Z{-v:.3f}, below the block (allowed: at least Z{-stock.thickness_mm:g})"
+            says=lambda v: Phrase(
+                "goes to Z{z_mm:.3f}, below the block (allowed: at least Z{lowest_mm:g})",
+                z_mm=-v,
+                lowest_mm=-stock.thickness_mm,
+            )
         )
         run_out_mm = max(stock.margin_mm, spec.radius_mm) + spec.pitch_mm
         self._region = (-run_out_mm, stock.width_mm + run_out_mm, -run_out_mm, stock.height_mm + run_out_mm)
         self._outside = Finding(
-            says=lambda v: (
-                f"is {v:.3f} mm beyond the block and its run-out (allowed: X{self._region[0]:g} to "
-                f"X{self._region[1]:g}, Y{self._region[2]:g} to Y{self._region[3]:g})"
+            says=lambda v: Phrase(
+                "is {beyond_mm:.3f} mm beyond the block and its run-out (allowed: X{x_least:g} to X{x_most:g}, "
+                "Y{y_least:g} to Y{y_most:g})",
+                beyond_mm=v,
+                **dict(zip(("x_least", "x_most", "y_least", "y_most"), self._region, strict=True)),
             )
         )
-        self._extra: list[str] = []
+        self._extra: list[Phrase] = []
         self.notes: list[str] = []
         self.lines = self.bytes = self.moves = self.entries = 0
         self.path_length_mm = self.max_engagement_mm = self.gouge_mm = 0.0
@@ -100,12 +124,12 @@ class MoveRules:
         self._last_point = np.zeros(3)
 
     @property
-    def faults(self) -> list[str]:
+    def faults(self) -> list[Phrase]:
         """All faults so far; append further sentences with `add_fault`."""
         kinds = (self._gouge, self._deep, self._rapid, self._low, self._still, self._bottom, self._outside)
         return [sentence for kind in kinds for sentence in kind.sentences] + self._extra
 
-    def add_fault(self, sentence: str) -> None:
+    def add_fault(self, sentence: Phrase) -> None:
         self._extra.append(sentence)
 
     @property
@@ -171,9 +195,13 @@ class MoveRules:
             clear=one & self._last_clear,
         )
         if not self.moves and not may_idle:
-            self.add_fault("the program moves nothing (allowed: at least one move)")
+            self.add_fault(Phrase("the program moves nothing (allowed: at least one move)"))
         if not self._ended:
-            self.add_fault(f"the program stops after line {self.lines} without M2 or M30 (allowed: only with one)")
+            self.add_fault(
+                Phrase(
+                    "the program stops after line {line} without M2 or M30 (allowed: only with one)", line=self.lines
+                )
+            )
 
     def _judge_drops(
         self,
@@ -225,6 +253,13 @@ class MoveRules:
         for axis, low, high, travel in zip(_AXES, self._low_corner, self._high_corner, travel_mm, strict=True):
             if high - low > travel + 1e-9:
                 self.add_fault(
-                    f"the program spans {high - low:.3f} mm in {axis.upper()}, from {low:.3f} to {high:.3f} mm "
-                    f"(allowed: the mill's travel of {travel:g} mm)"
+                    Phrase(
+                        "the program spans {span_mm:.3f} mm in {axis}, from {low_mm:.3f} to {high_mm:.3f} mm (allowed: "
+                        "the mill's travel of {travel_mm:g} mm)",
+                        span_mm=high - low,
+                        axis=axis.upper(),
+                        low_mm=low,
+                        high_mm=high,
+                        travel_mm=travel,
+                    )
                 )

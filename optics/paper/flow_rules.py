@@ -12,6 +12,7 @@ from optics.paper.flow_record import FlowSettings, FlowStep, pixel_vertices
 from optics.paper.mesh import MeshPair
 from optics.paper.mesh_surgery import Neighbours
 from optics.spline import Array
+from phrases.phrase import Phrase
 
 
 def project_to_frame(velocity: Array, shape: tuple[int, int]) -> Array:
@@ -31,9 +32,11 @@ def excess_on_faces(pair: MeshPair, across: Neighbours, target: Array, size_mm: 
 
 def check_target(target: Array) -> None:
     if target.ndim != 2 or min(target.shape) < 4:
-        raise TargetError(f"the paper's method needs a target of at least 4 x 4 pixels, not {target.shape}")
+        raise TargetError(
+            Phrase("the paper's method needs a target of at least 4 x 4 pixels, not {size}", size=target.shape)
+        )
     if not np.isfinite(target).all() or target.min() < 0.0 or target.sum() <= 0.0:
-        raise TargetError("the target must be finite, nowhere negative and not all dark")
+        raise TargetError(Phrase("the target must be finite, nowhere negative and not all dark"))
 
 
 def face_intensities(target: Array, faces: Array, floor: float) -> tuple[Array, float]:
