@@ -30,7 +30,7 @@ from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
-from phrases.phrase import phrases_in
+from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
@@ -365,9 +365,12 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
-        words = (
-            f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
-            f"{need_mm} mm, a wall farther away or a smaller lens"
+        words = Phrase(
+            "the lens is {deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of {need_mm} mm, "
+            "a wall farther away or a smaller lens",
+            deepest_mm=quick.form.deepest_mm,
+            floor_mm=floor_mm,
+            need_mm=need_mm,
         )
         yield from SpecError([("stock.thickness_mm", words)], {"stock.thickness_mm": need_mm}).rows()
     try:

@@ -15,6 +15,7 @@ from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 from service.errors import FailedError, SpecError
 from service.job.planning.lens_facts import LensFacts
 from service.job.planning.program_size import SURE, pass_bytes
@@ -31,15 +32,29 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     share = facts.reached_share(radius_mm)
     if 1 - share < SEEN_SHARE:
         return None
-    fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
-    for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
-        fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
+    fits = Phrase(
+        "the largest that fits everywhere has {radius_mm:.3g} mm, on 99.9 % of the area {radius_999}, on 99 % of the "
+        "area {radius_99}",
+        radius_mm=facts.min_concave_radius_mm,
+        radius_999=_radius_or_any(facts.radius_for_999_mm),
+        radius_99=_radius_or_any(facts.radius_for_99_mm),
+    )
     if share < LEAST_REACHED:
         number = next(n for n, spec in enumerate(passes) if spec.finishes and spec.radius_mm == radius_mm)
-        words = f"{radius_mm:g} touches only {100 * share:.0f} % of the lens; allowed: at least"
-        raise SpecError([(f"passes.{number}.radius_mm", f"{words} {100 * LEAST_REACHED:.0f} %; {fits}")])
+        words = Phrase(
+            "{radius_mm:g} touches only {percent:.0f} % of the lens; allowed: at least {least_percent:.0f} %; {fits}",
+            radius_mm=radius_mm,
+            percent=100 * share,
+            least_percent=100 * LEAST_REACHED,
+            fits=fits,
+        )
+        raise SpecError([(f"passes.{number}.radius_mm", words)])
     remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
     return f"the finishing ball {ball(radius_mm)} does not fit {100 * (1 - share):.2g} % of the lens; {fits}{remedy}"
+
+
+def _radius_or_any(radius_mm: float) -> Phrase:
+    return Phrase("{radius_mm:.3g} mm", radius_mm=radius_mm) if isfinite(radius_mm) else Phrase("any")
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
@@ -52,17 +67,25 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
         if flutes_mm is None:
             continue
         if flutes_mm < spec.step_down_mm:
-            words = f"{flutes_mm:g} mm is shorter than one bite; allowed: at least the step-down"
-            raise SpecError([(key, f"{words} of {spec.step_down_mm:g} mm")])
+            words = Phrase(
+                "{flutes_mm:g} mm is shorter than one bite; allowed: at least the step-down of {least_mm:g} mm",
+                flutes_mm=flutes_mm,
+                least_mm=spec.step_down_mm,
+            )
+            raise SpecError([(key, words)])
         if flutes_mm >= heightfield.relief_mm:  # nothing of the lens can stand above them
             continue
         over_mm = lens_over_flutes_mm(heightfield, spec)
         if over_mm > 0:
             least_mm = ceil(10 * (flutes_mm + over_mm)) / 10
-            words = (
-                f"{flutes_mm:g} mm is too short: where it is deepest the lens beside the cutter stands {over_mm:.2f} "
-                f"mm above the flutes, within reach of a shank of radius {spec.shank_radius_mm or spec.radius_mm:g} "
-                f"mm; allowed: at least {least_mm:g} mm"
+            words = Phrase(
+                "{flutes_mm:g} mm is too short: where it is deepest the lens beside the cutter stands {over_mm:.2f} mm "
+                "above the flutes, within reach of a shank of radius {radius_mm:g} mm; allowed: at least "
+                "{least_mm:g} mm",
+                flutes_mm=flutes_mm,
+                over_mm=over_mm,
+                radius_mm=spec.shank_radius_mm or spec.radius_mm,
+                least_mm=least_mm,
             )
             raise SpecError([(key, words)], {key: least_mm})
 
@@ -80,10 +103,18 @@ def require_travel(
     )
     for (key, axis, need_mm, side_mm), (number, have_mm) in zip(needed, enumerate(machine.travel_mm), strict=True):
         if need_mm > have_mm:
-            words = f"the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine.name} is"
+            words = Phrase(
+                "the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine} is {travel_mm:g} "
+                "mm; allowed: at least {least_mm:.1f} mm",
+                need_mm=need_mm,
+                axis=axis,
+                number=number,
+                machine=machine.name,
+                travel_mm=have_mm,
+                least_mm=need_mm,
+            )
             most_mm = 0 if side_mm is None else floor(have_mm - need_mm + side_mm)
-            allowed = f"{have_mm:g} mm; allowed: at least {need_mm:.1f} mm"
-            raise SpecError([(key, f"{words} {allowed}")], {key: most_mm} if most_mm > 0 else {})
+            raise SpecError([(key, words)], {key: most_mm} if most_mm > 0 else {})
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
@@ -99,7 +130,12 @@ def check_disk_space(folder: Path, disk: str, stock: Stock, passes: tuple[PassSp
     """
     wanted_mb = sum(estimate_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6
-    sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
+    sentence = Phrase(
+        "the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free",
+        wanted_mb=wanted_mb,
+        disk=disk,
+        free_mb=free_mb,
+    )
     if free_mb < wanted_mb / SURE:
         raise FailedError(sentence)
     return sentence if free_mb < wanted_mb else None

@@ -16,6 +16,7 @@ from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
 from optics.lens_settings import LensSettings
 from optics.light import Light
+from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.light import LIGHT_WORDS
@@ -134,8 +135,10 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
     same_size = optics.screen_size_mm == (optics.width_mm, optics.height_mm)
     if straight and unshifted and same_size and np.ptp(target) <= _ONE_TONE * target.max():
         raise PictureError(
-            "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
-            "with contrast, or one tone on a screen of another size"
+            Phrase(
+                "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
+                "with contrast, or one tone on a screen of another size"
+            )
         )
 
 

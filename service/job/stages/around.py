@@ -23,6 +23,7 @@ from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
@@ -129,9 +130,9 @@ def _check(context: StageContext, written: list[WrittenProgram], task: Facing | 
         try:
             verdict = simulate([context.folder / part.file for part in written], task, context.job, top)
         except ProgramError as error:
-            raise FailedError(f"{called}: {error}") from error
+            raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
     if not verdict.ok:
-        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
+        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
     return verdict
 
 

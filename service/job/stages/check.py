@@ -10,6 +10,7 @@ from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
 from machines.preflight.limits import MillLimits, limits_of
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.job.page_data.path import PathDrawing
@@ -41,9 +42,11 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
     try:
         found = examine(path, limits, on_share)
     except ProgramRefusedError as error:
-        raise FailedError(f"{path.name}: {error}") from error
+        raise FailedError(Phrase("{name}: {cause}", name=path.name, cause=str(error))) from error
     if found.sha256 != sha256:
-        raise FailedError(f"{path.name}: is not the program that was checked; its content has changed since")
+        raise FailedError(
+            Phrase("{name}: is not the program that was checked; its content has changed since", name=path.name)
+        )
     return found.warnings
 
 
