@@ -10,6 +10,7 @@ from itertools import pairwise
 from math import exp, floor, log
 
 from cam.errors import PassValueError
+from phrases.phrase import Phrase
 
 SLOT_FEED = 0.5
 """Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
@@ -66,7 +67,7 @@ class Material:
     def start_values(self, radius_mm: float) -> CuttingData:
         """Return cutting data for a ball of this radius: log-log between two entries, the nearest entry beyond them."""
         if not radius_mm > 0:
-            raise PassValueError(name="radius_mm", value=radius_mm, allowed="above 0 mm")
+            raise PassValueError(name="radius_mm", value=radius_mm, allowed=Phrase("above {least:g} mm", least=0))
         if radius_mm <= self.cutting[0].radius_mm:
             return self.cutting[0]
         for low, high in pairwise(self.cutting):

@@ -9,6 +9,7 @@ from typing import Literal
 from cam.cutters import BALL, CutterShape, cutter_shape
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
+from phrases.phrase import Phrase
 
 Strategy = Literal["raster", "contour"]
 Direction = Literal["x", "y"]
@@ -18,11 +19,11 @@ Where = Literal["everywhere", "rest"]
 
 def _require(name: str, value: float, *, above: float | None = None, at_least: float | None = None) -> None:
     if not math.isfinite(value):
-        raise PassValueError(name=name, value=value, allowed="a finite number")
+        raise PassValueError(name=name, value=value, allowed=Phrase("a finite number"))
     if above is not None and not value > above:
-        raise PassValueError(name=name, value=value, allowed=f"above {above:g}")
+        raise PassValueError(name=name, value=value, allowed=Phrase("above {least:g}", least=above))
     if at_least is not None and not value >= at_least:
-        raise PassValueError(name=name, value=value, allowed=f"at least {at_least:g}")
+        raise PassValueError(name=name, value=value, allowed=Phrase("at least {least:g}", least=at_least))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,15 +68,25 @@ class PassSpec:
 
     def __post_init__(self) -> None:
         if self.strategy not in ("raster", "contour"):
-            raise PassValueError(name="strategy", value=self.strategy, allowed='"raster" or "contour"')
+            raise PassValueError(
+                name="strategy",
+                value=self.strategy,
+                allowed=Phrase('"{one}" or "{other}"', one="raster", other="contour"),
+            )
         if self.direction not in ("x", "y"):
-            raise PassValueError(name="direction", value=self.direction, allowed='"x" or "y"')
+            raise PassValueError(
+                name="direction", value=self.direction, allowed=Phrase('"{one}" or "{other}"', one="x", other="y")
+            )
         if self.link not in ("u-turn", "retract"):
-            raise PassValueError(name="link", value=self.link, allowed='"u-turn" or "retract"')
+            raise PassValueError(
+                name="link", value=self.link, allowed=Phrase('"{one}" or "{other}"', one="u-turn", other="retract")
+            )
         if self.where not in ("everywhere", "rest"):
-            raise PassValueError(name="where", value=self.where, allowed='"everywhere" or "rest"')
+            raise PassValueError(
+                name="where", value=self.where, allowed=Phrase('"{one}" or "{other}"', one="everywhere", other="rest")
+            )
         if self.where == "rest" and self.strategy != "raster":
-            raise PassValueError(name="where", value=self.where, allowed='only rows: strategy = "raster"')
+            raise PassValueError(name="where", value=self.where, allowed=Phrase('only rows: strategy = "raster"'))
         for name in ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"):
             _require(name, getattr(self, name), above=0)
         for name in ("flute_length_mm", "shank_radius_mm"):
@@ -84,17 +95,19 @@ class PassSpec:
         _require("stock_to_leave_mm", self.stock_to_leave_mm, at_least=0)
         _require("pitch_mm", self.pitch_mm, at_least=0.001)
         if self.pitch_mm > self.radius_mm:
-            allowed = f"at most the ball's radius, {self.radius_mm:g} mm"
+            allowed = Phrase("at most the ball's radius, {radius_mm:g} mm", radius_mm=self.radius_mm)
             raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=allowed)
 
         if self.corner_radius_mm is not None:
             _require("corner_radius_mm", self.corner_radius_mm, at_least=0)
             if self.corner_radius_mm > self.radius_mm:
-                allowed = f"at most radius_mm = {self.radius_mm:g}"
+                allowed = Phrase("at most radius_mm = {radius_mm:g}", radius_mm=self.radius_mm)
                 raise PassValueError(name="corner_radius_mm", value=self.corner_radius_mm, allowed=allowed)
             if not self.is_ball and (self.finishes or self.strategy != "raster" or self.where != "everywhere"):
                 raise PassValueError(
-                    name="corner_radius_mm", value=self.corner_radius_mm, allowed="rows everywhere that leave stock"
+                    name="corner_radius_mm",
+                    value=self.corner_radius_mm,
+                    allowed=Phrase("rows everywhere that leave stock"),
                 )
 
     @property

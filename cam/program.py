@@ -33,6 +33,7 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
+from phrases.phrase import Phrase
 
 Progress = Callable[[float], None]
 
@@ -223,7 +224,7 @@ def _look(
     rows = Rows.over(stock, spec)
     met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
     if spec.where == "rest" and met.flat:
-        raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
+        raise PassValueError(name="where", value="rest", allowed=Phrase("only after a pass that has left its shape"))
     field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
     plan = plan_layers(field, met, spec)
     return met, rows, field.every(plan.stride), plan  # only the exact rows need the pitch
@@ -246,11 +247,13 @@ def _check_job(
 ) -> None:
     """Check everything that can be known before the first move."""
     if not slope_error_rad > 0:
-        raise PassValueError(name="slope_error_rad", value=slope_error_rad, allowed="above 0")
+        raise PassValueError(name="slope_error_rad", value=slope_error_rad, allowed=Phrase("above {least:g}", least=0))
     for name in ("width_mm", "height_mm"):
         if abs(getattr(stock, name) - getattr(heightfield, name)) > 1e-6:
             raise PassValueError(
-                name=f"stock.{name}", value=getattr(stock, name), allowed=f"the lens's {getattr(heightfield, name):g}"
+                name=f"stock.{name}",
+                value=getattr(stock, name),
+                allowed=Phrase("the lens's {size_mm:g}", size_mm=getattr(heightfield, name)),
             )
     if surface.lowest_mm < -stock.thickness_mm:
         raise StockTooThinError(lowest_mm=surface.lowest_mm, thickness_mm=stock.thickness_mm)

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 
+from phrases.phrase import Phrase
+
 
 class OpticsError(Exception):
     """Base of all errors of this package."""
+
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
+        self.words = words
 
 
 class TargetError(OpticsError):
@@ -21,15 +27,21 @@ class TotalReflectionError(OpticsError):
         self.shift_mm = shift_mm
         self.shortest_throw_mm = shortest_throw_mm
         helps = math.isfinite(shortest_throw_mm)
-        cause = f"a throw of {throw_mm:g} mm is too short" if helps else "the light comes in too far from the axis"
-        remedy = (
-            f"use about {math.ceil(shortest_throw_mm)} mm or more, or a smaller screen"
-            if helps
-            else "no throw helps: move the light away or tilt it less"
-        )
-        super().__init__(
-            f"{cause}: light must move {shift_mm:.1f} mm sideways and would be totally reflected; {remedy}"
-        )
+        if helps:
+            words = Phrase(
+                "a throw of {throw_mm:g} mm is too short: light must move {shift_mm:.1f} mm sideways and would be "
+                "totally reflected; use about {least_mm} mm or more, or a smaller screen",
+                throw_mm=throw_mm,
+                shift_mm=shift_mm,
+                least_mm=math.ceil(shortest_throw_mm),
+            )
+        else:
+            words = Phrase(
+                "the light comes in too far from the axis: light must move {shift_mm:.1f} mm sideways and would be "
+                "totally reflected; no throw helps: move the light away or tilt it less",
+                shift_mm=shift_mm,
+            )
+        super().__init__(words)
 
 
 class NoSurfaceError(OpticsError):
@@ -38,15 +50,21 @@ class NoSurfaceError(OpticsError):
     def __init__(self, *, lost_share: float) -> None:
         self.lost_share = lost_share
         super().__init__(
-            f"no surface was found that sends this light onto this screen ({100 * lost_share:.0f} % of the lens has no "
-            f"height): light or screen are too near or too far aside; a longer throw, a lamp further away or a smaller "
-            f"shift help"
+            Phrase(
+                "no surface was found that sends this light onto this screen ({percent:.0f} % of the lens has no "
+                "height): light or screen are too near or too far aside; a longer throw, a lamp further away or a "
+                "smaller shift help",
+                percent=100 * lost_share,
+            )
         )
 
 
 class UnsupportedBenchError(OpticsError):
     """The method was made for a simpler set-up."""
 
-    def __init__(self, method: str, unknown: list[str]) -> None:
+    def __init__(self, method: Phrase, unknown: list[Phrase]) -> None:
         self.method, self.unknown = method, unknown
-        super().__init__(f'{method} does not know {" and ".join(unknown)}: use method = "transport"')
+        names = unknown[0]
+        for name in unknown[1:]:
+            names = Phrase("{names} and {name}", names=names, name=name)
+        super().__init__(Phrase('{method} does not know {names}: use method = "transport"', method=method, names=names))

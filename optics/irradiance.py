@@ -8,6 +8,7 @@ import numpy as np
 
 from optics.errors import TargetError
 from optics.spline import Array
+from phrases.phrase import Phrase
 
 ViewedFrom = Literal["lens", "behind"]
 
@@ -31,12 +32,14 @@ def target_irradiance(linear: Array, *, viewed_from: ViewedFrom) -> Array:
     """
     picture = np.asarray(linear, dtype=np.float64)
     if picture.ndim != 2 or min(picture.shape) < 2:
-        raise TargetError(f"a target is a grid of at least 2 x 2 pixels, not {'x'.join(map(str, picture.shape))}")
+        raise TargetError(
+            Phrase("a target is a grid of at least 2 x 2 pixels, not {size}", size="x".join(map(str, picture.shape)))
+        )
     if not np.isfinite(picture).all() or picture.min() < 0:
-        raise TargetError("a target's pixels must be finite and not negative")
+        raise TargetError(Phrase("a target's pixels must be finite and not negative"))
     mean = picture.mean()
     if not mean > 0:
-        raise TargetError("the picture is black everywhere: there is no light to aim")
+        raise TargetError(Phrase("the picture is black everywhere: there is no light to aim"))
     return flip_between_picture_and_work_frame(picture / mean, viewed_from)
 
 

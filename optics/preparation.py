@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 
 from optics.errors import TargetError
 from optics.spline import Array
+from phrases.phrase import Phrase
 
 _WINDOWS = (0.75, 3.0, 9.0)  # of the guided filters, in details
 _GAINS = (1.6, 1.8, 1.3)  # of the layers between them, finest first
@@ -42,7 +43,12 @@ def prepare_picture(linear: Array, detail_px: float, *, black: float = 0.0) -> A
     Raises TargetError where the detail is no size.
     """
     if not (np.isfinite(detail_px) and detail_px > 0):
-        raise TargetError(f"the smallest detail to prepare a picture for must be more than 0 pixels, not {detail_px}")
+        raise TargetError(
+            Phrase(
+                "the smallest detail to prepare a picture for must be more than 0 pixels, not {detail_px}",
+                detail_px=detail_px,
+            )
+        )
     lightness = _lightness(linear)
     if has_two_tones(linear):
         return linear

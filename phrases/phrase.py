@@ -7,7 +7,7 @@ Every package may use it; it uses none. English stands in the sources, and is th
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from string import Formatter
 from typing import Any, Self
 
@@ -51,6 +51,13 @@ class Phrase(str):
     def __reduce__(self) -> tuple[Any, ...]:
         return _remake, (str.__str__(self), self.template, dict(self.values))
 
+    def map(self, change: Callable[[str], str]) -> Phrase:
+        """Return it with every text in it changed, character by character; not the letters of names."""
+        values = {
+            name: one.map(change) if isinstance(one, Phrase) else change(one) for name, one in self.values.items()
+        }
+        return _remake(change(str.__str__(self)), change(self.template), values)
+
     def plain(self) -> dict[str, Any]:
         """Return template and values for JSON."""
         values = {name: one.plain() if isinstance(one, Phrase) else one for name, one in self.values.items()}
@@ -73,6 +80,24 @@ def join(separator: str, parts: Iterable[str]) -> Phrase:
 def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
     """Return the phrases in a document that goes out as JSON: template and values by text."""
     return {text: text.plain() for text in _find(document)}
+
+
+def restore(document: Any, phrases: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Return a document that came as JSON with the phrases in it made again, of the table that came with it."""
+    if isinstance(document, str):
+        return _restore(document, phrases[document]) if document in phrases else document
+    if isinstance(document, Mapping):
+        return {key: restore(value, phrases) for key, value in document.items()}
+    if isinstance(document, list | tuple):
+        return [restore(value, phrases) for value in document]
+    return document
+
+
+def _restore(text: str, plain: Mapping[str, Any]) -> Phrase:
+    values = {
+        name: one if isinstance(one, str) else _restore(_say(one, {}), one) for name, one in plain["values"].items()
+    }
+    return _remake(text, plain["template"], values)
 
 
 def _find(document: Any) -> Iterator[Phrase]:

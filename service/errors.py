@@ -6,6 +6,8 @@ import errno
 from collections.abc import Mapping
 from typing import Any
 
+from phrases.phrase import Phrase, join
+
 EXIT_FAILURE = 1
 EXIT_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -17,7 +19,8 @@ class ServiceError(Exception):
     exit_code = EXIT_FAILURE
 
     def __init__(self, *lines: str) -> None:
-        super().__init__(printable(lines[0]) if len(lines) == 1 else "\n".join(map(printable, lines)))
+        self.lines = tuple(map(printable, lines))
+        super().__init__(self.lines[0] if len(lines) == 1 else join("\n", self.lines))
 
 
 class InputError(ServiceError):
@@ -29,8 +32,8 @@ class InputError(ServiceError):
 class SpecError(InputError):
     """A job spec that cannot be used; `problems` holds (key, sentence) pairs, `use` values that would do, by key."""
 
-    def __init__(self, problems: list[tuple[str, str]], use: Mapping[str, float] | None = None) -> None:
-        super().__init__(*(f"{key}: {sentence}" for key, sentence in problems))
+    def __init__(self, problems: list[tuple[str, Phrase]], use: Mapping[str, float] | None = None) -> None:
+        super().__init__(*(Phrase("{key}: {sentence}", key=key, sentence=sentence) for key, sentence in problems))
         self.problems = problems
         self.use = dict(use or {})
 
@@ -46,6 +49,9 @@ class SpecError(InputError):
 class PictureError(InputError):
     """A picture that cannot be used."""
 
+    def __init__(self, *lines: Phrase) -> None:
+        super().__init__(*lines)
+
 
 class FailedError(ServiceError):
     """The job itself failed: a check, the disk, a method that found no lens."""
@@ -53,23 +59,27 @@ class FailedError(ServiceError):
 
 def printable(text: str) -> str:
     """Return the text on one line, control characters shown as '?': names and values may come from anywhere."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+    if text.isprintable():
+        return text
+    if isinstance(text, Phrase):
+        return text.map(printable)
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def sentence_of_os_error(error: OSError, *, doing: str) -> str:
+def sentence_of_os_error(error: OSError, *, doing: str) -> Phrase:
     """Return one line about a failed file operation, in words rather than errno names."""
     where = f" {error.filename}" if error.filename else ""
     reasons = {
-        errno.ENOSPC: "no space left on the disk",
-        errno.EDQUOT: "the disk quota is used up",
-        errno.EFBIG: "the file is larger than this system allows",
-        errno.EACCES: "permission denied",
-        errno.EPERM: "permission denied",
-        errno.EROFS: "the file system is read-only",
-        errno.ENOENT: "there is no such file or folder",
-        errno.ENOTDIR: "a part of the path is not a folder",
-        errno.EISDIR: "this is a folder, not a file",
-        errno.ENAMETOOLONG: "the name is too long",
+        errno.ENOSPC: Phrase("no space left on the disk"),
+        errno.EDQUOT: Phrase("the disk quota is used up"),
+        errno.EFBIG: Phrase("the file is larger than this system allows"),
+        errno.EACCES: Phrase("permission denied"),
+        errno.EPERM: Phrase("permission denied"),
+        errno.EROFS: Phrase("the file system is read-only"),
+        errno.ENOENT: Phrase("there is no such file or folder"),
+        errno.ENOTDIR: Phrase("a part of the path is not a folder"),
+        errno.EISDIR: Phrase("this is a folder, not a file"),
+        errno.ENAMETOOLONG: Phrase("the name is too long"),
     }
     reason = reasons.get(error.errno or 0, (error.strerror or str(error)).lower())
-    return printable(f"{doing}{where}: {reason}")
+    return Phrase("{doing}{where}: {reason}", doing=doing, where=printable(where), reason=reason)

@@ -20,6 +20,7 @@ from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Path, cut, rapid
 from cam.passes import Stock
 from cam.rows.entries import RAMP_SLOPE, leave
 from cam.surface.stock_grid import StockGrid
+from phrases.phrase import Phrase
 
 _ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
 
@@ -77,8 +78,13 @@ class _ClosedWay:
             raise PassValueError(
                 name="tabs",
                 value=cut_out.tabs,
-                allowed=f"at most {most}: with its flanks and the cutter each takes {2 * cut_out.tab_foot_mm():.1f} mm "
-                f"of the {self.length_mm:.1f} mm around the lens",
+                allowed=Phrase(
+                    "at most {most}: with its flanks and the cutter each takes {each_mm:.1f} mm of the {around_mm:.1f} "
+                    "mm around the lens",
+                    most=most,
+                    each_mm=2 * cut_out.tab_foot_mm(),
+                    around_mm=self.length_mm,
+                ),
             )
 
     def points(self, begin_mm: float, end_mm: float, *, ramp_mm: float, from_mm: float, to_mm: float) -> Array:

@@ -7,6 +7,7 @@ from math import ceil, radians, tan
 
 from cam.cutters import CUTTERS, CutterShape
 from cam.errors import PassValueError
+from phrases.phrase import Phrase
 
 FLANK_SLOPE = tan(radians(30.0))
 """Of the ways up onto a tab and down from it."""
@@ -38,10 +39,14 @@ class Facing:
             self, "above_mm", "radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"
         )
         if self.shape not in CUTTERS:
-            raise PassValueError(name="shape", value=self.shape, allowed=", ".join(CUTTERS))
+            raise PassValueError(name="shape", value=self.shape, allowed=Phrase("{names}", names=", ".join(CUTTERS)))
         most_mm = self.cutter.widest_pitch_mm(self.radius_mm)
         if not 0.01 <= self.pitch_mm <= most_mm:
-            raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=f"0.01 to {most_mm:g} mm")
+            raise PassValueError(
+                name="pitch_mm",
+                value=self.pitch_mm,
+                allowed=Phrase("{least_mm} to {most_mm:g} mm", least_mm=0.01, most_mm=most_mm),
+            )
 
     @property
     def cutter(self) -> CutterShape:
@@ -84,9 +89,9 @@ class CutOut:
             "spindle_rpm",
         )  # fmt: skip
         if self.tabs < 0:
-            raise PassValueError(name="tabs", value=self.tabs, allowed="0 or more")
+            raise PassValueError(name="tabs", value=self.tabs, allowed=Phrase("0 or more"))
         if not self.through_mm >= 0:
-            raise PassValueError(name="through_mm", value=self.through_mm, allowed="0 or more")
+            raise PassValueError(name="through_mm", value=self.through_mm, allowed=Phrase("0 or more"))
 
     def tab_centres_mm(self, length_mm: float) -> tuple[float, ...]:
         """Return where along a closed way of this length the tabs stand: evenly, none at its begin."""
@@ -100,4 +105,4 @@ class CutOut:
 def _require_positive(spec: object, *names: str) -> None:
     for name in names:
         if not 0 < (value := getattr(spec, name)) < float("inf"):
-            raise PassValueError(name=name, value=value, allowed="above 0")
+            raise PassValueError(name=name, value=value, allowed=Phrase("above {least:g}", least=0))

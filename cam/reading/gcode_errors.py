@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cam.errors import CamError
+from phrases.phrase import Phrase
 
 ALLOWED = (
     "G0 G1 G4 G17 G20 G21 G40 G49 G53 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
@@ -47,48 +48,56 @@ ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
 ) = range(1, 34)
 
 REFUSALS = {
-    LONG: "a line holds at most 79 characters",
-    NO_LETTER: f"a word starts with a letter; allowed: {ALLOWED}",
-    NO_NUMBER: "a letter is followed by a plain decimal number of at most 17 digits",
-    WRONG_WORD: f"a word that is not allowed here; allowed: {ALLOWED}",
-    REPEATED: "the same word stands twice on the line",
-    OPEN_COMMENT: "a comment that is opened with ( is closed with ) on the same line",
-    NO_FEED: "G1 needs a feed: give F above 0 mm/min on this line or before",
-    BAD_FEED: "a feed must be above 0 mm/min",
-    NO_MOTION: "coordinates need G0 or G1 on this line or before",
-    BLIND: "the position is not known yet: first G0 Z to the safe height, or G53 G0 Z, then G0 X Y, absolute (G90)",
-    BAD_DWELL: "G4 needs P, its seconds, 0 or more (on some controls X or F instead)",
-    NO_SPEED: "M3 needs a speed: give S above 0 rpm on this line or before",
-    AFTER_END: "nothing may follow M2 or M30",
-    PERCENT: "no % marks in this dialect: GRBL answers error:1",
-    ARC: "arcs (G2, G3) are not read; write them as short G1 lines",
-    DWELL_MOVES: "G4 stands alone, without a motion",
-    GROUP_TWICE: "two words of one modal group on the line (such as G0 and G1)",
-    USELESS_P: "P belongs to G4",
-    PERCENT_PLACE: "% stands alone on its line, first in the program and after its end",
-    BAD_NAME: "a program's name is O and 1 to 16 letters or digits, alone on its line before the first move",
-    NEEDS_POINT: "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)",
-    DECIMALS_LEFT_OUT: "more decimals than this control takes",
-    TWO_DIGITS_ONLY: "this control takes G and M words with two digits only (G01, not G1)",
-    USELESS_WORD: "H belongs to G15 and G16, Q to G64 or G5.1",
-    RAISED_WRONG: "machine coordinates are for G0 Z alone, absolute (G90): the head raised before it goes across",
-    ALONE: "G5.1 stands alone with Q, G8 with P: 1 for on, 0 for off",
-    BAD_OFFSET: "G15 needs H, the work offset, 1 to 6",
-    OFFSET_CHANGES: "a program works in one offset, named before its first move",
-    NO_COMMAND: f"not a command that is read here; allowed: {ALLOWED_RML}",
-    BAD_NUMBERS: "the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)",
-    NO_SEMICOLON: "each command ends with ; on its own line",
-    RELATIVE: "after ^PR only Z0,0,n, straight up, until ^PA; only after Z0,0,10500 a way across at that height",
-    NO_VELOCITY: "a move needs a speed: V, from 0.1 to 50 mm/s",
+    LONG: Phrase("a line holds at most 79 characters"),
+    NO_LETTER: Phrase("a word starts with a letter; allowed: {words}", words=ALLOWED),
+    NO_NUMBER: Phrase("a letter is followed by a plain decimal number of at most 17 digits"),
+    WRONG_WORD: Phrase("a word that is not allowed here; allowed: {words}", words=ALLOWED),
+    REPEATED: Phrase("the same word stands twice on the line"),
+    OPEN_COMMENT: Phrase("a comment that is opened with ( is closed with ) on the same line"),
+    NO_FEED: Phrase("G1 needs a feed: give F above 0 mm/min on this line or before"),
+    BAD_FEED: Phrase("a feed must be above 0 mm/min"),
+    NO_MOTION: Phrase("coordinates need G0 or G1 on this line or before"),
+    BLIND: Phrase(
+        "the position is not known yet: first G0 Z to the safe height, or G53 G0 Z, then G0 X Y, absolute (G90)"
+    ),
+    BAD_DWELL: Phrase("G4 needs P, its seconds, 0 or more (on some controls X or F instead)"),
+    NO_SPEED: Phrase("M3 needs a speed: give S above 0 rpm on this line or before"),
+    AFTER_END: Phrase("nothing may follow M2 or M30"),
+    PERCENT: Phrase("no % marks in this dialect: GRBL answers error:1"),
+    ARC: Phrase("arcs (G2, G3) are not read; write them as short G1 lines"),
+    DWELL_MOVES: Phrase("G4 stands alone, without a motion"),
+    GROUP_TWICE: Phrase("two words of one modal group on the line (such as G0 and G1)"),
+    USELESS_P: Phrase("P belongs to G4"),
+    PERCENT_PLACE: Phrase("% stands alone on its line, first in the program and after its end"),
+    BAD_NAME: Phrase("a program's name is O and 1 to 16 letters or digits, alone on its line before the first move"),
+    NEEDS_POINT: Phrase(
+        "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)"
+    ),
+    DECIMALS_LEFT_OUT: Phrase("more decimals than this control takes"),
+    TWO_DIGITS_ONLY: Phrase("this control takes G and M words with two digits only (G01, not G1)"),
+    USELESS_WORD: Phrase("H belongs to G15 and G16, Q to G64 or G5.1"),
+    RAISED_WRONG: Phrase(
+        "machine coordinates are for G0 Z alone, absolute (G90): the head raised before it goes across"
+    ),
+    ALONE: Phrase("G5.1 stands alone with Q, G8 with P: 1 for on, 0 for off"),
+    BAD_OFFSET: Phrase("G15 needs H, the work offset, 1 to 6"),
+    OFFSET_CHANGES: Phrase("a program works in one offset, named before its first move"),
+    NO_COMMAND: Phrase("not a command that is read here; allowed: {words}", words=ALLOWED_RML),
+    BAD_NUMBERS: Phrase("the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)"),
+    NO_SEMICOLON: Phrase("each command ends with ; on its own line"),
+    RELATIVE: Phrase(
+        "after ^PR only Z0,0,n, straight up, until ^PA; only after Z0,0,10500 a way across at that height"
+    ),
+    NO_VELOCITY: Phrase("a move needs a speed: V, from 0.1 to 50 mm/s"),
 }
 
 
 class ProgramError(CamError):
     """A line that may not run. Attributes: line (from 1), text, reason."""
 
-    def __init__(self, line: int, text: bytes, reason: str) -> None:
+    def __init__(self, line: int, text: bytes, reason: Phrase) -> None:
         shown = text.strip(b"\r\n").decode("ascii", "backslashreplace")
         self.line = line
         self.text = shown if len(shown) <= 100 else shown[:97] + "..."
         self.reason = reason
-        super().__init__(f'line {line}, "{self.text}": {reason}')
+        super().__init__(Phrase('line {line}, "{text}": {reason}', line=line, text=self.text, reason=reason))

@@ -28,6 +28,7 @@ from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.cutter import slot_section_mm2
 from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
+from phrases.phrase import Phrase
 
 SKIM_MM = 0.05
 """What layers keep back for the exact rows when a finishing pass meets an uncut block."""
@@ -176,7 +177,7 @@ def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, fl
             return stride, stair_mm
     pitch_mm = float(np.diff(field.rows.y_mm).max())
     most_mm = pitch_mm * STAIR_SHARE * step_down_mm / stair_mm
-    allowed = f"at most {most_mm:.2g} mm, as a flat end leaves stairs on a lens so steep"
+    allowed = Phrase("at most {most_mm:.2g} mm, as a flat end leaves stairs on a lens so steep", most_mm=most_mm)
     raise PassValueError(name="pitch_mm", value=pitch_mm, allowed=allowed)
 
 

@@ -13,11 +13,12 @@ from cam.errors import PassValueError
 from cam.moves import Array
 from cam.surface.cutter import rise_mm
 from cam.surface.stock_grid import StockGrid
+from phrases.phrase import Phrase
 
 AIR_MM = -1e6
 """Where the whole footprint lies beside the block."""
 
-_FIRST_ALONE = "a ball, after a pass that has left its shape"
+_FIRST_ALONE = Phrase("a ball, after a pass that has left its shape")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

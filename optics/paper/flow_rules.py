@@ -33,9 +33,11 @@ def excess_on_faces(pair: MeshPair, across: Neighbours, target: Array, size_mm: 
 
 def check_target(target: Array) -> None:
     if target.ndim != 2 or min(target.shape) < 4:
-        raise TargetError(f"the paper's method needs a target of at least 4 x 4 pixels, not {target.shape}")
+        raise TargetError(
+            Phrase("the paper's method needs a target of at least 4 x 4 pixels, not {size}", size=target.shape)
+        )
     if not np.isfinite(target).all() or target.min() < 0.0 or target.sum() <= 0.0:
-        raise TargetError("the target must be finite, nowhere negative and not all dark")
+        raise TargetError(Phrase("the target must be finite, nowhere negative and not all dark"))
 
 
 def face_intensities(target: Array, faces: Array, floor: float) -> tuple[Array, float]:

@@ -247,16 +247,16 @@ def _slope_misfit(mesh: TriangleMesh, h: Array, normal: Array) -> float:
 def _refuse_what_the_paper_has_not(bench: Bench) -> None:
     light = bench.light
     others = {
-        "a lamp at a finite distance": light.is_point,
-        "light of uneven strength": light.profile is not None,
-        "tilted light": light.tilt_rad != (0.0, 0.0),
-        "a mirror": bench.mirror,
-        "an outline": bench.outline_mm is not None,
-        "the inverted branch": bench.branch == "inverted",
+        Phrase("a lamp at a finite distance"): light.is_point,
+        Phrase("light of uneven strength"): light.profile is not None,
+        Phrase("tilted light"): light.tilt_rad != (0.0, 0.0),
+        Phrase("a mirror"): bench.mirror,
+        Phrase("an outline"): bench.outline_mm is not None,
+        Phrase("the inverted branch"): bench.branch == "inverted",
     }
     unknown = [name for name, wanted in others.items() if wanted]
     if unknown:
-        raise UnsupportedBenchError("the paper's method", unknown)
+        raise UnsupportedBenchError(Phrase("the paper's method"), unknown)
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:

@@ -20,7 +20,7 @@ from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
 from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
-from service.job.spec.model import JobSpec
+from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.tools import load_tools
 from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
@@ -109,7 +109,7 @@ def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob
     given.pop("passes", None)
     goal = {key: value for key, value in request.goal.items() if value is not None}
     if len(goal) > 1:
-        raise SpecError([("plan", f"{' and '.join(goal)} cannot all be aimed at; allowed: one of them")])
+        raise SpecError([("plan", refuse_several_aims(goal))])
     overrides = [*request.overrides, *(f"plan.{key}={value!r}" for key, value in goal.items())]
     if request.machine is not None:
         overrides.append(f"machine.profile={json.dumps(request.machine)}")

@@ -16,6 +16,7 @@ import h11
 from starlette.types import Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem, problem_body, problem_response
 
 HEADER_BYTES = 32 << 10
@@ -68,7 +69,8 @@ class ProblemProtocol(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def send_400_response(self, msg: str) -> None:
-        body = json.dumps(problem_body(Problem(400, f"this is not a request in HTTP/1.1: {msg}"))).encode()
+        words = Phrase("this is not a request in HTTP/1.1: {cause}", cause=msg)
+        body = json.dumps(problem_body(Problem(400, words))).encode()
         headers = [
             *self.server_state.default_headers,
             (b"content-type", b"application/problem+json"),
@@ -82,7 +84,8 @@ class ProblemProtocol(H11Protocol):
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         if self._most is not None and len(self.tasks) > self._most:
-            problem = Problem(503, "too many requests at once", headers={"Retry-After": "5", "Connection": "close"})
+            headers = {"Retry-After": "5", "Connection": "close"}
+            problem = Problem(503, Phrase("too many requests at once"), headers=headers)
             await problem_response(problem)(scope, receive, send)
             return
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase
 from service.errors import InputError, sentence_of_os_error
 
 
@@ -26,9 +27,15 @@ def load_heightfield(path: Path) -> Heightfield:
     try:
         heightfield = Heightfield(**arrays, rim_mm=rim_mm)
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(Phrase("{path}: {cause}", path=path, cause=str(error))) from None
     if (highest_mm := float(heightfield.z_mm.max())) > 0:
-        raise InputError(f"{path}: z_mm reaches {highest_mm:g} mm; allowed: 0, the stock top, and below")
+        raise InputError(
+            Phrase(
+                "{path}: z_mm reaches {highest_mm:g} mm; allowed: 0, the stock top, and below",
+                path=path,
+                highest_mm=highest_mm,
+            )
+        )
     return heightfield
 
 
@@ -88,8 +95,9 @@ def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = 
             there = (*names, *(name for name in optional if name in stored))
             return {name: np.asarray(stored[name], dtype=np.float64) for name in there}
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; `causticmill design` makes it") from None
+        raise InputError(Phrase("{path}: there is no such file; `causticmill design` makes it", path=path)) from None
     except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing="cannot read")) from None
+        raise InputError(sentence_of_os_error(error, doing=Phrase("cannot read"))) from None
     except (ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
-        raise InputError(f"{path}: not a file of this program ({' '.join(str(error).split())[:100]})") from None
+        cause = " ".join(str(error).split())[:100]
+        raise InputError(Phrase("{path}: not a file of this program ({cause})", path=path, cause=cause)) from None

@@ -8,6 +8,7 @@ from math import ceil, isfinite
 
 from cam.errors import CamError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError
 from optics.errors import OpticsError, TotalReflectionError
+from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, SpecError
 
 _INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
@@ -18,6 +19,10 @@ _THROW, _THICKNESS = "optics.throw_mm", "stock.thickness_mm"
 class SolidError(ValueError):
     """The lens does not make a solid block."""
 
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
+        self.words = words
+
 
 class ReliefTooDeep(SolidError):
     """The lens would pierce the back of the block, or leave a floor thinner than wanted."""
@@ -25,13 +30,20 @@ class ReliefTooDeep(SolidError):
     def __init__(self, *, deepest_mm: float, relief_mm: float, thickness_mm: float, min_floor_mm: float) -> None:
         self.needed_mm = deepest_mm + min_floor_mm
         floor_mm = thickness_mm - deepest_mm
-        left = (
-            f"leaves a floor of {floor_mm:.2f} mm" if floor_mm > 0 else f"is pierced by {-floor_mm:.2f} mm at the back"
-        )
         super().__init__(
-            f"relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the stock "
-            f"top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {min_floor_mm:g} mm is wanted, "
-            f"so a thickness of {self.needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter"
+            Phrase(
+                "relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the stock "
+                "top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {floor_mm:g} mm is wanted, "
+                "so a thickness of {needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter",
+                relief_mm=relief_mm,
+                deepest_mm=deepest_mm,
+                thickness_mm=thickness_mm,
+                left=Phrase("leaves a floor of {floor_mm:.2f} mm", floor_mm=floor_mm)
+                if floor_mm > 0
+                else Phrase("is pierced by {over_mm:.2f} mm at the back", over_mm=-floor_mm),
+                floor_mm=min_floor_mm,
+                needed_mm=self.needed_mm,
+            )
         )
 
 
@@ -40,10 +52,8 @@ def translate_errors() -> Iterator[None]:
     """Raise InputError or FailedError, one line, in place of a package's own error."""
     try:
         yield
-    except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError
-        if not isinstance(error, (OpticsError, CamError, SolidError)):
-            raise
-        words = " ".join(str(error).split())
+    except (OpticsError, CamError, SolidError) as error:
+        words = error.words
         if isinstance(error, TotalReflectionError) and isfinite(error.shortest_throw_mm):
             raise SpecError([(_THROW, words)], {_THROW: ceil(error.shortest_throw_mm)}) from error
         if isinstance(error, ReliefTooDeep):

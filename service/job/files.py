@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
 
@@ -187,7 +188,9 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         hidden.unlink(missing_ok=True)
         if isinstance(error, OSError):
             error.filename = None  # the hidden name says nothing to the person
-            raise FailedError(sentence_of_os_error(error, doing=f"cannot write {path.name}")) from error
+            raise FailedError(
+                sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))
+            ) from error
         raise
 
 
@@ -217,9 +220,13 @@ def read_report(folder: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{folder / REPORT}: not valid JSON ({str(error)[:100]})") from None
+        words = Phrase("{path}: not valid JSON ({cause})", path=folder / REPORT, cause=str(error)[:100])
+        raise InputError(words) from None
     if not _is_report(report):
-        raise InputError(f"{folder / REPORT}: not a report of this program; `causticmill make` writes a new one")
+        words = Phrase(
+            "{path}: not a report of this program; `causticmill make` writes a new one", path=folder / REPORT
+        )
+        raise InputError(words)
     return dict(report)
 
 

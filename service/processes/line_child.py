@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from phrases.phrase import phrases_in, restore
 from service.errors import FailedError, PictureError, ServiceError, SpecError
 from service.processes.linux import address_space_bytes, die_with_parent, name_process
 from service.processes.priority import give_way
@@ -103,9 +104,10 @@ class LineChild:
             text += piece
         try:
             found: dict[str, Any] = json.loads(text)
+            phrases = found.pop("phrases", {})
         except ValueError:
             raise ChildDied from None
-        return found
+        return {key: restore(value, phrases) for key, value in found.items()}
 
 
 def answer_lines(
@@ -143,14 +145,15 @@ def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     try:
         return answer()
     except PictureError as error:
-        return {"refused": str(error).split("\n"), "kind": "picture"}
-    except (FailedError, OSError) as error:
+        return {"refused": error.lines, "kind": "picture"}
+    except FailedError as error:
+        return {"refused": error.lines, "kind": "failed"}
+    except OSError as error:
         return {"refused": str(error).split("\n"), "kind": "failed"}
     except SpecError as error:
-        refused = {"refused": str(error).split("\n"), "kind": "input"}
-        return refused | {"problems": error.problems, "use": error.use}
+        return {"refused": error.lines, "kind": "input", "problems": error.problems, "use": error.use}
     except ServiceError as error:
-        return {"refused": str(error).split("\n"), "kind": "input"}
+        return {"refused": error.lines, "kind": "input"}
     except Exception as error:  # the process that asked says so and goes on
         return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
 
@@ -162,5 +165,5 @@ def _limit_memory(most: int) -> None:
 
 
 def _say(answers: Any, word: dict[str, Any]) -> None:
-    answers.write(json.dumps(word, allow_nan=False) + "\n")
+    answers.write(json.dumps({**word, "phrases": phrases_in(word)}, allow_nan=False) + "\n")
     answers.flush()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phrases.phrase import Phrase, join, phrases_in, translate
+from phrases.phrase import Phrase, join, phrases_in, restore, translate
 
 words = st.text(max_size=8)
 plain = words.map(lambda text: text.replace("{", "{{").replace("}", "}}"))
@@ -40,6 +41,16 @@ def test_it_survives_a_pickle_and_is_told_once_more_from_its_parts(made: Phrase)
     assert (again, again.template, again.values) == (made, made.template, made.values)
     told = json.loads(json.dumps({"a": [made], "phrases": phrases_in({"a": [made]})}))
     assert translate(told, told["phrases"], {}) == {"a": [made]}
+    assert phrases_in(restore(told["a"], told["phrases"])) == told["phrases"]
+
+
+@given(phrases())
+def test_it_is_changed_in_all_its_parts(made: Phrase) -> None:
+    def hide(text: str) -> str:
+        return re.sub(r"[^v0-9{}]", "?", text)
+
+    hidden = made.map(hide)
+    assert translate([hidden], phrases_in([hidden]), {}) == [hidden] == [hide(made)]
 
 
 @given(st.lists(phrases(depth=0), max_size=4), words)

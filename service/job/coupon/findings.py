@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from optics.coupon.grain import RowErrors, fit_row_errors, measure_grain
 from optics.coupon.layout import Half
 from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
+from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
@@ -34,31 +35,56 @@ _NOTHING_LEFT_OFF = 0.9  # of the shortest ripples: such a half was not finished
 _MOST_BLUR_MM = 0.2
 _WALL_OFF = 0.06
 
-SENTENCES = {
-    "not_a_coupon": "no test piece is found in the photograph (likeness {confidence:.2f}); allowed: the light of this "
-    "test piece on its screen, all of it, in a dark room",
-    "too_small": "the piece is {pixels_per_mm:.0f} pixels per mm in the photograph; allowed: at least {least:.0f}, "
-    "{across:.0f} pixels from its left rim to its right one",
-    "too_dark": "the light of the piece is {level:.3f} of the camera's white; allowed: from {least:g}: expose longer",
-    "clipped": "{share:.0%} of the fringes are white in the photograph, so that {ripples} of 8 ripples are left to "
-    "measure; allowed: an exposure one or two stops shorter",
-    "no_fringes": "neither half shows the ripples as they were milled (misfit {misfit:.1f}); allowed: one half left as "
-    "milled, a lamp without lens or reflector at least 2 m away, the wall at {throw_mm:g} mm",
-    "blurred": "the photograph is blurred by {blur_mm:.2f} mm; allowed: up to {most_mm:g} mm: focus on the paper, "
-    "take a smaller or farther lamp",
-    "not_finished": "both halves are as they were milled: all ripples are there; allowed: one half finished",
-    "right_finished": "the right half was finished, not the left one: taken as such",
-    "mirrored": "the photograph was taken from the other side of the paper, or is mirrored: taken as such",
-    "wall_off": "the wall stood {off_mm:+.1f} mm off: at {throw_mm:.1f} mm, where {nominal_mm:g} mm were foretold; the "
-    "finish is measured all the same",
-    "too_light": "the finish takes hardly anything off even the shortest ripple: k0 is above {least:.0f} rad/mm, its "
-    "figure uncertain",
-    "too_strong": "the finish takes most off even the longest ripple: k0 is below {most:.1f} rad/mm, its figure "
-    "uncertain",
-    "poor_fit": "fringes and model differ {misfit:.1f} times as much as the photograph explains: the figures may be "
-    "off by more than they say",
-    "short_lost": "{count} of 8 ripples cannot be seen in this photograph (too white, or too fine for its blur)",
-}
+SENTENCES: dict[str, Callable[[Mapping[str, float]], Phrase]] = {
+    "not_a_coupon": lambda v: Phrase(
+        "no test piece is found in the photograph (likeness {confidence:.2f}); allowed: the light of this test "
+        "piece on its screen, all of it, in a dark room", **v
+    ),
+    "too_small": lambda v: Phrase(
+        "the piece is {pixels_per_mm:.0f} pixels per mm in the photograph; allowed: at least {least:.0f}, "
+        "{across:.0f} pixels from its left rim to its right one", **v
+    ),
+    "too_dark": lambda v: Phrase(
+        "the light of the piece is {level:.3f} of the camera's white; allowed: from {least:g}: expose longer", **v
+    ),
+    "clipped": lambda v: Phrase(
+        "{share:.0%} of the fringes are white in the photograph, so that {ripples} of 8 ripples are left to "
+        "measure; allowed: an exposure one or two stops shorter", **v
+    ),
+    "no_fringes": lambda v: Phrase(
+        "neither half shows the ripples as they were milled (misfit {misfit:.1f}); allowed: one half left as "
+        "milled, a lamp without lens or reflector at least 2 m away, the wall at {throw_mm:g} mm", **v
+    ),
+    "blurred": lambda v: Phrase(
+        "the photograph is blurred by {blur_mm:.2f} mm; allowed: up to {most_mm:g} mm: focus on the paper, take a "
+        "smaller or farther lamp", **v
+    ),
+    "not_finished": lambda v: Phrase(
+        "both halves are as they were milled: all ripples are there; allowed: one half finished"
+    ),
+    "right_finished": lambda v: Phrase("the right half was finished, not the left one: taken as such"),
+    "mirrored": lambda v: Phrase(
+        "the photograph was taken from the other side of the paper, or is mirrored: taken as such"
+    ),
+    "wall_off": lambda v: Phrase(
+        "the wall stood {off_mm:+.1f} mm off: at {throw_mm:.1f} mm, where {nominal_mm:g} mm were foretold; the "
+        "finish is measured all the same", **v
+    ),
+    "too_light": lambda v: Phrase(
+        "the finish takes hardly anything off even the shortest ripple: k0 is above {least:.0f} rad/mm, its figure "
+        "uncertain", **v
+    ),
+    "too_strong": lambda v: Phrase(
+        "the finish takes most off even the longest ripple: k0 is below {most:.1f} rad/mm, its figure uncertain", **v
+    ),
+    "poor_fit": lambda v: Phrase(
+        "fringes and model differ {misfit:.1f} times as much as the photograph explains: the figures may be off by "
+        "more than they say", **v
+    ),
+    "short_lost": lambda v: Phrase(
+        "{count} of 8 ripples cannot be seen in this photograph (too white, or too fine for its blur)", **v
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +94,15 @@ class CouponFinding:
     code: str
     values: dict[str, float]
 
-    def sentence(self) -> str:
-        return SENTENCES[self.code].format(**self.values)
+    def sentence(self) -> Phrase:
+        return SENTENCES[self.code](self.values)
 
 
 class PhotoRefused(PictureError):
     """A photograph that says nothing, and why."""
 
     def __init__(self, name: str, finding: CouponFinding) -> None:
-        super().__init__(f"{name}: {finding.sentence()}")
+        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=finding.sentence()))
         self.finding = finding
 
 

@@ -17,8 +17,9 @@ from optics.heightfield import Array
 from optics.irradiance import ViewedFrom
 from optics.photograph import Registration, register
 from optics.photograph.homography import apply_homography
+from phrases.phrase import Phrase
 from service.errors import PictureError
-from service.job.picture.decoding import decode_picture, one_line
+from service.job.picture.decoding import decode_picture, too_large_for_memory, unreadable
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.linear_light import linearise_strip, value_scale
 
@@ -72,11 +73,11 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
         light = linearise_strip(image, image.info, tone="srgb", scale=value_scale(image))
         colours = np.asarray(image.convert("RGB"))
     except ValueError as error:
-        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+        raise unreadable(name, error) from None
     except MemoryError:
-        raise PictureError(f"{name}: {image.width} x {image.height} pixels do not fit in memory") from None
+        raise too_large_for_memory(name, image.width, image.height) from None
     if not np.ptp(light) > 0:
-        raise PictureError(f"{name}: the photograph is the same everywhere: it shows no light")
+        raise PictureError(Phrase("{name}: the photograph is the same everywhere: it shows no light", name=name))
     return Photo(light=light, clipped=colours.max(axis=2) >= 250)
 
 

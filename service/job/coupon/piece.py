@@ -10,6 +10,7 @@ from typing import Any
 
 from cam.posts.dialects import POSTS
 from optics.coupon.layout import HALF_MM, HEIGHT_MM, THROW_MM, WIDTH_MM, Coupon
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
 from service.job.spec.loading import load_stored_job, parse_override, resolve_job
@@ -55,7 +56,7 @@ def coupon_job(
     if (spec.optics.width_mm, spec.optics.height_mm) != (WIDTH_MM, HEIGHT_MM):
         raise InputError(f"--spec: optics.width_mm, height_mm: allowed: {WIDTH_MM:g} and {HEIGHT_MM:g}, or none")
     if not spec.passes[-1].stock_to_leave_mm == 0.0 or any(row.direction != "x" for row in spec.passes):
-        raise InputError("passes: the last pass of a test piece must finish it, in rows along X")
+        raise InputError(Phrase("passes: the last pass of a test piece must finish it, in rows along X"))
     return job
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any
 
+from phrases.phrase import Phrase, join
 from service.errors import PictureError
 
 Values = Mapping[str, Any]
@@ -18,7 +20,7 @@ class PhotoFinding:
     code: str
     values: dict[str, Any] = field(default_factory=dict)
 
-    def sentence(self) -> str:
+    def sentence(self) -> Phrase:
         return SENTENCES[self.code](self.values)
 
     def plain(self) -> dict[str, Any]:
@@ -29,128 +31,149 @@ class UselessPhotoError(PictureError):
     """A photograph that tells nothing. `code` is a key of REFUSALS."""
 
     def __init__(self, name: str, code: str, **values: Any) -> None:
-        super().__init__(f"{name}: {REFUSALS[code](values)}")
+        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=REFUSALS[code](values)))
         self.code = code
         self.values = values
 
 
-_FORETOLD = {"finished": "as finished", "milled": "as milled", "designed": "as designed"}
+_FORETOLD = {
+    "finished": Phrase("as finished"),
+    "milled": Phrase("as milled"),
+    "designed": Phrase("as designed"),
+}
 
-REFUSALS: dict[str, Callable[[Values], str]] = {
-    "no_light": lambda v: "the photograph is one tone all over; photograph the lit wall in a dark room",
-    "too_dark": lambda v: (
-        f"too dark: its brightest parts reach {v['peak_percent']:.2g} % of white, allowed: {v['least_percent']:g} % at "
-        "least; expose longer, on a stand"
+REFUSALS: dict[str, Callable[[Values], Phrase]] = {
+    "no_light": lambda v: Phrase("the photograph is one tone all over; photograph the lit wall in a dark room"),
+    "too_dark": lambda v: Phrase(
+        "too dark: its brightest parts reach {peak_percent:.2g} % of white, allowed: {least_percent:g} % at least; "
+        "expose longer, on a stand", **v
     ),
-    "too_bright": lambda v: (
-        f"too bright: {v['clipped_percent']:.0f} % of the picture is white and shows nothing, allowed: "
-        f"{v['most_percent']:.0f} %; expose less, by one or two stops"
+    "too_bright": lambda v: Phrase(
+        "too bright: {clipped_percent:.0f} % of the picture is white and shows nothing, allowed: {most_percent:.0f} %; "
+        "expose less, by one or two stops", **v
     ),
-    "too_small": lambda v: (
-        f"the lit picture is {v['across_px']:.0f} pixels wide in it, allowed: {v['least_px']:.0f} at least; "
-        "go nearer, or send the photograph in full size"
+    "too_small": lambda v: Phrase(
+        "the lit picture is {across_px:.0f} pixels wide in it, allowed: {least_px:.0f} at least; go nearer, or send "
+        "the photograph in full size", **v
     ),
-    "cut_off": lambda v: (
-        f"it shows {v['seen_percent']:.0f} % of the lit picture, allowed: {v['least_percent']:.0f} % at least; "
-        "photograph all of it with some dark wall around"
+    "cut_off": lambda v: Phrase(
+        "it shows {seen_percent:.0f} % of the lit picture, allowed: {least_percent:.0f} % at least; photograph all of "
+        "it with some dark wall around", **v
     ),
-    "not_this_lens": lambda v: (
-        f"what the lens of this job should show is not in it (likeness {v['likeness']:.2f}, allowed: "
-        f"{v['least']:.2f} at least); is it this job's lens, focused, in a dark room, and all of it lit?"
+    "not_this_lens": lambda v: Phrase(
+        "what the lens of this job should show is not in it (likeness {likeness:.2f}, allowed: {least:.2f} at least); "
+        "is it this job's lens, focused, in a dark room, and all of it lit?", **v
     ),
 }  # fmt: skip
 
 
-def _off(v: Values, what: str) -> str:
-    return f"{v['mm']:.2g} mm (± {v['deviation_mm']:.1g} mm) {what}"
-
-
-def _side(v: Values) -> str:
-    return " and ".join(v["sides"])
-
-
-SENTENCES: dict[str, Callable[[Values], str]] = {
-    "mirrored": lambda v: (
+SENTENCES: dict[str, Callable[[Values], Phrase]] = {
+    "mirrored": lambda v: Phrase(
         "the photograph shows the picture mirrored: a selfie camera does that, else the wall is looked at from the "
-        f"other side than optics.viewed_from = \"{v['viewed_from']}\" says"
+        'other side than optics.viewed_from = "{viewed_from}" says', **v
     ),
-    "wall_too_far": lambda v: f"the wall stands {_off(v, 'too far')}: move it nearer to the lens by that much",
-    "wall_too_near": lambda v: f"the wall stands {_off(v, 'too near')}: move it away from the lens by that much",
-    "wall_in_place": lambda v: f"the wall's distance is right within {v['within_mm']:.2g} mm",
-    "wall_unknown": lambda v: (
-        f"this photograph does not tell the wall's distance to better than {v['within_mm']:.2g} mm; "
-        f"check with a rule that it is {v['throw_mm']:g} mm from the top of the block"
+    "wall_too_far": lambda v: Phrase(
+        "the wall stands {mm:.2g} mm (± {deviation_mm:.1g} mm) too far: move it nearer to the lens by that much", **v
     ),
-    "wall_tilted": lambda v: (
-        f"the wall leans by {v['deg']:.2g}° (± {v['deviation_deg']:.1g}°) against the block: its {_side(v)} is too far "
-        "away; square the block and the wall to each other"
+    "wall_too_near": lambda v: Phrase(
+        "the wall stands {mm:.2g} mm (± {deviation_mm:.1g} mm) too near: move it away from the lens by that much", **v
     ),
-    "light_aslant": lambda v: (
-        f"the light comes aslant by {v['deg']:.2g}° (± {v['deviation_deg']:.1g}°), towards the picture's {_side(v)}: "
-        "turn the lamp, or block and wall together"
+    "wall_in_place": lambda v: Phrase("the wall's distance is right within {within_mm:.2g} mm", **v),
+    "wall_unknown": lambda v: Phrase(
+        "this photograph does not tell the wall's distance to better than {within_mm:.2g} mm; check with a rule that "
+        "it is {throw_mm:g} mm from the top of the block", **v
+    ),
+    "wall_tilted": lambda v: Phrase(
+        "the wall leans by {deg:.2g}° (± {deviation_deg:.1g}°) against the block: its {side} is too far away; square "
+        "the block and the wall to each other", **v, side=_side(v)
+    ),
+    "light_aslant": lambda v: Phrase(
+        "the light comes aslant by {deg:.2g}° (± {deviation_deg:.1g}°), towards the picture's {side}: turn the lamp, "
+        "or block and wall together", **v, side=_side(v)
     ),
     "turned": lambda v: (
-        f"the picture is turned by {abs(v['deg']):.1f}° {_way(v['deg'])} in the photograph: if the camera was level, "
-        f"turn the block by that much {_way(-v['deg'])}"
+        Phrase(
+            "the picture is turned by {turned_deg:.1f}° clockwise in the photograph: if the camera was level, turn "
+            "the block by that much counter-clockwise", turned_deg=abs(v["deg"])
+        )
+        if v["deg"] > 0
+        else Phrase(
+            "the picture is turned by {turned_deg:.1f}° counter-clockwise in the photograph: if the camera was level, "
+            "turn the block by that much clockwise", turned_deg=abs(v["deg"])
+        )
     ),
-    "softer": lambda v: (
-        f"the light is softer than foretold {_FORETOLD[v['foretold']]}, by {v['mm']:.2g} mm on the wall (foretold "
-        f"itself: {v['foretold_mm']:.2g} mm): {_why_softer(v)}"
+    "softer": lambda v: Phrase(
+        "the light is softer than foretold {how}, by {mm:.2g} mm on the wall (foretold itself: {foretold_mm:.2g} mm): "
+        "{causes}", **v, how=_FORETOLD[v["foretold"]], causes=_why_softer(v)
     ),
-    "sharper": lambda v: (
-        f"the light is sharper than foretold {_FORETOLD[v['foretold']]}, by {v['mm']:.2g} mm on the wall: mill and "
-        "finish did better than their figures say"
+    "sharper": lambda v: Phrase(
+        "the light is sharper than foretold {how}, by {mm:.2g} mm on the wall: mill and finish did better than their "
+        "figures say", **v, how=_FORETOLD[v["foretold"]]
     ),
-    "as_soft_as_foretold": lambda v: f"the light is as sharp as foretold {_FORETOLD[v['foretold']]}",
-    "surface_off": lambda v: (
-        f"the surface is off by {v['peak_to_valley_um']:.2g} µm from highest to lowest: {_terms(v)}"
+    "as_soft_as_foretold": lambda v: Phrase(
+        "the light is as sharp as foretold {how}", how=_FORETOLD[v["foretold"]]
     ),
-    "surface_right": lambda v: (
-        f"no long-wave error of the surface is seen (of those that can be told none is over {v['within_um']:.2g} µm)"
+    "surface_off": lambda v: Phrase(
+        "the surface is off by {peak_to_valley_um:.2g} µm from highest to lowest: {terms}",
+        peak_to_valley_um=v["peak_to_valley_um"], terms=_terms(v)
     ),
-    "surface_unknown": lambda v: "this photograph tells nothing of long-wave errors of the surface",
-    "partly_clipped": lambda v: (
-        f"{v['clipped_percent']:.0f} % of the picture is white in the photograph and was left out: a shorter exposure "
-        "tells more"
+    "surface_right": lambda v: Phrase(
+        "no long-wave error of the surface is seen (of those that can be told none is over {within_um:.2g} µm)", **v
     ),
-    "rather_dark": lambda v: "the photograph is rather dark: a longer exposure tells more",
-    "odd_tones": lambda v: (
-        "the camera has changed the tones (a power of "
-        f"{v['tone']:.2f}): photograph without filters or HDR for surer figures"
+    "surface_unknown": lambda v: Phrase("this photograph tells nothing of long-wave errors of the surface"),
+    "partly_clipped": lambda v: Phrase(
+        "{clipped_percent:.0f} % of the picture is white in the photograph and was left out: a shorter exposure tells "
+        "more", **v
+    ),
+    "rather_dark": lambda v: Phrase("the photograph is rather dark: a longer exposure tells more"),
+    "odd_tones": lambda v: Phrase(
+        "the camera has changed the tones (a power of {tone:.2f}): photograph without filters or HDR for surer figures",
+        **v
     ),
 }  # fmt: skip
 
 _NAMES = {
-    (2, 0): "bow from left to right and the other way from bottom to top",
-    (1, 1): "twist",
-    (3, 0): "S shape from left to right",
-    (2, 1): "bow from left to right that changes from bottom to top",
-    (1, 2): "bow from bottom to top that changes from left to right",
-    (0, 3): "S shape from bottom to top",
-    (4, 0): "W shape from left to right",
-    (3, 1): "S shape from left to right that changes from bottom to top",
-    (2, 2): "saddle of the corners",
-    (1, 3): "S shape from bottom to top that changes from left to right",
-    (0, 4): "W shape from bottom to top",
+    (2, 0): Phrase("bow from left to right and the other way from bottom to top"),
+    (1, 1): Phrase("twist"),
+    (3, 0): Phrase("S shape from left to right"),
+    (2, 1): Phrase("bow from left to right that changes from bottom to top"),
+    (1, 2): Phrase("bow from bottom to top that changes from left to right"),
+    (0, 3): Phrase("S shape from bottom to top"),
+    (4, 0): Phrase("W shape from left to right"),
+    (3, 1): Phrase("S shape from left to right that changes from bottom to top"),
+    (2, 2): Phrase("saddle of the corners"),
+    (1, 3): Phrase("S shape from bottom to top that changes from left to right"),
+    (0, 4): Phrase("W shape from bottom to top"),
 }
 
 
-def _way(deg: float) -> str:
-    return "clockwise" if deg > 0 else "counter-clockwise"
+_SIDES = {"left": Phrase("left"), "right": Phrase("right"), "top": Phrase("top"), "bottom": Phrase("bottom")}
 
 
-def _terms(v: Values) -> str:
-    rows = [
-        f"{_NAMES[row['order_x'], row['order_y']]} {row['um']:+.1f} µm (± {row['deviation_um']:.1f})"
-        for row in v["terms"]
-    ]
-    return ", ".join(rows)
+def _side(v: Values) -> Phrase:
+    sides = map(_SIDES.__getitem__, v["sides"])
+    return reduce(lambda names, name: Phrase("{names} and {name}", names=names, name=name), sides)
 
 
-def _why_softer(v: Values) -> str:
-    causes = [
-        "the finish is not yet done" if v["foretold"] == "finished" else "mill or finish leave more than foretold",
-        f"the lamp is larger (one that looks {v['source_deg']:.2g}° wide would do it)",
-        "the camera was out of focus",
-    ]
-    return ", ".join(causes[:-1]) + ", or " + causes[-1]
+def _terms(v: Values) -> Phrase:
+    return join(
+        ", ",
+        (
+            Phrase(
+                "{form} {um:+.1f} µm (± {deviation_um:.1f})", form=_NAMES[row["order_x"], row["order_y"]], um=row["um"],
+                deviation_um=row["deviation_um"],
+            )
+            for row in v["terms"]
+        ),
+    )  # fmt: skip
+
+
+def _why_softer(v: Values) -> Phrase:
+    return Phrase(
+        "{cause}, the lamp is larger (one that looks {source_deg:.2g}° wide would do it), or the camera was out of "
+        "focus",
+        cause=Phrase("the finish is not yet done")
+        if v["foretold"] == "finished"
+        else Phrase("mill or finish leave more than foretold"),
+        source_deg=v["source_deg"],
+    )

@@ -13,6 +13,7 @@ from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame
 from optics.spline import Array
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP
@@ -65,7 +66,8 @@ def _picture(path: Path, target: Array) -> Array | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, SyntaxError):
-        raise InputError(f"{path}: not a picture of this program; `causticmill make` writes a new one") from None
+        words = Phrase("{path}: not a picture of this program; `causticmill make` writes a new one", path=path)
+        raise InputError(words) from None
     if levels.shape != target.shape:
         return None
     linear = srgb_to_linear(levels / 255.0) * float(target.max())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from phrases.phrase import Phrase
 from service.errors import PictureError, printable, sentence_of_os_error
 from service.job.picture.limits import PictureFacts, PictureLimits
 
@@ -42,7 +43,7 @@ def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
         if not file.read(1):
-            raise PictureError(f"{name}: the file is empty")
+            raise PictureError(Phrase("{name}: the file is empty", name=name))
         with Image.open(file, formats=limits.formats or _formats()) as image:
             _require_size(name, limits, *image.size)
             image.load()
@@ -56,19 +57,37 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
     except PictureError:
         raise
     except Image.DecompressionBombError as error:
-        raise PictureError(f"{name}: {_bomb_pixels(error)} pixels; allowed: at most {limits.max_pixels}") from None
+        count, most = _bomb_pixels(error), limits.max_pixels
+        words = Phrase("{name}: {count} pixels; allowed: at most {most}", name=name, count=count, most=most)
+        raise PictureError(words) from None
     except UnidentifiedImageError:
         can = _readable(limits)
-        raise PictureError(f"{name}: not a picture that can be read ({can} can)") from None
+        raise PictureError(Phrase("{name}: not a picture that can be read ({can} can)", name=name, can=can)) from None
     except MemoryError:
-        raise PictureError(f"{name}: does not fit in memory") from None
+        raise PictureError(Phrase("{name}: does not fit in memory", name=name)) from None
     except OSError as error:
         if error.errno is None:  # Pillow's own: truncated, broken data stream ...
-            raise PictureError(f"{name}: the picture is damaged ({one_line(error)})") from None
+            raise _damaged(name, error) from None
         error.filename = name
-        raise PictureError(sentence_of_os_error(error, doing="cannot read the picture")) from None
+        raise PictureError(sentence_of_os_error(error, doing=Phrase("cannot read the picture"))) from None
     except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
-        raise PictureError(f"{name}: the picture is damaged ({one_line(error)})") from None
+        raise _damaged(name, error) from None
+
+
+def _damaged(name: str, error: Exception) -> PictureError:
+    return PictureError(Phrase("{name}: the picture is damaged ({cause})", name=name, cause=one_line(error)))
+
+
+def unreadable(name: str, error: Exception) -> PictureError:
+    """Return the refusal of a picture whose mode cannot be turned into tones."""
+    return PictureError(Phrase("{name}: cannot read its pixels ({cause})", name=name, cause=one_line(error)))
+
+
+def too_large_for_memory(name: str, width: int, height: int) -> PictureError:
+    """Return the refusal of a picture that there is no memory for."""
+    return PictureError(
+        Phrase("{name}: {width} x {height} pixels do not fit in memory", name=name, width=width, height=height)
+    )
 
 
 def _readable(limits: PictureLimits) -> str:
@@ -82,10 +101,27 @@ def _formats() -> list[str]:
 
 def _require_size(name: str, limits: PictureLimits, width: int, height: int) -> None:
     if width * height > limits.max_pixels:
-        allowed = f"at most {limits.max_pixels}"
-        raise PictureError(f"{name}: {width} x {height} pixels are {width * height}; allowed: {allowed}")
+        raise PictureError(
+            Phrase(
+                "{name}: {width} x {height} pixels are {count}; allowed: at most {most}",
+                name=name,
+                width=width,
+                height=height,
+                count=width * height,
+                most=limits.max_pixels,
+            )
+        )
     if min(width, height) < MIN_SIDE:
-        raise PictureError(f"{name}: {width} x {height} pixels; allowed: at least {MIN_SIDE} x {MIN_SIDE}")
+        raise PictureError(
+            Phrase(
+                "{name}: {width} x {height} pixels; allowed: at least {least} x {least_height}",
+                name=name,
+                width=width,
+                height=height,
+                least=MIN_SIDE,
+                least_height=MIN_SIDE,
+            )
+        )
 
 
 def _require_convertible(image: Image.Image, name: str) -> None:
@@ -94,9 +130,9 @@ def _require_convertible(image: Image.Image, name: str) -> None:
         try:
             image.crop((0, 0, 1, 1)).convert("RGB")
         except ValueError as error:
-            raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+            raise unreadable(name, error) from None
 
 
 def _bomb_pixels(error: Exception) -> str:
     numbers = [word.strip("()") for word in str(error).split() if word.strip("()").isdigit()]
-    return numbers[0] if numbers else "too many"
+    return numbers[0] if numbers else Phrase("too many")

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from phrases.phrase import Phrase
+
 Array = npt.NDArray[np.float64]
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709 / sRGB primaries, in linear light
@@ -45,7 +47,7 @@ def value_scale(image: Image.Image) -> float:
     if image.mode == "F":
         values = np.asarray(image)
         if not np.isfinite(values).all():
-            raise ValueError("it holds values that are not finite")
+            raise ValueError(Phrase("it holds values that are not finite"))
         return max(1.0, float(values.max()))
     return 255.0
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 from phrases.phrase import Phrase
 from service.errors import PictureError
-from service.job.picture.decoding import decode_picture, one_line
+from service.job.picture.decoding import decode_picture, too_large_for_memory, unreadable
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.linear_light import invert_tones, linearise_strip, value_scale
 from service.job.picture.resampling import Span, weights_to_resample
@@ -93,12 +93,17 @@ def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: floa
             image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert
         )
     except MemoryError:
-        raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
+        raise too_large_for_memory(name, width, height) from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
-        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+        raise unreadable(name, error) from None
     if not linear.max() > _BLACK:
-        inverted = " after inversion" if settings.invert else ""
-        raise PictureError(f"{name}: the picture is black everywhere{inverted}, there is no light to aim")
+        if settings.invert:
+            words = Phrase(
+                "{name}: the picture is black everywhere after inversion, there is no light to aim", name=name
+            )
+        else:
+            words = Phrase("{name}: the picture is black everywhere, there is no light to aim", name=name)
+        raise PictureError(words)
     picture = Picture(linear=linear, width=width, height=height, mode=image.mode, warnings=())
     return _with_warnings(picture, settings)
 
@@ -183,9 +188,9 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
         if image.mode not in _DEEP and not image.mode.startswith("I;16"):
             light = np.where(_mask_clipped(image, shape), 1.0, light)
     except MemoryError:
-        raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
+        raise too_large_for_memory(name, width, height) from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
-        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+        raise unreadable(name, error) from None
     return WallPhoto(light=light, width=width, height=height)
 
 
@@ -217,7 +222,7 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
         covered[1][:, None] * covered[0][None, :]
     )
     if not light.max() > 0:
-        raise PictureError(f"{path}: the picture of the light is black everywhere")
+        raise PictureError(Phrase("{path}: the picture of the light is black everywhere", path=path))
     return [[round(float(value), 4) for value in row] for row in light / light.max()]
 
 

@@ -373,9 +373,12 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
-        words = (
-            f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
-            f"{need_mm} mm, a wall farther away or a smaller lens"
+        words = Phrase(
+            "the lens is {deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of {need_mm} mm, "
+            "a wall farther away or a smaller lens",
+            deepest_mm=quick.form.deepest_mm,
+            floor_mm=floor_mm,
+            need_mm=need_mm,
         )
         yield from SpecError([("stock.thickness_mm", words)], {"stock.thickness_mm": need_mm}).rows()
     try:

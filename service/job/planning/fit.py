@@ -35,8 +35,14 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     fits = _word_fits(facts)
     if share < LEAST_REACHED:
         number = next(n for n, spec in enumerate(passes) if spec.finishes and spec.radius_mm == radius_mm)
-        words = f"{radius_mm:g} touches only {100 * share:.0f} % of the lens; allowed: at least"
-        raise SpecError([(f"passes.{number}.radius_mm", f"{words} {100 * LEAST_REACHED:.0f} %; {fits}")])
+        words = Phrase(
+            "{radius_mm:g} touches only {percent:.0f} % of the lens; allowed: at least {least_percent:.0f} %; {fits}",
+            radius_mm=radius_mm,
+            percent=100 * share,
+            least_percent=100 * LEAST_REACHED,
+            fits=fits,
+        )
+        raise SpecError([(f"passes.{number}.radius_mm", words)])
     unfit = Phrase(
         "the finishing ball {size} does not fit {percent:.2g} % of the lens",
         size=ball(radius_mm),
@@ -72,17 +78,25 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
         if flutes_mm is None:
             continue
         if flutes_mm < spec.step_down_mm:
-            words = f"{flutes_mm:g} mm is shorter than one bite; allowed: at least the step-down"
-            raise SpecError([(key, f"{words} of {spec.step_down_mm:g} mm")])
+            words = Phrase(
+                "{flutes_mm:g} mm is shorter than one bite; allowed: at least the step-down of {least_mm:g} mm",
+                flutes_mm=flutes_mm,
+                least_mm=spec.step_down_mm,
+            )
+            raise SpecError([(key, words)])
         if flutes_mm >= heightfield.relief_mm:  # nothing of the lens can stand above them
             continue
         over_mm = lens_over_flutes_mm(heightfield, spec)
         if over_mm > 0:
             least_mm = ceil(10 * (flutes_mm + over_mm)) / 10
-            words = (
-                f"{flutes_mm:g} mm is too short: where it is deepest the lens beside the cutter stands {over_mm:.2f} "
-                f"mm above the flutes, within reach of a shank of radius {spec.shank_radius_mm or spec.radius_mm:g} "
-                f"mm; allowed: at least {least_mm:g} mm"
+            words = Phrase(
+                "{flutes_mm:g} mm is too short: where it is deepest the lens beside the cutter stands {over_mm:.2f} mm "
+                "above the flutes, within reach of a shank of radius {radius_mm:g} mm; allowed: at least "
+                "{least_mm:g} mm",
+                flutes_mm=flutes_mm,
+                over_mm=over_mm,
+                radius_mm=spec.shank_radius_mm or spec.radius_mm,
+                least_mm=least_mm,
             )
             raise SpecError([(key, words)], {key: least_mm})
 
@@ -100,10 +114,18 @@ def require_travel(
     )
     for (key, axis, need_mm, side_mm), (number, have_mm) in zip(needed, enumerate(machine.travel_mm), strict=True):
         if need_mm > have_mm:
-            words = f"the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine.name} is"
+            words = Phrase(
+                "the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine} is {travel_mm:g} "
+                "mm; allowed: at least {least_mm:.1f} mm",
+                need_mm=need_mm,
+                axis=axis,
+                number=number,
+                machine=machine.name,
+                travel_mm=have_mm,
+                least_mm=need_mm,
+            )
             most_mm = 0 if side_mm is None else floor(have_mm - need_mm + side_mm)
-            allowed = f"{have_mm:g} mm; allowed: at least {need_mm:.1f} mm"
-            raise SpecError([(key, f"{words} {allowed}")], {key: most_mm} if most_mm > 0 else {})
+            raise SpecError([(key, words)], {key: most_mm} if most_mm > 0 else {})
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:

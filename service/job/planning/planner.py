@@ -25,6 +25,7 @@ from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
 from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
@@ -166,7 +167,8 @@ def _choose_plan(
             milled = plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
     except NoPlanError as error:
         raise InputError(
-            "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
+            Phrase("none of the tools can finish this lens"),
+            *(Phrase("{name}: {why}", name=name, why=why) for name, why in error.left_out),
         ) from None
     finishing = None
     if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
@@ -176,7 +178,11 @@ def _choose_plan(
         plan = time_by_lens(plan, LensForm.of(own_lens(plan.chosen.marks)), goal, guessed=coarse, shop=shop)
     if goal.hours is not None and not plan.met:
         least = ceil(10 * plan.quickest.hours) / 10
-        words = f"no plan takes {goal.hours:g} h or less; the quickest: {duration(3600 * plan.quickest.hours)}"
+        words = Phrase(
+            "no plan takes {most_hours:g} h or less; the quickest: {quickest}",
+            most_hours=goal.hours,
+            quickest=duration(3600 * plan.quickest.hours),
+        )
         raise SpecError([("plan.hours", words)], {"plan.hours": least})
     return Planned(
         plan=plan,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase, join
 from service.job.errors import ReliefTooDeep, SolidError
 
 Indices = NDArray[np.int64]
@@ -165,16 +166,17 @@ def _require_closed(mesh: Any) -> manifold3d.Manifold:
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=np.asarray(mesh.vertices), tri_verts=np.asarray(mesh.faces, dtype=np.uint64))
     )
+    status = solid.status()
     faults = [
         fault
         for fault, found in (
-            ("not watertight", not mesh.is_watertight),
-            ("faces wound both ways", not mesh.is_winding_consistent),
-            ("inside out", mesh.volume <= 0),
-            (f"manifold3d says {solid.status().name}", solid.status() != manifold3d.Error.NoError),
+            (Phrase("not watertight"), not mesh.is_watertight),
+            (Phrase("faces wound both ways"), not mesh.is_winding_consistent),
+            (Phrase("inside out"), mesh.volume <= 0),
+            (Phrase("manifold3d says {status}", status=status.name), status != manifold3d.Error.NoError),
         )
         if found
     ]
     if faults:
-        raise SolidError(f"the lens does not close to a solid block: {', '.join(faults)}")
+        raise SolidError(Phrase("the lens does not close to a solid block: {faults}", faults=join(", ", faults)))
     return solid

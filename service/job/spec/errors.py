@@ -10,12 +10,12 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.model import JobSpec
-from service.job.spec.section import unit_of
+from service.job.spec.section import RuleError, unit_of
 
 Place = tuple[int | str, ...]
-_MODEL_RULES = {"value_error", "assertion_error"}
 MOST_PROBLEMS = 50  # each costs a search for the key that was meant, and nobody reads more
 _KEY_CHARS = 60
 
@@ -29,7 +29,7 @@ def as_spec_error(error: ValidationError) -> SpecError:
     problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in told]
     limits = {join_place(one["loc"]): bound for one in told for bound in _bounds(one)}
     if count > MOST_PROBLEMS:
-        problems.append(("spec", f"{count - MOST_PROBLEMS} more problems like these"))
+        problems.append(("spec", Phrase("{count} more problems like these", count=count - MOST_PROBLEMS)))
     return SpecError(list(dict.fromkeys(problems)), limits)
 
 
@@ -38,12 +38,12 @@ def _bounds(detail: ErrorDetails) -> Iterator[float]:
     yield from (bound for name, bound in detail.get("ctx", {}).items() if name in ("le", "ge"))
 
 
-def unknown_key(key: str, known: Sequence[str]) -> str:
+def unknown_key(key: str, known: Sequence[str]) -> Phrase:
     """Return what to say about a key nobody knows: the nearest known one, or all of them."""
     near = difflib.get_close_matches(key[:_KEY_CHARS], known, n=1, cutoff=0.6)
     if near:
-        return f"there is no such key; did you mean '{near[0]}'?"
-    return f"there is no such key; known here: {', '.join(known)}"
+        return Phrase("there is no such key; did you mean '{key}'?", key=near[0])
+    return Phrase("there is no such key; known here: {keys}", keys=", ".join(known))
 
 
 def join_place(place: Place) -> str:
@@ -51,10 +51,10 @@ def join_place(place: Place) -> str:
     return ".".join(str(step)[:_KEY_CHARS] for step in place) or "spec"
 
 
-def word_allowed(place: Place) -> str:
+def word_allowed(place: Place) -> Phrase:
     """Return the allowed values of a key, in words: 'a number more than 0 and at most 2000 (mm)'."""
     schema = _schema_at(place)
-    return _words(schema, str(place[-1]) if place else "") if schema else "see the documentation"
+    return _words(schema, str(place[-1]) if place else "") if schema else Phrase("see the documentation")
 
 
 def known_keys(place: Place) -> list[str]:
@@ -62,17 +62,17 @@ def known_keys(place: Place) -> list[str]:
     return list((_schema_at(place) or {}).get("properties", {}))
 
 
-def _sentence(detail: ErrorDetails) -> str:
+def _sentence(detail: ErrorDetails) -> Phrase:
     place, kind, value = detail["loc"], detail["type"], detail["input"]
     if kind == "extra_forbidden":
         return unknown_key(str(place[-1]), known_keys(place[:-1]))
     if kind == "missing":
-        return f"is missing; allowed: {word_allowed(place)}"
-    if kind in _MODEL_RULES:
-        return detail["msg"].partition(", ")[2]
+        return Phrase("is missing; allowed: {allowed}", allowed=word_allowed(place))
+    if isinstance(error := detail.get("ctx", {}).get("error"), RuleError):
+        return error.words
     if kind == "too_short" and isinstance(value, list | tuple) and not value:
-        return f"is empty; allowed: {word_allowed(place)}"
-    return f"{_shown(value)} is not allowed; allowed: {word_allowed(place)}"
+        return Phrase("is empty; allowed: {allowed}", allowed=word_allowed(place))
+    return Phrase("{value} is not allowed; allowed: {allowed}", value=_shown(value), allowed=word_allowed(place))
 
 
 def _shown(value: Any) -> str:
@@ -111,35 +111,38 @@ def _resolve_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     return dict(schema)
 
 
-def _words(schema: Mapping[str, Any], key: str) -> str:
+def _words(schema: Mapping[str, Any], key: str) -> Phrase:
     if "enum" in schema:
-        return ", ".join(f"'{value}'" for value in schema["enum"])
+        return Phrase("{names}", names=", ".join(f"'{value}'" for value in schema["enum"]))
     if "const" in schema:
-        return f"'{schema['const']}'"
+        return Phrase("'{name}'", name=schema["const"])
     match schema.get("type"):
         case "boolean":
-            return "true or false"
+            return Phrase("true or false")
         case "object":
-            return f"a table with the keys {', '.join(schema.get('properties', {}))}"
+            return Phrase("a table with the keys {keys}", keys=", ".join(schema.get("properties", {})))
         case "array":
             low, high = schema.get("minItems"), schema.get("maxItems")
-            count = f"{low}" if low == high else f"{low} to {high}"
-            return f"a list of {count} {'numbers' if 'number' in str(schema['items']) else 'tables'}"
+            count = f"{low}" if low == high else Phrase("{least} to {most}", least=low, most=high)
+            if "number" in str(schema["items"]):
+                return Phrase("a list of {count} numbers", count=count)
+            return Phrase("a list of {count} tables", count=count)
         case "string":
             if "pattern" in schema:
-                return f"lower-case letters, digits and hyphens, at most {schema['maxLength']}"
-            return "a text"
-    return f"a {'whole ' * (schema.get('type') == 'integer')}number{_range(schema)}{_unit(key)}"
+                return Phrase("lower-case letters, digits and hyphens, at most {most}", most=schema["maxLength"])
+            return Phrase("a text")
+    number = _number(schema)
+    if unit := unit_of(key):
+        return Phrase("{number} {unit}", number=number, unit=Phrase("degrees") if unit == "°" else unit)
+    return number
 
 
-def _range(schema: Mapping[str, Any]) -> str:
+def _number(schema: Mapping[str, Any]) -> Phrase:
+    kind = Phrase("a whole number") if schema.get("type") == "integer" else Phrase("a number")
     if "minimum" in schema:
-        return f" from {schema['minimum']:g} to {schema['maximum']:g}"
+        least, most = schema["minimum"], schema["maximum"]
+        return Phrase("{kind} from {least:g} to {most:g}", kind=kind, least=least, most=most)
     if "exclusiveMinimum" in schema:
-        return f" more than {schema['exclusiveMinimum']:g} and at most {schema['maximum']:g}"
-    return ""
-
-
-def _unit(key: str) -> str:
-    unit = unit_of(key).replace("°", "degrees")
-    return f" {unit}" if unit else ""
+        least, most = schema["exclusiveMinimum"], schema["maximum"]
+        return Phrase("{kind} more than {least:g} and at most {most:g}", kind=kind, least=least, most=most)
+    return kind

@@ -10,6 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.finish_library import (
     DEPTH_RANGE_UM,
@@ -20,7 +21,7 @@ from service.job.spec.finish_library import (
     built_in_processes,
     load_processes,
 )
-from service.job.spec.section import Section, shown
+from service.job.spec.section import Section, shown, unknown_name
 
 NONE, BEST = "none", "best"
 _PROCESSES = {
@@ -104,15 +105,16 @@ def resolve_finish(
     """
     if finish.process == BEST:
         if not to_be_planned:
-            allowed = "preset = 'recommended', or the name of a process"
-            raise SpecError([("finish.process", f"'{BEST}' is chosen by the planner only; allowed: {allowed}")])
+            words = Phrase(
+                "'best' is chosen by the planner only; allowed: preset = 'recommended', or the name of a process"
+            )
+            raise SpecError([("finish.process", words)])
         return finish
     if finish.process == NONE:
         _require_own_figures(finish)
         return finish
     if finish.process not in processes:
-        allowed = ", ".join(f"'{one}'" for one in (*load_processes(), BEST))
-        raise SpecError([("finish.process", f"'{finish.process}' is not known; allowed: {allowed}")])
+        raise SpecError([("finish.process", unknown_name(finish.process, (*load_processes(), BEST)))])
     process = processes[finish.process]
     if finish.minutes is None and finish.k0_rad_per_mm is None:
         if to_be_planned:
@@ -150,14 +152,9 @@ def _require_own_figures(finish: FinishSpec) -> None:
     """Require k0 and order together where there is no process, and nothing else by itself."""
     if (finish.k0_rad_per_mm is None) != (finish.order is None):
         missing = "order" if finish.order is None else "k0_rad_per_mm"
-        raise SpecError([(f"finish.{missing}", "is missing; allowed: k0_rad_per_mm and order together, or a process")])
+        words = Phrase("is missing; allowed: k0_rad_per_mm and order together, or a process")
+        raise SpecError([(f"finish.{missing}", words)])
     if finish.k0_rad_per_mm is None and (finish.minutes is not None or finish.depth_um is not None):
         given = "minutes" if finish.minutes is not None else "depth_um"
-        raise SpecError(
-            [
-                (
-                    f"finish.{given}",
-                    "says nothing without a process; allowed: with finish.process, or k0_rad_per_mm and order",
-                )
-            ]
-        )
+        words = Phrase("says nothing without a process; allowed: with finish.process, or k0_rad_per_mm and order")
+        raise SpecError([(f"finish.{given}", words)])

@@ -192,23 +192,32 @@ def built_in_processes() -> Mapping[str, Process]:
 
 
 def _read(path: Path) -> dict[str, Process]:
-    data = read_library(path, "finish library")
+    data = read_library(path, Phrase("a finish library"))
     for name, row in data.items():
         if not isinstance(row, dict):
-            raise InputError(f"{path}: {name}: must be a table of a process, under a line [{name}]")
+            raise InputError(
+                Phrase(
+                    "{path}: {name}: must be a table of a process, under a line {line}",
+                    path=path,
+                    name=name,
+                    line=f"[{name}]",
+                )
+            )
     return {name: _process(path, name, row) for name, row in data.items()}
 
 
 def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
     place = f"{path}: {name}"
     if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
-        raise InputError(f"{place}: allowed as a name: small letters, digits and hyphens, at most 40")
+        raise InputError(
+            Phrase("{place}: allowed as a name: small letters, digits and hyphens, at most 40", place=place)
+        )
     try:
         values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
     except BadValueError as error:
-        raise InputError(f"{place}: {error}") from None
+        raise InputError(Phrase("{place}: {cause}", place=place, cause=str(error))) from None
     if missing := [key for key in _NEEDED if key not in values]:
-        raise InputError(f"{place}: {', '.join(missing)}: missing")
+        raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
     minutes = values["default_minutes"]
     left_out = {
         "k0_exponent": 1 / values["order"],  # what is levelled grows with the time, k0^-order with it
@@ -223,9 +232,19 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
     process = Process(name=name, default_k0_rad_per_mm=values.pop("k0_rad_per_mm"), **{**left_out, **values})
     low, high = process.minutes_range
     if not low <= minutes <= high:
-        raise InputError(f"{place}: default_minutes = {minutes:g}: allowed: within minutes_range, {low:g} to {high:g}")
+        raise InputError(
+            Phrase(
+                "{place}: default_minutes = {minutes:g}: allowed: within minutes_range, {least:g} to {most:g}",
+                place=place,
+                minutes=minutes,
+                least=low,
+                most=high,
+            )
+        )
     if minutes == 0 and math.isfinite(process.default_k0_rad_per_mm):
-        raise InputError(f"{place}: default_minutes = 0: allowed: more than 0 where k0_rad_per_mm is finite")
+        raise InputError(
+            Phrase("{place}: default_minutes = 0: allowed: more than 0 where k0_rad_per_mm is finite", place=place)
+        )
     return process
 
 
@@ -268,18 +287,23 @@ def _flag(value: Any) -> bool:
 
 _MOST_MINUTES = 10_000
 _NEEDED = ("title", "order", "k0_rad_per_mm", "default_minutes")
-_TEXT = Rule(_sentence, "text on one line, 1 to 600 characters")
-_TEXTS = Rule(_sentences, "a list of at most 20 sentences")
-_YES_OR_NO = Rule(_flag, "true or false")
+_TEXT = Rule(_sentence, Phrase("text on one line, 1 to {most} characters", most=600))
+_TEXTS = Rule(_sentences, Phrase("a list of at most 20 sentences"))
+_YES_OR_NO = Rule(_flag, Phrase("true or false"))
 _VALUES = Rules(
     {
         "title": _TEXT,
         "offered": _TEXT,
         "order": number(*ORDER_RANGE),
-        "k0_rad_per_mm": Rule(_k0, f"a number from {LEAST_K0_RAD_PER_MM:g} rad/mm, or inf where nothing is levelled"),
+        "k0_rad_per_mm": Rule(
+            _k0,
+            Phrase("a number from {least:g} rad/mm, or inf where nothing is levelled", least=LEAST_K0_RAD_PER_MM),
+        ),
         "k0_exponent": number(0.05, 4),
         "default_minutes": number(0, _MOST_MINUTES, "minutes"),
-        "minutes_range": Rule(_numbers, f"two numbers [least, most] from 0 to {_MOST_MINUTES} minutes"),
+        "minutes_range": Rule(
+            _numbers, Phrase("two numbers [least, most] from 0 to {most} minutes", most=_MOST_MINUTES)
+        ),
         "by_area": _YES_OR_NO,
         "depth_um": number(*DEPTH_RANGE_UM, "um"),
         "depth_grows": _YES_OR_NO,

@@ -145,8 +145,10 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
     same_size = optics.screen_size_mm == (optics.width_mm, optics.height_mm)
     if straight and unshifted and same_size and np.ptp(target) <= _ONE_TONE * target.max():
         raise PictureError(
-            "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
-            "with contrast, or one tone on a screen of another size"
+            Phrase(
+                "the picture is one tone all over, and without contrast the lens is a plain window; allowed: a picture "
+                "with contrast, or one tone on a screen of another size"
+            )
         )
 
 

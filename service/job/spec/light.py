@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from service.job.spec.section import OneOf, Section, shown
+from phrases.phrase import Phrase
+from service.job.spec.section import OneOf, RuleError, Section, shown
 from service.wording import number
 
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
 _RANGE = {
-    "size_deg": "a number more than 0 and at most 10 degrees",
-    "distance_mm": "a number from 10 to 100000 mm",
-    "size_mm": "a number from 0 to 1000 mm",
+    "size_deg": Phrase("a number more than 0 and at most 10 degrees"),
+    "distance_mm": Phrase("a number from 10 to 100000 mm"),
+    "size_mm": Phrase("a number from 0 to 1000 mm"),
 }
 
 
@@ -137,21 +139,37 @@ class LightSpec(Section):
             return value
         if key not in LIGHT_WORDS[kind].figures:
             if value is not None:
-                owners = " or ".join(f"'{name}'" for name, one in LIGHT_WORDS.items() if key in one.figures)
-                raise ValueError(f"{value:g} is not allowed with kind = '{kind}'; it belongs to {owners}")
+                names = [f"'{name}'" for name, one in LIGHT_WORDS.items() if key in one.figures]
+                raise RuleError(
+                    Phrase(
+                        "{value:g} is not allowed with kind = '{kind}'; it belongs to {owners}",
+                        value=value,
+                        kind=kind,
+                        owners=reduce(lambda names, name: Phrase("{names} or {name}", names=names, name=name), names),
+                    )
+                )
             return None
         value = _LEFT_OUT.get(key) if value is None else value
         if value is None:
-            raise ValueError(f"is missing, a light of kind '{kind}' needs it; allowed: {_RANGE[key]}")
+            raise RuleError(
+                Phrase(
+                    "is missing, a light of kind '{kind}' needs it; allowed: {allowed}", kind=kind, allowed=_RANGE[key]
+                )
+            )
         return value
 
     @field_validator("profile", mode="before")
     @classmethod
     def _rows_of_numbers(cls, rows: Any) -> Any:
         if rows is not None and (fault := _profile_fault(rows)):
-            raise ValueError(
-                f"{fault}; allowed: 2 to {MOST_PROFILE} rows of equally many numbers, 2 to {MOST_PROFILE}, none "
-                f"negative, not all 0"
+            raise RuleError(
+                Phrase(
+                    "{fault}; allowed: 2 to {most_rows} rows of equally many numbers, 2 to {most}, none negative, not "
+                    "all 0",
+                    fault=fault,
+                    most_rows=MOST_PROFILE,
+                    most=MOST_PROFILE,
+                )
             )
         return rows
 
@@ -159,19 +177,23 @@ class LightSpec(Section):
     @classmethod
     def _one_of_two(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("profile") is not None:
-            raise ValueError(f"{value:g} is not allowed beside profile; allowed: one of the two")
+            raise RuleError(Phrase("{value:g} is not allowed beside profile; allowed: one of the two", value=value))
         return value
 
 
-def _profile_fault(rows: Any) -> str | None:
-    if not isinstance(rows, list | tuple) or not 2 <= len(rows) <= MOST_PROFILE:
-        return f"{len(rows)} rows" if isinstance(rows, list | tuple) else "it is no list of rows"
+def _profile_fault(rows: Any) -> Phrase | None:
+    if not isinstance(rows, list | tuple):
+        return Phrase("it is no list of rows")
+    if not 2 <= len(rows) <= MOST_PROFILE:
+        return Phrase("{count} rows", count=len(rows))
     for at, row in enumerate(rows):
         if not isinstance(row, list | tuple):
-            return f"row {at} is no list of numbers"
+            return Phrase("row {number} is no list of numbers", number=at)
         if len(row) != len(rows[0]) or not 2 <= len(row) <= MOST_PROFILE:
-            return f"row {at} has {len(row)} values, row 0 has {len(rows[0])}"
+            return Phrase(
+                "row {number} has {count} values, row 0 has {others}", number=at, count=len(row), others=len(rows[0])
+            )
         for value in row:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e12:
-                return f"row {at} holds {' '.join(repr(value)[:40].split())}"
-    return None if any(value > 0 for row in rows for value in row) else "it is dark everywhere"
+                return Phrase("row {number} holds {value}", number=at, value=" ".join(repr(value)[:40].split()))
+    return None if any(value > 0 for row in rows for value in row) else Phrase("it is dark everywhere")

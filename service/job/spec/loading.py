@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from machines.profile import load_profile
+from phrases.phrase import Phrase
 from service.errors import SpecError, sentence_of_os_error
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
@@ -104,19 +105,22 @@ def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
         with path.open("rb") as file:
             raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
     except OSError as error:
-        raise SpecError([(given_as, sentence_of_os_error(error, doing="cannot read"))]) from None
+        raise SpecError([(given_as, sentence_of_os_error(error, doing=Phrase("cannot read")))]) from None
     if len(raw) > _MAX_SPEC_BYTES:
-        raise SpecError([(given_as, f"{path} is too large; a spec has at most {_MAX_SPEC_BYTES} bytes")])
+        words = Phrase("{path} is too large; a spec has at most {most} bytes", path=path, most=_MAX_SPEC_BYTES)
+        raise SpecError([(given_as, words)])
     try:
         text = raw.decode("utf-8-sig")
         data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
     except UnicodeDecodeError:
-        raise SpecError([(given_as, f"{path} is not a text in UTF-8")]) from None
+        raise SpecError([(given_as, Phrase("{path} is not a text in UTF-8", path=path))]) from None
     except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise SpecError([(given_as, f"{path} is not valid {kind}: {' '.join(str(error).split())}")]) from None
+        words = Phrase("{path} is not valid {kind}: {cause}", path=path, kind=kind, cause=" ".join(str(error).split()))
+        raise SpecError([(given_as, words)]) from None
     if not isinstance(data, dict):
-        raise SpecError([(given_as, f"{path} must hold a table of keys, not {type(data).__name__}")])
+        words = Phrase("{path} must hold a table of keys, not {kind}", path=path, kind=type(data).__name__)
+        raise SpecError([(given_as, words)])
     return data
 
 
@@ -124,7 +128,10 @@ def load_stored_spec(folder: Path) -> JobSpec:
     """Load the spec of an earlier job; SpecError where there is none."""
     path = folder / SPEC
     if not path.is_file():
-        raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
+        words = Phrase(
+            "{folder} holds no {file}; allowed: the folder of an earlier design or make", folder=folder, file=SPEC
+        )
+        raise SpecError([("DIR", words)])
     data = read_spec_file(path, given_as="DIR")
     try:
         return validate_spec(data)
@@ -161,7 +168,12 @@ def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
     """Raise SpecError where `wanted` asks for another lens than the one that exists."""
     pairs = [("image", stored.image, wanted.image), ("optics", stored.optics, wanted.optics)]
     problems = [
-        (f"{name}.{key}", f"this lens was designed with {old}; allowed: the same, or a new `causticmill design`")
+        (
+            f"{name}.{key}",
+            Phrase(
+                "this lens was designed with {value}; allowed: the same, or a new `causticmill design`", value=str(old)
+            ),
+        )
         for name, before, after in pairs
         for key, old in before.model_dump().items()
         if after.model_dump()[key] != old
@@ -169,7 +181,8 @@ def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
     stock = ["skim_mm", "thickness_mm"] if stored.optics.light_crosses_block else ["skim_mm"]
     for key in stock:  # light that slants arrives elsewhere through a thicker block
         if (old := getattr(stored.stock, key)) != getattr(wanted.stock, key):
-            problems.append((f"stock.{key}", f"this lens was designed with {old}; allowed: the same"))
+            words = Phrase("this lens was designed with {value}; allowed: the same", value=old)
+            problems.append((f"stock.{key}", words))
     if problems:
         raise SpecError(problems)
 
@@ -179,7 +192,8 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     key, equals, written = text.partition("=")
     steps = [step.strip() for step in key.split(".")]
     if not equals or not all(steps) or not written.strip():
-        raise SpecError([("--set", f"'{text}' must read key=value, for example optics.width_mm=40")])
+        words = Phrase("'{text}' must read key=value, for example optics.width_mm=40", text=text)
+        raise SpecError([("--set", words)])
     try:
         parsed = tomllib.loads(f"value = {written.strip()}")
     except (ValueError, RecursionError):
@@ -190,8 +204,12 @@ def parse_override(text: str) -> tuple[list[str], Any]:
 
 def _require_preset(preset: object) -> None:
     if preset not in PRESETS:
-        allowed = ", ".join(f"'{name}'" for name in PRESETS)
-        raise SpecError([("preset", f"'{preset}' is not allowed; allowed: {allowed}")])
+        words = Phrase(
+            "{value} is not allowed; allowed: {allowed}",
+            value=f"'{preset}'",
+            allowed=", ".join(f"'{name}'" for name in PRESETS),
+        )
+        raise SpecError([("preset", words)])
 
 
 def _leave_room(data: dict[str, Any]) -> None:
@@ -220,7 +238,8 @@ def _override(data: dict[str, Any], text: str) -> None:
         place = steps[: depth + 1]
         below = here[_index(here, place)] if isinstance(here, list) else here.get(step, {})
         if not isinstance(below, Mapping | list):
-            raise SpecError([(".".join(steps), f"there is no such key; '{'.'.join(place)}' is a single value")])
+            words = Phrase("there is no such key; '{key}' is a single value", key=".".join(place))
+            raise SpecError([(".".join(steps), words)])
         if isinstance(here, dict) and step not in here and step not in known_keys(_place(steps[:depth])):
             raise SpecError([(".".join(steps), unknown_key(step, known_keys(_place(steps[:depth]))))])
         copy = list(below) if isinstance(below, list) else dict(below)
@@ -244,8 +263,12 @@ def _set_profile(data: dict[str, Any], picture: Path) -> None:
 
 def _index(rows: Sequence[Any], place: Sequence[str]) -> int:
     if not _INDEX.fullmatch(place[-1]) or int(place[-1]) >= len(rows):
-        allowed = f"0 to {len(rows) - 1}" if rows else "none, the list is empty"
-        raise SpecError([(".".join(place), f"there is no such pass; allowed: {allowed}")])
+        words = (
+            Phrase("there is no such pass; allowed: 0 to {last}", last=len(rows) - 1)
+            if rows
+            else Phrase("there is no such pass; allowed: none, the list is empty")
+        )
+        raise SpecError([(".".join(place), words)])
     return int(place[-1])
 
 

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from service.job.spec.section import Section, Speed, shown
+from phrases.phrase import Phrase
+from service.job.spec.section import RuleError, Section, Speed, shown
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Speed], Field(min_length=2, max_length=2)]
@@ -67,12 +68,18 @@ class MachineSpec(Section):
     @classmethod
     def _slow_then_fast(cls, speeds: list[float] | None) -> list[float] | None:
         if speeds is not None and speeds[0] > speeds[1]:
-            raise ValueError(f"{speeds} must hold the slowest speed, then the fastest")
+            raise RuleError(Phrase("{speeds} must hold the slowest speed, then the fastest", speeds=speeds))
         return speeds
 
     @field_validator("travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2")
     @classmethod
     def _each_positive(cls, values: list[float] | None) -> list[float] | None:
         if values is not None and not all(0 < value <= 1_000_000 for value in values):
-            raise ValueError(f"{values} must hold three numbers X, Y, Z, each more than 0 and at most 1000000")
+            raise RuleError(
+                Phrase(
+                    "{values} must hold three numbers X, Y, Z, each more than 0 and at most {most}",
+                    values=values,
+                    most=1_000_000,
+                )
+            )
         return values

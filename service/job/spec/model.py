@@ -5,16 +5,19 @@ One pydantic model; unknown keys are errors and the defaults make a complete job
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import reduce
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from phrases.phrase import Phrase
 from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LightSpec
 from service.job.spec.machine import MachineSpec
 from service.job.spec.optics import OpticsSpec
 from service.job.spec.passes import PassRow
-from service.job.spec.section import Section, shown
+from service.job.spec.section import RuleError, Section, shown
 from service.job.spec.stock import StockSpec, cut_out_fault
 from service.wording import psnr_in_words
 
@@ -103,8 +106,16 @@ class ImageSpec(Section):
     @classmethod
     def _of_a_preparation(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("prepare") == "none":
-            raise ValueError(f"{value:g} is not allowed with prepare = 'none'; it belongs to 'detail'")
+            raise RuleError(
+                Phrase("{value:g} is not allowed with prepare = 'none'; it belongs to 'detail'", value=value)
+            )
         return value
+
+
+def refuse_several_aims(names: Iterable[str]) -> Phrase:
+    """Return what to say about several keys of `plan`."""
+    aims = reduce(lambda names, name: Phrase("{names} and {name}", names=names, name=name), names)
+    return Phrase("{aims} cannot all be aimed at; allowed: one of them", aims=aims)
 
 
 class PlanSpec(Section):
@@ -136,7 +147,7 @@ class PlanSpec(Section):
     def _one_thing(self) -> Self:
         given = [name for name, value in self.model_dump().items() if value is not None]
         if len(given) > 1:
-            raise ValueError(f"{' and '.join(given)} cannot all be aimed at; allowed: one of them")
+            raise RuleError(refuse_several_aims(given))
         return self
 
 
@@ -161,22 +172,28 @@ class JobSpec(Section):
     @classmethod
     def _some(cls, passes: tuple[PassRow, ...], info: ValidationInfo) -> tuple[PassRow, ...]:
         if not passes and info.data.get("preset") != "recommended":
-            raise ValueError(f"is empty; allowed: a list of 1 to {MOST_PASSES} tables")
+            raise RuleError(Phrase("is empty; allowed: a list of 1 to {most} tables", most=MOST_PASSES))
         return passes
 
     @model_validator(mode="after")
     def _rest_of_something(self) -> Self:
         if self.passes and self.passes[0].where == "rest":
-            raise ValueError('passes.0.where = "rest" has no pass before it; allowed: "everywhere" for the first')
+            raise RuleError(
+                Phrase('passes.0.where = "rest" has no pass before it; allowed: "everywhere" for the first')
+            )
         return self
 
     @model_validator(mode="after")
     def _flat_first(self) -> Self:
         for number, row in enumerate(self.passes[1:], 1):
             if not row.is_ball:
-                raise ValueError(
-                    f"passes.{number}.corner_radius_mm = {row.corner_radius_mm:g} follows a pass that has left its "
-                    "shape; allowed: in the first pass, a ball after it"
+                raise RuleError(
+                    Phrase(
+                        "passes.{number}.corner_radius_mm = {radius_mm:g} follows a pass that has left its shape; "
+                        "allowed: in the first pass, a ball after it",
+                        number=number,
+                        radius_mm=row.corner_radius_mm,
+                    )
                 )
         return self
 
@@ -193,7 +210,7 @@ class JobSpec(Section):
             thickness_mm=self.stock.thickness_mm,
         )
         if fault is not None:
-            raise ValueError(fault)
+            raise RuleError(fault)
         return self
 
     @property
@@ -221,9 +238,17 @@ class JobSpec(Section):
     def _rows_in_range(self) -> Self:
         if not 16 <= self.pixel_rows <= MAX_PIXELS:
             width_mm, height_mm = self.optics.screen_size_mm
-            raise ValueError(
-                f"image.pixels = {self.image.pixels} on a screen of {width_mm:g} x {height_mm:g} mm makes "
-                f"{self.pixel_rows} rows; allowed: 16 to {MAX_PIXELS}"
+            raise RuleError(
+                Phrase(
+                    "image.pixels = {pixels} on a screen of {width_mm:g} x {height_mm:g} mm makes {rows} rows; "
+                    "allowed: {least} to {most}",
+                    pixels=self.image.pixels,
+                    width_mm=width_mm,
+                    height_mm=height_mm,
+                    rows=self.pixel_rows,
+                    least=16,
+                    most=MAX_PIXELS,
+                )
             )
         return self
 
@@ -232,10 +257,24 @@ class JobSpec(Section):
         each, longer = self.optics.vertices_per_pixel, max(self.image.pixels, self.pixel_rows)
         each *= 2 if self.optics.creases else 1
         if each * longer > MAX_VERTICES:
-            raise ValueError(
-                f"optics.vertices_per_pixel = {self.optics.vertices_per_pixel} with {longer} pixels along a side "
-                f"{'and creases ' * self.optics.creases}makes a lens of {each * longer} vertices; "
-                f"allowed: at most {MAX_VERTICES}"
+            values = {
+                "each": self.optics.vertices_per_pixel,
+                "pixels": longer,
+                "vertices": each * longer,
+                "most": MAX_VERTICES,
+            }
+            raise RuleError(
+                Phrase(
+                    "optics.vertices_per_pixel = {each} with {pixels} pixels along a side and creases makes a lens of "
+                    "{vertices} vertices; allowed: at most {most}",
+                    **values,
+                )
+                if self.optics.creases
+                else Phrase(
+                    "optics.vertices_per_pixel = {each} with {pixels} pixels along a side makes a lens of {vertices} "
+                    "vertices; allowed: at most {most}",
+                    **values,
+                )
             )
         return self
 

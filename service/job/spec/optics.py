@@ -14,12 +14,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from cam.materials import PMMA
+from phrases.phrase import Phrase
 from service.job.spec.light import LightSpec
-from service.job.spec.section import Distance, Length, Section, shown
+from service.job.spec.section import Distance, Length, RuleError, Section, shown
 
 _SHAPES = ("rectangle", "ellipse")
 _LEAST_GAUSSIAN = 0.5  # of the aperture's longer side: in the corners of a square 3e-7 of the middle is left
-_PAPER = "optics.method = 'paper'"
 
 Shift = Annotated[float, Field(ge=-20_000, le=20_000)]
 Blur = Annotated[float, Field(ge=0, le=100)]
@@ -44,21 +44,38 @@ def counter_clockwise(corners: Sequence[Corner]) -> list[list[float]]:
     return ordered if _signed_area(ordered) > 0 else ordered[::-1]
 
 
-def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: float) -> str | None:
+def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: float) -> Phrase | None:
     """Return what is wrong with a closed outline, in words; None where it is the outline of a lens."""
     sides = list(pairwise([*corners, corners[0]]))
     for number, (x, y) in enumerate(corners):
         if not (0 <= x <= width_mm and 0 <= y <= height_mm):
-            return f"corner {number} at X {x:g} Y {y:g} lies beyond the aperture of {width_mm:g} x {height_mm:g} mm"
+            return Phrase(
+                "corner {number} at X {x_mm:g} Y {y_mm:g} lies beyond the aperture of {width_mm:g} x {height_mm:g} mm",
+                number=number,
+                x_mm=x,
+                y_mm=y,
+                width_mm=width_mm,
+                height_mm=height_mm,
+            )
     for number, (here, there) in enumerate(sides):
         if dist(here, there) < _NEAREST_MM:
-            return f"corners {number} and {(number + 1) % len(sides)} are the same point"
+            following = (number + 1) % len(sides)
+            return Phrase("corners {number} and {other} are the same point", number=number, other=following)
     for (j, one), (k, other) in combinations(enumerate(sides), 2):
         if k - j not in (1, len(sides) - 1) and _cross(*one, *other):
-            return f"its sides {j} and {k} cross; allowed: corners in order, each side touching only its neighbours"
+            return Phrase(
+                "its sides {number} and {other} cross; allowed: corners in order, each side touching only its "
+                "neighbours",
+                number=j,
+                other=k,
+            )
     share = abs(_signed_area(corners)) / (width_mm * height_mm)
     if share < _LEAST_FILLED:
-        return f"it fills {100 * share:.2g} % of the aperture; allowed: at least {100 * _LEAST_FILLED:g} %"
+        return Phrase(
+            "it fills {percent:.2g} % of the aperture; allowed: at least {least_percent:g} %",
+            percent=100 * share,
+            least_percent=100 * _LEAST_FILLED,
+        )
     return None
 
 
@@ -170,9 +187,13 @@ class OpticsSpec(Section):
     @classmethod
     def _shape_or_corners(cls, outline: Any) -> Any:
         if outline not in _SHAPES and not _is_list_of_pairs(outline):
-            raise ValueError(
-                f"{' '.join(str(outline).split())[:60]!r} is not allowed; allowed: 'rectangle', 'ellipse', "
-                f"or 3 to {MOST_CORNERS} corners [[x_mm, y_mm], ...]"
+            raise RuleError(
+                Phrase(
+                    "{value} is not allowed; allowed: 'rectangle', 'ellipse', or 3 to {most} corners "
+                    "[[x_mm, y_mm], ...]",
+                    value=repr(" ".join(str(outline).split())[:60]),
+                    most=MOST_CORNERS,
+                )
             )
         return outline
 
@@ -183,7 +204,7 @@ class OpticsSpec(Section):
         if isinstance(outline, str) or size[0] is None or size[1] is None:
             return outline
         if fault := outline_fault(outline, width_mm=size[0], height_mm=size[1]):
-            raise ValueError(fault)
+            raise RuleError(fault)
         return outline
 
     @field_validator("screen_shift_x_mm", "screen_shift_y_mm", "surface", "branch", "outline", "polish")
@@ -191,8 +212,7 @@ class OpticsSpec(Section):
     def _known_to_the_method(cls, value: Any, info: ValidationInfo) -> Any:
         usual = cls.model_fields[str(info.field_name)].default
         if info.data.get("method") == "paper" and value not in (usual, "direct"):
-            word = f"{usual!r}".lower() if isinstance(usual, bool) else f"{usual!r}"
-            raise ValueError(f"no other than {word} is possible with {_PAPER}; 'transport' knows all")
+            raise RuleError(_none_but(repr(usual).lower() if isinstance(usual, bool) else repr(usual)))
         return value
 
     @field_validator("creases")
@@ -200,23 +220,41 @@ class OpticsSpec(Section):
     def _no_valley_is_filled(cls, value: bool, info: ValidationInfo) -> bool:
         if value and info.data.get("min_radius_mm"):
             radius = info.data["min_radius_mm"]
-            raise ValueError(f"true is not allowed with min_radius_mm = {radius:g}, which fills creases; allowed: one")
+            raise RuleError(
+                Phrase(
+                    "true is not allowed with min_radius_mm = {radius_mm:g}, which fills creases; allowed: one",
+                    radius_mm=radius,
+                )
+            )
         if value and info.data.get("method") == "paper":
-            raise ValueError(f"no other than false is possible with {_PAPER}; 'transport' knows all")
+            raise RuleError(_none_but("false"))
         return value
 
     @field_validator("light")
     @classmethod
     def _suits_the_lens(cls, light: LightSpec, info: ValidationInfo) -> LightSpec:
         if info.data.get("method") == "paper" and (light.distance_mm is not None or not light.even):
-            raise ValueError(f"only parallel, even light is possible with {_PAPER}; 'transport' knows all")
+            raise RuleError(
+                Phrase("only parallel, even light is possible with optics.method = 'paper'; 'transport' knows all")
+            )
         least = _LEAST_GAUSSIAN * max(info.data.get("width_mm", 0.0), info.data.get("height_mm", 0.0))
         if light.gaussian_mm is not None and light.gaussian_mm < least:
-            raise ValueError(
-                f"gaussian_mm = {light.gaussian_mm:g} leaves the rim of the lens dark; allowed: at least {least:g} mm, "
-                f"half the longer side"
+            raise RuleError(
+                Phrase(
+                    "gaussian_mm = {width_mm:g} leaves the rim of the lens dark; allowed: at least {least_mm:g} mm, "
+                    "half the longer side",
+                    width_mm=light.gaussian_mm,
+                    least_mm=least,
+                )
             )
         return light
+
+
+def _none_but(value: str) -> Phrase:
+    return Phrase(
+        "no other than {value} is possible with optics.method = 'paper'; 'transport' knows all",
+        value=value,
+    )
 
 
 def _is_list_of_pairs(value: Any) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, find_own_profiles, load_profile, profile_names, user_folders
+from phrases.phrase import Phrase
 from service.errors import InputError, sentence_of_os_error
 from service.job.files import write_bytes
 
@@ -34,7 +35,9 @@ def require_own_file(name: str) -> Path:
     """Return the same. InputError says how to have such a folder."""
     path = find_own_file(name)
     if path is None:
-        raise InputError("no folder for files of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
+        raise InputError(
+            Phrase("no folder for files of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
+        )
     return path
 
 
@@ -49,21 +52,23 @@ def format_toml(values: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
 
 
-def read_library(path: Path, what: str) -> dict[str, Any]:
+def read_library(path: Path, what: Phrase) -> dict[str, Any]:
     """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing=f"{path}: cannot be read")) from None
+        raise InputError(sentence_of_os_error(error, doing=Phrase("{path}: cannot be read", path=path))) from None
     if len(raw) > _MOST_BYTES:
-        raise InputError(f"{path}: is too large; a {what} has at most {_MOST_BYTES} bytes")
+        words = Phrase("{path}: is too large; {what} has at most {most} bytes", path=path, what=what, most=_MOST_BYTES)
+        raise InputError(words)
     try:
         return tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
+        raise InputError(Phrase("{path}: is not UTF-8 text; save it as UTF-8", path=path)) from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {' '.join(str(error).split())}") from None
+        cause = " ".join(str(error).split())
+        raise InputError(Phrase("{path}: not valid TOML: {cause}", path=path, cause=cause)) from None
 
 
 def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
@@ -74,7 +79,13 @@ def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
     """
     file = _require_free(name)
     if values.get("extends") not in (built_in := profile_names(())):
-        raise InputError(f"extends = {values.get('extends')!r}: allowed: {', '.join(built_in)}")
+        words = Phrase(
+            "{key} = {value}: allowed: {allowed}",
+            key="extends",
+            value=repr(values.get("extends")),
+            allowed=", ".join(built_in),
+        )
+        raise InputError(words)
     text = format_toml(values)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / file.name).write_text(text, "utf-8")
@@ -99,10 +110,13 @@ def read_stated_profiles() -> dict[str, dict[str, Any]]:
 
 def _require_free(name: str) -> Path:
     if name in profile_names(()):
-        raise InputError(f"'{name}' is a built-in profile; allowed: a name of its own")
+        raise InputError(Phrase("'{name}' is a built-in profile; allowed: a name of its own", name=name))
     file = require_own_file(f"machines/{name}.toml")
     if file.exists() and _parse_statement(file) is None:
-        raise InputError(f"the profile '{name}' was written by hand; change it in its file, {name}.toml")
+        words = Phrase(
+            "the profile '{name}' was written by hand; change it in its file, {file}", name=name, file=f"{name}.toml"
+        )
+        raise InputError(words)
     return file
 
 

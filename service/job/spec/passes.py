@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cam.cutters import BALL, cutter_shape
-from service.job.spec.section import Radius, Rate, Section, Speed, StepDown, shown
+from phrases.phrase import Phrase
+from service.job.spec.section import Radius, Rate, RuleError, Section, Speed, StepDown, shown
 
 
 class PassRow(Section):
@@ -53,9 +54,13 @@ class PassRow(Section):
     @model_validator(mode="after")
     def _pitch_fits_the_ball(self) -> Self:
         if self.pitch_mm > self.radius_mm:
-            raise ValueError(
-                f"pitch_mm = {self.pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
-                f"radius_mm = {self.radius_mm:g}"
+            raise RuleError(
+                Phrase(
+                    "pitch_mm = {pitch_mm:g} is wider than the ball's radius; allowed: 0.002 to "
+                    "radius_mm = {radius_mm:g}",
+                    pitch_mm=self.pitch_mm,
+                    radius_mm=self.radius_mm,
+                )
             )
         return self
 
@@ -63,25 +68,35 @@ class PassRow(Section):
     def _roughs_where_flat(self) -> Self:
         corner_mm = self.corner_radius_mm
         if corner_mm is not None and corner_mm > self.radius_mm:
-            raise ValueError(
-                f"corner_radius_mm = {corner_mm:g} is more than the cutter's; allowed: 0 (flat) to "
-                f"radius_mm = {self.radius_mm:g} (a ball)"
+            raise RuleError(
+                Phrase(
+                    "corner_radius_mm = {corner_mm:g} is more than the cutter's; allowed: 0 (flat) to "
+                    "radius_mm = {radius_mm:g} (a ball)",
+                    corner_mm=corner_mm,
+                    radius_mm=self.radius_mm,
+                )
             )
         roughs = self.stock_to_leave_mm > 0 and self.strategy == "raster" and self.where == "everywhere"
         if not self.is_ball and not roughs:
-            raise ValueError(
-                f"corner_radius_mm = {corner_mm:g} is no ball, which alone makes a lens; allowed: with "
-                'stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"'
+            raise RuleError(
+                Phrase(
+                    "corner_radius_mm = {corner_mm:g} is no ball, which alone makes a lens; allowed: with "
+                    'stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"',
+                    corner_mm=corner_mm,
+                )
             )
         return self
 
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         if self.where == "rest" and self.strategy == "contour":
-            raise ValueError('where = "rest" goes with rows only; allowed: strategy = "raster"')
+            raise RuleError(Phrase('where = "rest" goes with rows only; allowed: strategy = "raster"'))
         if self.shank_radius_mm is not None and self.flute_length_mm is None:
-            raise ValueError(
-                f"shank_radius_mm = {self.shank_radius_mm:g} says nothing without the height at which it begins; "
-                "allowed: with flute_length_mm"
+            raise RuleError(
+                Phrase(
+                    "shank_radius_mm = {radius_mm:g} says nothing without the height at which it begins; allowed: with "
+                    "flute_length_mm",
+                    radius_mm=self.shank_radius_mm,
+                )
             )
         return self

@@ -57,7 +57,10 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     problems += _beyond_the_travel(spec, machine)
     if spec.finish.finishes and spec.optics.polish:
         problems.append(
-            ("optics.polish", "true is not allowed with a finish, which takes off what it adds; allowed: false")
+            (
+                "optics.polish",
+                Phrase("true is not allowed with a finish, which takes off what it adds; allowed: false"),
+            )
         )
     if problems:
         raise SpecError(problems)
@@ -166,7 +169,7 @@ def cut_out_of(spec: JobSpec) -> CutOut | None:
     return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
 
 
-def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, str]]:
+def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, Phrase]]:
     """Return where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
     stock, width_mm, height_mm = spec.stock, spec.optics.width_mm, spec.optics.height_mm
     if not machine.trace_outline and stock.face is None and stock.cut_out is None:
@@ -181,8 +184,13 @@ def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str
     return [
         (
             f"machine.travel_mm.{number}",
-            f"{machine.travel_mm[number]:g} is not enough; allowed: at least {need_mm:g} mm, which stock.face, "
-            f"stock.cut_out or machine.trace_outline move along {axis} around the lens",
+            Phrase(
+                "{travel_mm:g} is not enough; allowed: at least {need_mm:g} mm, which stock.face, stock.cut_out or "
+                "machine.trace_outline move along {axis} around the lens",
+                travel_mm=machine.travel_mm[number],
+                need_mm=need_mm,
+                axis=axis,
+            ),
         )
         for number, (axis, need_mm) in enumerate(needed)
         if need_mm > machine.travel_mm[number]
@@ -255,29 +263,31 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
     }
 
 
-def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
     """Return that the spindle cannot take a pass's cutter; where nothing is said of its shank that is as thick."""
     shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
     if machine.collet_mm is None or shank_mm <= machine.collet_mm:
         return []
-    cutter, with_flutes = "cutter", ""
-    if isinstance(row, PassRow):
-        cutter, with_flutes = "ball" if row.is_ball else "cutter", " with its flute_length_mm"
-    key, remedy = (
-        ("shank_radius_mm", "")
-        if row.shank_radius_mm is not None
-        else ("radius_mm", f", or a thinner shank as shank_radius_mm{with_flutes}")
+    words = Phrase(
+        "{cutter} R {radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine}' takes "
+        "{collet_mm:g} mm; allowed: at most {most_mm:g}",
+        cutter=Phrase("a ball") if isinstance(row, PassRow) and row.is_ball else Phrase("a cutter"),
+        radius_mm=row.radius_mm,
+        shank_mm=shank_mm,
+        machine=machine.name,
+        collet_mm=machine.collet_mm,
+        most_mm=machine.collet_mm / 2,
     )
-    return [
-        (
-            f"{place}.{key}",
-            f"a {cutter} R {row.radius_mm:g} with a shank of {shank_mm:g} mm: the collet of machine '{machine.name}' "
-            f"takes {machine.collet_mm:g} mm; allowed: at most {machine.collet_mm / 2:g}{remedy}",
-        )
-    ]
+    if row.shank_radius_mm is not None:
+        return [(f"{place}.shank_radius_mm", words)]
+    if isinstance(row, PassRow):
+        words = Phrase("{allowed}, or a thinner shank as shank_radius_mm with its flute_length_mm", allowed=words)
+    else:
+        words = Phrase("{allowed}, or a thinner shank as shank_radius_mm", allowed=words)
+    return [(f"{place}.radius_mm", words)]
 
 
-def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
     limits = {
         "spindle_rpm": (*machine.spindle_rpm, "rpm"),
         "feed_mm_per_min": (0.0, min(machine.max_rate_mm_per_min[:2]), "mm/min"),
@@ -287,6 +297,13 @@ def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[
     for key, (low, high, unit) in limits.items():
         value = getattr(row, key)
         if value is not None and not low <= value <= high:
-            allowed = f"{low:g} to {high:g} {unit} on machine '{machine.name}'"
-            problems.append((f"{place}.{key}", f"{value:g} is not allowed; allowed: {allowed}"))
+            words = Phrase(
+                "{value:g} is not allowed; allowed: {least:g} to {most:g} {unit} on machine '{machine}'",
+                value=value,
+                least=low,
+                most=high,
+                unit=unit,
+                machine=machine.name,
+            )
+            problems.append((f"{place}.{key}", words))
     return problems

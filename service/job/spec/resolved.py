@@ -18,11 +18,13 @@ from cam.posts.dialects import find_unsupported
 from cam.posts.setup import Coolant, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from phrases.phrase import Phrase
 from service.errors import FailedError, SpecError
 from service.job.spec.finish import find_processes
 from service.job.spec.finish_library import Process
 from service.job.spec.machine import MachineSpec
 from service.job.spec.model import JobSpec
+from service.job.spec.section import unknown_name
 from service.job.spec.tools import load_tools
 
 LoadProfile = Callable[[str], MachineProfile]
@@ -54,7 +56,7 @@ class Figures:
         except ValidationError as error:
             place = ".".join(map(str, error.errors()[0]["loc"]))
             raise FailedError(
-                f"the figures kept with this job are of another version ({place}): submit it again"
+                Phrase("the figures kept with this job are of another version ({place}): submit it again", place=place)
             ) from None
 
 
@@ -81,7 +83,8 @@ class ResolvedJob:
         machine = replace(self.figures.profile, **own)
         unsupported = find_unsupported(machine.dialect, setup_of(machine))
         if problems := [
-            (f"machine.{key}", f"{value} is not allowed; allowed: {allowed}") for key, value, allowed in unsupported
+            (f"machine.{key}", Phrase("{value} is not allowed; allowed: {allowed}", value=value, allowed=allowed))
+            for key, value, allowed in unsupported
         ]:
             raise SpecError(problems)
         return machine
@@ -100,10 +103,10 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
     try:
         profile = load(spec.machine.profile)
     except UnknownProfileError as error:
-        allowed = ", ".join(f"'{name}'" for name in error.known)
-        raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
+        raise SpecError([("machine.profile", unknown_name(error.name, error.known))]) from None
     except ProfileError as error:
-        raise SpecError([("machine.profile", f"'{spec.machine.profile}' cannot be used: {error}")]) from None
+        words = Phrase("'{name}' cannot be used: {cause}", name=spec.machine.profile, cause=str(error))
+        raise SpecError([("machine.profile", words)]) from None
     tools = load_tools() if spec.to_be_planned else ()
     return ResolvedJob(
         spec=spec, figures=Figures(profile=profile, tools=tools, processes=find_processes(spec.finish.process))

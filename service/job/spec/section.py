@@ -6,12 +6,14 @@ has a row as soon as it is in the spec; `shown` says it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
+
+from phrases.phrase import Phrase
 
 Length = Annotated[float, Field(gt=0, le=2000)]
 Distance = Annotated[float, Field(gt=0, le=100_000)]
@@ -71,11 +73,25 @@ def unit_of(key: str) -> str:
     return next((unit for ending, unit in _UNITS if key.endswith(ending)), "")
 
 
+def unknown_name(name: str, known: Iterable[str]) -> Phrase:
+    """Return what to say about a name nobody knows: all of them."""
+    names = ", ".join(f"'{one}'" for one in known)
+    return Phrase("'{name}' is not known; allowed: {names}", name=name, names=names)
+
+
 def state_units(schema: dict[str, Any]) -> None:
     """Add to the JSON schema of a table the unit of each of its keys that has one."""
     for key, told in schema.get("properties", {}).items():
         if unit := unit_of(key):
             told["unit"] = unit
+
+
+class RuleError(ValueError):
+    """A value that only a validator of ours refuses, and why."""
+
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
+        self.words = words
 
 
 class Section(BaseModel):

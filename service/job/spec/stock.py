@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, PMMA
-from service.job.spec.section import Length, OneOf, Radius, Rate, Section, Speed, StepDown, shown
+from phrases.phrase import Phrase
+from service.job.spec.section import Length, OneOf, Radius, Rate, RuleError, Section, Speed, StepDown, shown
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
@@ -46,8 +47,12 @@ class FaceSpec(Section):
     def _rows_overlap(self) -> Self:
         most_mm = CUTTERS[self.tool].widest_pitch_mm(self.radius_mm)
         if self.pitch_mm is not None and self.pitch_mm > most_mm:
-            raise ValueError(
-                f"pitch_mm = {self.pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}"
+            raise RuleError(
+                Phrase(
+                    "pitch_mm = {pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}",
+                    pitch_mm=self.pitch_mm,
+                    most_mm=most_mm,
+                )
             )
         return self
 
@@ -107,7 +112,7 @@ def cut_out_fault(
     size_mm: tuple[float, float],
     margin_mm: float,
     thickness_mm: float,
-) -> str | None:
+) -> Phrase | None:
     """Return why the lens cannot be cut out so, with the numbers; None where it can.
 
     corners : of the lens in the work frame; size_mm: width and height of the aperture
@@ -118,21 +123,34 @@ def cut_out_fault(
     need_mm = 2 * cut_out.radius_mm + FRAME_MM
     if room_mm < need_mm:
         thinner = (room_mm - FRAME_MM) / 2
-        other = f", or stock.cut_out.radius_mm up to {thinner:.4g}" if thinner > 0 else ""
-        return (
-            f"stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, and the cutter of radius "
-            f"{cut_out.radius_mm:g} mm needs {need_mm:g} mm: its slot and {FRAME_MM:g} mm of frame; "
-            f"allowed: a margin of at least {margin_mm + need_mm - room_mm:.4g}{other}"
+        words = Phrase(
+            "stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, and the cutter of radius "
+            "{radius_mm:g} mm needs {need_mm:g} mm: its slot and {frame_mm:g} mm of frame; allowed: a margin of at "
+            "least {least_mm:.4g}",
+            margin_mm=margin_mm,
+            room_mm=room_mm,
+            radius_mm=cut_out.radius_mm,
+            need_mm=need_mm,
+            frame_mm=FRAME_MM,
+            least_mm=margin_mm + need_mm - room_mm,
         )
+        if thinner <= 0:
+            return words
+        return Phrase("{allowed}, or stock.cut_out.radius_mm up to {most_mm:.4g}", allowed=words, most_mm=thinner)
     if cut_out.tabs and cut_out.tab_height_mm > thickness_mm / 2:
-        return (
-            f"stock.cut_out.tab_height_mm = {cut_out.tab_height_mm:g} is more than half the block; "
-            f"allowed: at most {thickness_mm / 2:g}"
+        return Phrase(
+            "stock.cut_out.tab_height_mm = {height_mm:g} is more than half the block; allowed: at most {most_mm:g}",
+            height_mm=cut_out.tab_height_mm,
+            most_mm=thickness_mm / 2,
         )
     around_mm = sum(dist(a, b) for a, b in pairwise([*corners, corners[0]]))
     if cut_out.tabs * (cut_out.tab_width_mm + 2 * cut_out.radius_mm) > around_mm:
-        return (
-            f"stock.cut_out.tabs = {cut_out.tabs} of {cut_out.tab_width_mm:g} mm do not fit around {around_mm:.0f} mm "
-            f"of outline; allowed: at most {int(around_mm / (cut_out.tab_width_mm + 2 * cut_out.radius_mm))}"
+        return Phrase(
+            "stock.cut_out.tabs = {count} of {width_mm:g} mm do not fit around {around_mm:.0f} mm of outline; allowed: "
+            "at most {most}",
+            count=cut_out.tabs,
+            width_mm=cut_out.tab_width_mm,
+            around_mm=around_mm,
+            most=int(around_mm / (cut_out.tab_width_mm + 2 * cut_out.radius_mm)),
         )
     return None

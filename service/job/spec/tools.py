@@ -13,6 +13,7 @@ from typing import Any
 
 from cam.tools import Tool
 from machines.profile_values import BadValueError, Rule, Rules, number, whole
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, format_toml, read_library, require_own_file, write_own_file
 
@@ -28,7 +29,7 @@ def _word(value: Any) -> str:
 
 _VALUES = Rules(
     {
-        "name": Rule(_word, "text on one line, 1 to 40 characters"),
+        "name": Rule(_word, Phrase("text on one line, 1 to {most} characters", most=40)),
         "radius_mm": number(0.05, 25, "mm"),
         "flutes": whole(1, 8),
         "flute_length_mm": number(0.1, 200, "mm"),
@@ -52,7 +53,7 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    return _tools_of(path, read_library(path, "tool library"))
+    return _tools_of(path, read_library(path, Phrase("a tool library")))
 
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
@@ -76,44 +77,63 @@ def _as_toml(tool: Tool) -> str:
 def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
     rows = data.pop("tool", [])
     if data:
-        raise InputError(f"{path}: {next(iter(data))}: there is no such key; allowed: [[tool]] tables alone")
+        raise InputError(
+            Phrase(
+                "{path}: {key}: there is no such key; allowed: [[tool]] tables alone", path=path, key=next(iter(data))
+            )
+        )
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise InputError(f"{path}: tool: must be tables, each under a line [[tool]]")
+        raise InputError(Phrase("{path}: tool: must be tables, each under a line [[tool]]", path=path))
     if not rows:
-        raise InputError(f"{path}: it lists no tool; allowed: one [[tool]] table or more")
+        raise InputError(Phrase("{path}: it lists no tool; allowed: one [[tool]] table or more", path=path))
     tools = [_tool(path, row, index) for index, row in enumerate(rows, 1)]
     names = [tool.name for tool in tools]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"{path}: name = {twice!r}: allowed: a name that no other tool has")
+        raise InputError(
+            Phrase("{path}: name = {name}: allowed: a name that no other tool has", path=path, name=repr(twice))
+        )
     return tuple(sorted(tools, key=lambda tool: (tool.radius_mm, tool.cost_class, tool.name)))
 
 
 def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
-    place = f"{path}: tool {index}"
+    place = Phrase("{path}: tool {number}", path=path, number=index)
     try:
         values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
     except BadValueError as error:
-        raise InputError(f"{place}: {error}") from None
+        raise InputError(Phrase("{place}: {cause}", place=place, cause=str(error))) from None
     needed = ("name", "radius_mm", "flutes", "flute_length_mm", "max_rpm")
     if missing := [key for key in needed if key not in values]:
-        raise InputError(f"{place}: {', '.join(missing)}: missing")
+        raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
     left_out = {
         "shank_radius_mm": values["radius_mm"], "stick_out_mm": values["flute_length_mm"], "cost_class": 2,
     }  # fmt: skip
     tool = Tool(**{**left_out, **values})
     if tool.corner_radius_mm is not None and tool.corner_radius_mm > tool.radius_mm:
         raise InputError(
-            f"{place}: corner_radius_mm = {tool.corner_radius_mm:g}: allowed: 0 (flat) to {tool.radius_mm:g} mm, a ball"
+            Phrase(
+                "{place}: corner_radius_mm = {corner_mm:g}: allowed: 0 (flat) to {radius_mm:g} mm, a ball",
+                place=place,
+                corner_mm=tool.corner_radius_mm,
+                radius_mm=tool.radius_mm,
+            )
         )
     if tool.flute_length_mm < tool.radius_mm:
         raise InputError(
-            f"{place}: flute_length_mm = {tool.flute_length_mm:g}: allowed: at least the ball's radius, "
-            f"{tool.radius_mm:g} mm"
+            Phrase(
+                "{place}: flute_length_mm = {length_mm:g}: allowed: at least the ball's radius, {radius_mm:g} mm",
+                place=place,
+                length_mm=tool.flute_length_mm,
+                radius_mm=tool.radius_mm,
+            )
         )
     if tool.stick_out_mm < tool.flute_length_mm:
         raise InputError(
-            f"{place}: stick_out_mm = {tool.stick_out_mm:g}: allowed: at least the flute length, "
-            f"{tool.flute_length_mm:g} mm"
+            Phrase(
+                "{place}: stick_out_mm = {stick_out_mm:g}: allowed: at least the flute length, {length_mm:g} mm",
+                place=place,
+                stick_out_mm=tool.stick_out_mm,
+                length_mm=tool.flute_length_mm,
+            )
         )
     return tool
 

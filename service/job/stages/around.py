@@ -136,9 +136,9 @@ def _check(context: StageContext, written: list[WrittenProgram], task: Facing | 
         try:
             verdict = simulate([context.folder / part.file for part in written], task, context.job, top)
         except ProgramError as error:
-            raise FailedError(f"{called}: {error}") from error
+            raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
     if not verdict.ok:
-        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
+        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
     return verdict
 
 

@@ -42,9 +42,11 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
     try:
         found = examine(path, limits, on_share)
     except ProgramRefusedError as error:
-        raise FailedError(f"{path.name}: {error}") from error
+        raise FailedError(Phrase("{name}: {cause}", name=path.name, cause=str(error))) from error
     if found.sha256 != sha256:
-        raise FailedError(f"{path.name}: is not the program that was checked; its content has changed since")
+        raise FailedError(
+            Phrase("{name}: is not the program that was checked; its content has changed since", name=path.name)
+        )
     return found.warnings
 
 

@@ -252,13 +252,17 @@ def _check(
     context: StageContext, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
 ) -> PassCheck:
     stock, machine = cam_stock_of(context.spec), context.machine
-    called = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}, lines counted through"
+    called = (
+        files[0]
+        if len(files) == 1
+        else Phrase("{first} to {last}, lines counted through", first=files[0], last=files[-1])
+    )
     with context.watch.stage(f"check pass {context.number} {spec.name}") as on_progress:
         try:
             paths = [context.folder / file for file in files]
             verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, on_progress)
         except ProgramError as error:
-            raise FailedError(f"{called}: {error}") from error
+            raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
     if not verdict.ok:
-        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
+        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
     return verdict

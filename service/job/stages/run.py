@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from phrases.phrase import Phrase
-from service.errors import FailedError, InputError, ServiceError, SpecError, sentence_of_os_error
+from service.errors import FailedError, ServiceError, SpecError, sentence_of_os_error
 from service.job.errors import translate_errors
 from service.job.planning.fit import check_disk_space
 from service.job.spec.loading import restore_job
@@ -81,7 +81,7 @@ def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[
         try:
             store.fetch(sha256, scratch / name)
         except MissingObjectError:
-            raise FailedError(f"{called}: it is not in the artifact store any more") from None
+            raise FailedError(Phrase("{name}: it is not in the artifact store any more", name=called)) from None
     return set(wanted)
 
 
@@ -109,7 +109,7 @@ def _scratch_folder(scratch: Path) -> Iterator[None]:
             scratch.mkdir(parents=True)
         except OSError as error:
             error.filename = None
-            raise FailedError(sentence_of_os_error(error, doing="cannot make a folder to work in")) from error
+            raise FailedError(sentence_of_os_error(error, doing=Phrase("cannot make a folder to work in"))) from error
         yield
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -123,12 +123,10 @@ def _hide_paths(scratch: Path) -> Iterator[None]:
     except SpecError:
         raise
     except ServiceError as error:
-        text = str(error)
-        lines = text.replace(f"{scratch}/", "").replace(str(scratch), "the working folder").splitlines()
-        kind = type(error)
-        if isinstance(error, InputError) and str(scratch) in text:
-            kind = FailedError
-        raise kind(*lines) from error
+        if str(scratch) not in str(error):
+            raise
+        lines = [line.replace(f"{scratch}/", "").replace(str(scratch), "the working folder") for line in error.lines]
+        raise FailedError(*lines) from error
 
 
 class _Shares:

@@ -4,6 +4,7 @@
  */
 
 import { api, ProblemError } from "../lib/api.js";
+import { translate } from "../lib/language.js";
 
 const SILENCE_MS = 13_000; // the server says something every 5 s
 const FIRST_WAIT_MS = 500;
@@ -54,7 +55,7 @@ export class StopSocket {
     }
     const { socket } = this;
     socket.onopen = () => socket.send(JSON.stringify({ token: this.token }));
-    socket.onmessage = ({ data }) => socket === this.socket && this.hear(JSON.parse(data));
+    socket.onmessage = ({ data }) => socket === this.socket && this.hear(translate(JSON.parse(data)));
     socket.onclose = ({ code }) => socket === this.socket && this.lose(code);
     this.watch();
   }

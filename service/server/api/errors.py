@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
+from phrases.phrase import Phrase, join
 from service.errors import FailedError, InputError, PictureError, SpecError
 from service.http.problems import Kind, Problem, problem_response
 from service.server.database.records import KeyReusedError, UnknownArtifactError, UnknownJobError
@@ -49,14 +50,15 @@ def problem_of(error: Exception) -> Problem:
     for kinds, told in _TABLE:
         if isinstance(error, kinds):
             return told(error)
-    return Problem(500, "a fault inside the server; its log says which")
+    return Problem(500, Phrase("a fault inside the server; its log says which"))
 
 
 def _of_spec(error: Exception) -> Problem:
     problems, rows = (error.problems, error.rows()[:20]) if isinstance(error, SpecError) else ([], [])
-    detail = "; ".join(f"{key}: {sentence}" for key, sentence in problems[:5])
+    first = [Phrase("{key}: {sentence}", key=key, sentence=sentence) for key, sentence in problems[:5]]
+    detail = join("; ", first) if first else Phrase("the spec cannot be used")
     field = rows[0]["field"] if rows else "spec"
-    return Problem(422, detail or "the spec cannot be used", field=field, kind=Kind.SPEC, more={"problems": rows})
+    return Problem(422, detail, field=field, kind=Kind.SPEC, more={"problems": rows})
 
 
 def _of_request(error: Exception) -> Problem:
@@ -66,18 +68,18 @@ def _of_request(error: Exception) -> Problem:
     place = [str(step) for step in first["loc"]]
     field = ".".join(place[1:]) if len(place) > 1 else (place or [""])[0]
     if first.get("type") == "json_invalid":
-        return Problem(400, "the body is not valid JSON", field="body")
-    return Problem(422, f"{field}: {first['msg']}", field=field)
+        return Problem(400, Phrase("the body is not valid JSON"), field="body")
+    return Problem(422, Phrase("{field}: {cause}", field=field, cause=first["msg"]), field=field)
 
 
 def _of_http(error: Exception) -> Problem:
     """Return what the router itself refuses, and what the framework refuses about bodies."""
     status = getattr(error, "status_code", 500)
     words = {
-        404: "no such address",
-        405: "this address does not take that method",
-        408: "the body stopped coming",
-        413: "the request is too large",
+        404: Phrase("no such address"),
+        405: Phrase("this address does not take that method"),
+        408: Phrase("the body stopped coming"),
+        413: Phrase("the request is too large"),
     }
     headers = {key: value for key, value in (getattr(error, "headers", None) or {}).items() if key.lower() == "allow"}
     return Problem(status, words.get(status) or HTTPStatus(status).phrase.lower(), headers=headers)
@@ -86,22 +88,22 @@ def _of_http(error: Exception) -> Problem:
 def _of_database(error: Exception) -> Problem:
     words = str(getattr(error, "orig", error)).lower()
     if "disk is full" in words or "no space left" in words or "could not extend file" in words:
-        return Problem(507, "the database has no space left", headers=_RETRY)
+        return Problem(507, Phrase("the database has no space left"), headers=_RETRY)
     broken = not isinstance(error, DBAPIError) or isinstance(error, OperationalError | InterfaceError)
     if broken or getattr(error, "connection_invalidated", False):
-        return Problem(503, "the database cannot be reached or written at present", headers=_RETRY)
-    return Problem(500, "a fault inside the server; its log says which")
+        return Problem(503, Phrase("the database cannot be reached or written at present"), headers=_RETRY)
+    return Problem(500, Phrase("a fault inside the server; its log says which"))
 
 
 def _of_disk(error: Exception) -> Problem:
     cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
     if (isinstance(cause, OSError) and cause.errno in _FULL) or "no space left" in str(error).lower():
-        return Problem(507, "the server's disk has no space left", headers=_RETRY)
-    return Problem(503, "the server's disk or artifact store cannot be used at present", headers=_RETRY)
+        return Problem(507, Phrase("the server's disk has no space left"), headers=_RETRY)
+    return Problem(503, Phrase("the server's disk or artifact store cannot be used at present"), headers=_RETRY)
 
 
 def _of_missing(_error: Exception) -> Problem:
-    return Problem(503, "the artifact store does not hold this file at present", headers=_RETRY)
+    return Problem(503, Phrase("the artifact store does not hold this file at present"), headers=_RETRY)
 
 
 _TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exception], Problem]]] = [
@@ -115,7 +117,7 @@ _TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exce
     (KeyReusedError, lambda error: Problem(422, str(error), field="Idempotency-Key", kind=Kind.KEY_REUSED)),
     (MissingObjectError, _of_missing),
     (RequestValidationError, _of_request),
-    (ClientDisconnect, lambda _: Problem(400, "the connection ended before the request did")),
+    (ClientDisconnect, lambda _: Problem(400, Phrase("the connection ended before the request did"))),
     (HTTPException, _of_http),
     (SQLAlchemyError, _of_database),
     ((FailedError, OSError), _of_disk),

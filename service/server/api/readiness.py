@@ -10,6 +10,8 @@ from functools import partial
 import sqlalchemy as sa
 import structlog
 
+from phrases.phrase import Phrase
+from service.server.api.intake.disk_space import too_little_space
 from service.server.api.shared_call import SharedCall
 from service.server.database.connection import begin_reading, begin_writing, clock, put_rows
 from service.server.database.tables import executors, idempotency_keys
@@ -57,13 +59,13 @@ class Readiness:
         with begin_reading(self._engine) as connection:
             live = executors.c.seen_at > clock(connection) - lease_s
             if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
-                raise _WrongError(f"no worker was heard of for {lease_s:g} s; jobs wait")
+                raise _WrongError(Phrase("no worker was heard of for {lease_s:g} s; jobs wait", lease_s=lease_s))
 
     def _check_disk(self) -> None:
         settings = self._settings
         free_mb = shutil.disk_usage(settings.data).free / 1e6
         if free_mb < settings.free_disk_mb:
-            raise _WrongError(f"{free_mb:.0f} MB are free; new jobs need {settings.free_disk_mb} MB")
+            raise _WrongError(too_little_space(free_mb, settings.free_disk_mb))
 
 
 def _check(name: str, check: Callable[[], None]) -> str:
@@ -74,7 +76,7 @@ def _check(name: str, check: Callable[[], None]) -> str:
         return str(error)
     except Exception as error:
         _log.warning("not ready", part=name, error=" ".join(str(error).split())[:300])
-        return "cannot be used at present"
+        return Phrase("cannot be used at present")
     return "ok"
 
 
@@ -82,4 +84,4 @@ async def _answer(check: SharedCall[str]) -> str:
     try:
         return await check.result(_WAIT_S)
     except TimeoutError:
-        return f"no answer in {_WAIT_S:g} s"
+        return Phrase("no answer in {wait_s:g} s", wait_s=_WAIT_S)

@@ -16,6 +16,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
+from phrases.phrase import phrases_in
 from service.server.database.connection import is_sqlite, put_rows
 from service.server.database.records import Job, JobEvent, News, Progress, UnknownJobError
 from service.server.database.states import JobState, require_move
@@ -120,7 +121,8 @@ def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
 
 def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, **values: Any) -> None:
     """End a locked job: its state and the last event. Raises the fence, so that no one writes after it."""
-    error = values.get("error")
+    if (error := values.get("error")) is not None:
+        values["error"] = error = error | {"phrases": phrases_in(error)}
     row = {"state": str(state), "ended_at": at, "owner": None, "fence": job.fence + 1} | values
     connection.execute(progress.delete().where(progress.c.job_id == job.id))
     change_job(connection, job, **row)

@@ -12,6 +12,7 @@ from uuid import uuid4
 
 import sqlalchemy as sa
 
+from phrases.phrase import Phrase
 from service.errors import printable
 from service.job.files import TARGET_PICTURE, THUMBNAILS
 from service.job.stages.order import merge_reports
@@ -84,7 +85,7 @@ class JobBook:
             if job.state == JobState.CANCELLED or (job.state == JobState.RUNNING and job.cancel_requested):
                 return job
             if JobState.CANCELLED not in TRANSITIONS[job.state]:
-                raise JobStateError(job.state, "cancelling", frozenset({JobState.QUEUED, JobState.RUNNING}))
+                raise JobStateError(job.state, Phrase("cancelling"), frozenset({JobState.QUEUED, JobState.RUNNING}))
             write_event(connection, job_id, "cancel.requested", {"by": by}, at=at)
             if job.state == JobState.QUEUED:
                 end_job(connection, job, JobState.CANCELLED, at=at, cancel_requested=True)
@@ -100,7 +101,7 @@ class JobBook:
         with begin_writing(self.database) as connection:
             job, at = lock_job(connection, job_id), clock(connection)
             if job.state not in RETRYABLE:
-                raise JobStateError(job.state, "retrying", RETRYABLE)
+                raise JobStateError(job.state, Phrase("retrying"), RETRYABLE)
             _require_no_open_run(connection, job.id)
             is_log = artifacts.c.name.like("%.log")
             connection.execute(artifacts.delete().where(artifacts.c.job_id == job_id, ~is_log))
@@ -113,7 +114,7 @@ class JobBook:
         with begin_writing(self.database) as connection:
             job = lock_job(connection, job_id)
             if job.state == JobState.RUNNING:
-                raise JobStateError(job.state, "deleting", frozenset(JobState) - {JobState.RUNNING})
+                raise JobStateError(job.state, Phrase("deleting"), frozenset(JobState) - {JobState.RUNNING})
             drop_job(connection, job)
             return job
 

@@ -19,6 +19,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, delete, select, update
 
+from phrases.phrase import Phrase
 from service.server.database.connection import begin_reading, begin_writing, insert_new
 from service.server.database.tables import pairing_tries, pairings
 from service.server.database.tokens import PAGE_TOKEN_LIFE_S, Token, TokenBook, TokenScope
@@ -34,8 +35,13 @@ class WrongCodeError(Exception):
     """This code opens nothing. `left`: tries that are left at once."""
 
     def __init__(self, left: int) -> None:
-        more = f"{left} more {'tries' if left > 1 else 'try'} at once" if left else "the next try is in a minute"
-        super().__init__(f"this is not the code; {more}")
+        if left > 1:
+            words = Phrase("this is not the code; {count} more tries at once", count=left)
+        elif left:
+            words = Phrase("this is not the code; 1 more try at once")
+        else:
+            words = Phrase("this is not the code; the next try is in a minute")
+        super().__init__(words)
         self.left = left
 
 
@@ -44,8 +50,10 @@ class NoCodeError(Exception):
 
     def __init__(self) -> None:
         super().__init__(
-            "no code is valid; a new one, on the server's computer: `causticmill token pair --data DIR` "
-            "(DIR: the folder that `serve` was given)"
+            Phrase(
+                "no code is valid; a new one, on the server's computer: `causticmill token pair --data DIR` "
+                "(DIR: the folder that `serve` was given)"
+            )
         )
 
 
@@ -120,8 +128,13 @@ class TooManyTriesError(Exception):
 
     def __init__(self, wait_s: float, *, everywhere: bool) -> None:
         self.wait_s = max(1, math.ceil(wait_s))
-        why = "many wrong codes are being tried at this server" if everywhere else "too many wrong codes from here"
-        super().__init__(f"{why}; try again in {self.wait_s} s")
+        if everywhere:
+            words = Phrase(
+                "many wrong codes are being tried at this server; try again in {wait_s} s", wait_s=self.wait_s
+            )
+        else:
+            words = Phrase("too many wrong codes from here; try again in {wait_s} s", wait_s=self.wait_s)
+        super().__init__(words)
 
 
 def take_try(connection: Connection, address: str, now: float, *, counts_for_all: bool) -> None:

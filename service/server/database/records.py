@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
+from phrases.phrase import Phrase
 from service.server.database.states import ENDED, JobState, StageState
 
 Json = dict[str, Any]
@@ -20,7 +21,7 @@ class UnknownJobError(LookupError):
     """There is no job of this id."""
 
     def __init__(self, job_id: str) -> None:
-        super().__init__(f"there is no job {job_id}")
+        super().__init__(Phrase("there is no job {job_id}", job_id=job_id))
         self.job_id = job_id
 
 
@@ -28,7 +29,7 @@ class UnknownArtifactError(LookupError):
     """The job has no artifact of this name, or does not offer it yet."""
 
     def __init__(self, job_id: str, name: str) -> None:
-        super().__init__(f"job {job_id} has no artifact {name}")
+        super().__init__(Phrase("job {job_id} has no artifact {name}", job_id=job_id, name=name))
         self.job_id = job_id
         self.name = name
 
@@ -37,7 +38,7 @@ class KeyReusedError(Exception):
     """An idempotency key came a second time, with another request."""
 
     def __init__(self, key: str) -> None:
-        super().__init__("this Idempotency-Key was used before, for another request; use a new one")
+        super().__init__(Phrase("this Idempotency-Key was used before, for another request; use a new one"))
         self.key = key
 
 

@@ -15,11 +15,12 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from machines.runs import LIVE
+from phrases.phrase import Phrase
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
 from service.server.database.records import ClientKey, Job, KeyReusedError
-from service.server.database.states import JobState
+from service.server.database.states import STATE_WORDS, JobState
 from service.server.database.tables import idempotency_keys, runs
 
 Json = dict[str, Any]
@@ -72,14 +73,20 @@ class NewRun:
 
 class UnknownRunError(LookupError):
     def __init__(self, run_id: str) -> None:
-        super().__init__(f"there is no run {run_id}")
+        super().__init__(Phrase("there is no run {run_id}", run_id=run_id))
 
 
 class MachineTakenError(Exception):
     """The mill has an open run already."""
 
     def __init__(self, machine: str, other: str) -> None:
-        super().__init__(f"machine '{machine}' has an open run, {other}; it must be finished or aborted first")
+        super().__init__(
+            Phrase(
+                "machine '{machine}' has an open run, {run_id}; it must be finished or aborted first",
+                machine=machine,
+                run_id=other,
+            )
+        )
         self.other = other
 
 
@@ -87,10 +94,14 @@ class JobNotReadyError(Exception):
     """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
 
     def __init__(self, job: Job) -> None:
-        state = "being cancelled" if job.state is JobState.RUNNING and job.cancel_requested else job.state
+        ending = job.state is JobState.RUNNING and job.cancel_requested
         super().__init__(
-            f"job {job.id} is {state}; its programs may be run once all of them have been checked, "
-            "and not those of failed or cancelled jobs"
+            Phrase(
+                "job {job_id} is {state}; its programs may be run once all of them have been checked, and not those of "
+                "failed or cancelled jobs",
+                job_id=job.id,
+                state=Phrase("being cancelled") if ending else STATE_WORDS[job.state],
+            )
         )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from phrases.phrase import Phrase, join
+
 
 class JobState(StrEnum):
     """The words of the API."""
@@ -35,6 +37,13 @@ TRANSITIONS: dict[JobState, frozenset[JobState]] = {
     _S.FAILED: frozenset({_S.QUEUED}),  # :retry
     _S.CANCELLED: frozenset({_S.QUEUED}),
 }
+STATE_WORDS: dict[JobState, Phrase] = {
+    _S.QUEUED: Phrase("queued"),
+    _S.RUNNING: Phrase("running"),
+    _S.SUCCEEDED: Phrase("succeeded"),
+    _S.FAILED: Phrase("failed"),
+    _S.CANCELLED: Phrase("cancelled"),
+}
 ENDED = frozenset({_S.SUCCEEDED, _S.FAILED, _S.CANCELLED})
 RETRYABLE = frozenset(state for state in ENDED if TRANSITIONS[state])
 
@@ -42,20 +51,29 @@ RETRYABLE = frozenset(state for state in ENDED if TRANSITIONS[state])
 class JobStateError(Exception):
     """A move that the table does not allow."""
 
-    def __init__(self, before: JobState, doing: str, allowed: frozenset[JobState]) -> None:
-        words = ", ".join(sorted(allowed)) or "none"
-        super().__init__(f"the job is {before}; {doing} is allowed in: {words}")
+    def __init__(self, before: JobState, doing: Phrase, allowed: frozenset[JobState]) -> None:
+        super().__init__(
+            Phrase(
+                "the job is {before}; {doing} is allowed in: {states}",
+                before=STATE_WORDS[before],
+                doing=doing,
+                states=join(", ", [STATE_WORDS[state] for state in sorted(allowed)]) if allowed else Phrase("none"),
+            )
+        )
 
 
 class JobOnMillError(JobStateError):
     """A run of one of the job's programs is open: what the mill is doing must stay explained."""
 
     def __init__(self, run_id: str) -> None:
-        Exception.__init__(self, f"run {run_id} of a program of this job is open; abort it or let it finish first")
+        Exception.__init__(
+            self,
+            Phrase("run {run_id} of a program of this job is open; abort it or let it finish first", run_id=run_id),
+        )
 
 
 def require_move(before: JobState, after: JobState) -> None:
     """Raise JobStateError unless the table allows it."""
     if after not in TRANSITIONS[before]:
         allowed = frozenset(state for state, targets in TRANSITIONS.items() if after in targets)
-        raise JobStateError(before, f"becoming {after}", allowed)
+        raise JobStateError(before, Phrase("becoming {state}", state=STATE_WORDS[after]), allowed)

@@ -33,8 +33,8 @@ metadata = MetaData(
 )
 
 # spec is the resolved one, figures those behind the names in it (None: of a job from before they were kept); error =
-# {stage, detail, field}; fence counts the claims by workers, version every change; attempt counts from 1 and grows with
-# :retry; stage, progress (0..1 of the whole job) belong to the running attempt.
+# {stage, detail, field, phrases}; fence counts the claims by workers, version every change; attempt counts from 1 and
+# grows with :retry; stage, progress (0..1 of the whole job) belong to the running attempt.
 jobs = Table(
     "jobs",
     metadata,

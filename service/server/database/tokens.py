@@ -19,6 +19,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, RowMapping, delete, func, insert, inspect, select, update
 
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.tables import pairings, tokens
@@ -72,14 +73,21 @@ class TokenBook:
         wanted = check_scopes(scopes)
         if not _NAME.fullmatch(name):
             raise InputError(
-                f"name '{name[:80]}': allowed: 1 to 80 letters, digits, spaces and . _ @ -, a letter first"
+                Phrase(
+                    "name '{name}': allowed: 1 to 80 letters, digits, spaces and . _ @ -, a letter first",
+                    name=name[:80],
+                )
             )
         if expires_at is not None and not now < expires_at <= now + LONGEST_LIFE_S:
-            raise InputError("expires: allowed: a time from now on, within a hundred years")
+            raise InputError(Phrase("expires: allowed: a time from now on, within a hundred years"))
         token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=expires_at)
         with begin_writing(self.engine) as connection:
             if name in _list_live_names(connection, now):
-                raise InputError(f"name '{name}': there is a token of this name; revoke that one or take another name")
+                raise InputError(
+                    Phrase(
+                        "name '{name}': there is a token of this name; revoke that one or take another name", name=name
+                    )
+                )
             return token, _insert(connection, token)
 
     def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
@@ -111,7 +119,7 @@ class TokenBook:
             )
             row = connection.execute(select(tokens).where(mine)).mappings().first()
         if row is None:
-            raise LookupError(f"no token has the id '{token_id[:40]}'")
+            raise LookupError(Phrase("no token has the id '{token_id}'", token_id=token_id[:40]))
         return _token(row)
 
     def revoke_all(self) -> int:
@@ -184,9 +192,9 @@ def check_scopes(scopes: Iterable[str]) -> frozenset[str]:
     wanted = frozenset(scopes)
     allowed = ", ".join(TokenScope)
     if unknown := sorted(wanted - set(TokenScope)):
-        raise InputError(f"scope '{unknown[0][:40]}'; allowed: {allowed}")
+        raise InputError(Phrase("scope '{name}'; allowed: {allowed}", name=unknown[0][:40], allowed=allowed))
     if not wanted:
-        raise InputError(f"scope: at least one is needed; allowed: {allowed}")
+        raise InputError(Phrase("scope: at least one is needed; allowed: {allowed}", allowed=allowed))
     return frozenset(str(TokenScope(word)) for word in wanted)
 
 

@@ -54,6 +54,7 @@ class JobError(Body):
     stage: str | None = None
     detail: str
     field: str | None = None
+    phrases: Phrases
 
 
 class ImageView(Body):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from service.server.schemas.base import Body
+from service.server.schemas.base import Body, Phrases
 
 LOOK_EXAMPLE: dict[str, Any] = {
     "photo": {"name": "wall.jpg", "width": 4032, "height": 3024},
@@ -144,6 +144,7 @@ class LookView(Body):
     likeness: LikenessView
     findings: Annotated[list[FindingView], Field(description="in the order in which a person acts")]
     picture: Annotated[str, Field(description="base64 of a PNG: photograph, foretold, difference")]
+    phrases: Phrases
 
 
 COUPON_EXAMPLE: dict[str, Any] = {
@@ -232,3 +233,4 @@ class CouponView(Body):
     picture: Annotated[
         str, Field(description="base64 of a PNG: the photograph set straight, and what is left of ripples")
     ]
+    phrases: Phrases

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 
 import structlog
 
+from phrases.phrase import Phrase
 from service.errors import ServiceError
 from service.server.database.claims import Claim
 from service.server.database.states import JobState
@@ -57,7 +58,7 @@ class Attempt:
                 self._fail(claim, {"stage": None, "detail": str(error), "field": None})
             except Exception:
                 log.exception("fault of the worker")
-                words = "a fault of the server itself; its log tells more"
+                words = Phrase("a fault of the server itself; its log tells more")
                 self._fail(claim, {"stage": None, "detail": words, "field": None})
 
     def _fail(self, claim: Claim, error: dict[str, object]) -> None:

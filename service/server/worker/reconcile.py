@@ -13,6 +13,7 @@ from contextlib import suppress
 import sqlalchemy as sa
 import structlog
 
+from phrases.phrase import Phrase
 from service.server.database.claims import interrupt_tries
 from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.job_rows import change_job, end_job, lock_job
@@ -24,7 +25,7 @@ from service.server.worker.lease import list_live_executors
 
 CHUNK = 200
 GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
-GIVEN_UP = "the job engine has given it up without a result; the server's log may tell why. It can be retried"
+GIVEN_UP = Phrase("the job engine has given it up without a result; the server's log may tell why. It can be retried")
 log = structlog.get_logger()
 
 Queued = dict[Ticket, int]  # and the priority of each

@@ -8,6 +8,7 @@ from typing import Any
 
 import structlog
 
+from phrases.phrase import Phrase, join
 from service.errors import FailedError, printable
 from service.job.spec.loading import restore_job
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
@@ -146,16 +147,17 @@ class StageRunner:
         field: str | None = None
         match end:
             case Refused(lines, name):
-                words, field = "\n".join(lines), name or None
+                words, field = join("\n", map(printable, lines)), name or None
             case Failed(lines):
-                words = "\n".join(lines)
+                words = join("\n", map(printable, lines))
             case Crashed(crash):
-                words = f"it ended {STAGE_TRIES} times without a result: {crash}"
+                words = Phrase(
+                    "it ended {count} times without a result: {cause}", count=STAGE_TRIES, cause=printable(crash)
+                )
             case _:
-                words = f"it ended as {end}"
+                words = Phrase("it ended as {end}", end=str(end))
         self._close(begun, StageState.FAILED, words, record)
-        detail = "\n".join(map(printable, words.splitlines()))
-        self._finish(JobState.FAILED, error={"stage": begun.stage, "detail": detail, "field": field})
+        self._finish(JobState.FAILED, error={"stage": begun.stage, "detail": words, "field": field})
 
     def _finish(self, state: JobState, **values: Any) -> None:
         log.info("job ends", state=str(state))

@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from phrases.phrase import Phrase
 from service.http.hosts import is_own_host, own_names
 from service.http.problems import Problem, problem_response
 from service.server.api.access.client_address import is_here
@@ -139,7 +140,10 @@ class Guard:
         headers = _plain_headers(scope)
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if not is_own_host(host, self._names):
-            raise Problem(403, f"Host is '{host[:100]}'; allowed: localhost, an address, or a name of this server")
+            words = Phrase(
+                "Host is '{host}'; allowed: localhost, an address, or a name of this server", host=host[:100]
+            )
+            raise Problem(403, words)
         if scope["method"] not in _SAFE or scope["path"] in OPEN_HERE:
             _refuse_foreign_page(headers, host)
         here = is_here(scope, headers)
@@ -160,14 +164,14 @@ class Guard:
         self._charge(scope, principal)
         if principal is None:
             wrong = b"authorization" in headers
-            raise not_authorised("this token is unknown, expired or revoked") if wrong else not_authorised()
+            raise not_authorised(Phrase("this token is unknown, expired or revoked")) if wrong else not_authorised()
 
     async def _admit_socket(self, scope: Scope) -> None:
         """Admit the way for stops, the only socket; who may use it, it finds out itself."""
         headers = _plain_headers(scope)
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if scope["path"] != STOP_SOCKET or not is_own_host(host, self._names):
-            raise Problem(404, "no such socket")
+            raise Problem(404, Phrase("no such socket"))
         _refuse_foreign_page(headers, host)
         note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
 
@@ -200,7 +204,7 @@ class Guard:
             if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.has_ever_had_any):
                 return ANONYMOUS
         except SQLAlchemyError:
-            words = "the database cannot be asked who you are; try again"
+            words = Phrase("the database cannot be asked who you are; try again")
             raise Problem(503, words, headers={"Retry-After": "2"}) from None
         return None
 
@@ -222,13 +226,12 @@ class Guard:
         caller = f"{bucket} {peer[0] if peer else '?'}"
         if principal is not None and not principal.anonymous:
             caller = f"token {principal.id}"
-        wait_s = self._requests.wait_s(caller)
-        words = "too many requests"
-        if not wait_s and method == "POST" and path == "/v1/jobs":
-            wait_s, words = self._jobs.wait_s(caller), "too many new jobs"
+        if wait_s := math.ceil(self._requests.wait_s(caller)):
+            words = Phrase("too many requests; try again in {wait_s} s", wait_s=wait_s)
+        elif method == "POST" and path == "/v1/jobs" and (wait_s := math.ceil(self._jobs.wait_s(caller))):
+            words = Phrase("too many new jobs; try again in {wait_s} s", wait_s=wait_s)
         if wait_s:
-            seconds = math.ceil(wait_s)
-            raise Problem(429, f"{words}; try again in {seconds} s", headers={"Retry-After": str(seconds)})
+            raise Problem(429, words, headers={"Retry-After": str(wait_s)})
 
 
 def _plain_headers(scope: Scope) -> Headers:
@@ -237,10 +240,13 @@ def _plain_headers(scope: Scope) -> Headers:
     """
     pairs = scope["headers"]
     if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
-        raise Problem(431, f"allowed: {_MOST_HEADERS} headers of {_MOST_HEADER_BYTES} bytes in all")
+        raise Problem(
+            431, Phrase("allowed: {count} headers of {most} bytes in all", count=_MOST_HEADERS, most=_MOST_HEADER_BYTES)
+        )
     for name, count in Counter(name for name, _ in pairs).items():
         if count > 1 and name in _SINGLE:
-            raise Problem(400, f"{count} {name.decode()} headers", field=name.decode())
+            words = Phrase("{count} {name} headers", count=count, name=name.decode())
+            raise Problem(400, words, field=name.decode())
     return dict(pairs)
 
 
@@ -248,12 +254,11 @@ def _refuse_foreign_page(headers: Headers, host: str) -> None:
     """Refuse a page of another site, which can make a browser send us things; the browser says so."""
     origin = headers.get(b"origin")
     if origin is not None and _site(origin) != host:
-        words = "Origin is another site; changes are taken from this server's own pages only"
+        words = Phrase("Origin is another site; changes are taken from this server's own pages only")
         raise Problem(403, words, field="Origin")
     if headers.get(b"sec-fetch-site", b"none").lower() not in (b"none", b"same-origin"):
-        raise Problem(
-            403, "another site sent this; changes are taken from this server's own pages only", field="Origin"
-        )
+        words = Phrase("another site sent this; changes are taken from this server's own pages only")
+        raise Problem(403, words, field="Origin")
 
 
 def _secret(authorization: bytes) -> str:

@@ -15,6 +15,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.types import Scope
 
 from machines.mill.orders import suspend_aware_clock_s
+from phrases.phrase import Phrase
 from service.errors import InputError
 from service.http.hosts import is_loopback, require_unread
 from service.http.problems import Problem
@@ -41,6 +42,7 @@ class Principal:
     expires_at: float | None = None
 
 
+_NEEDED = Phrase("a token is needed: Authorization: Bearer cm_...")
 ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}), anonymous=True, id="anonymous")
 
 
@@ -56,8 +58,11 @@ def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
             raise not_authorised()
         if missing := sorted(needed - principal.scopes):
             if principal.anonymous:
-                raise Problem(401, f"this needs a token with {', '.join(missing)}", field="Authorization")
-            raise Problem(403, f"the token '{principal.name}' lacks {', '.join(missing)}", field="Authorization")
+                raise Problem(
+                    401, Phrase("this needs a token with {scopes}", scopes=", ".join(missing)), field="Authorization"
+                )
+            words = Phrase("the token '{name}' lacks {scopes}", name=principal.name, scopes=", ".join(missing))
+            raise Problem(403, words, field="Authorization")
         return principal
 
     dependency.required_scopes = needed  # type: ignore[attr-defined]
@@ -122,7 +127,7 @@ def is_at_server(scope: Scope) -> bool:
     return bool(scope.get(_AT_SERVER_KEY))
 
 
-def not_authorised(words: str = "a token is needed: Authorization: Bearer cm_...") -> Problem:
+def not_authorised(words: Phrase = _NEEDED) -> Problem:
     return Problem(401, words, field="Authorization")
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from starlette.responses import RedirectResponse, Response, StreamingResponse
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.answers.job_views import media_type
 from service.server.database.records import Artifact
@@ -117,7 +118,6 @@ def parse_range(range_header: str | None, if_range: str | None, *, size: int, et
         if last and int(last) < start:
             return None
     if start >= end:
-        raise Problem(
-            416, f"the file has {size} bytes", field="Range", headers={"Content-Range": f"bytes */{size}"}
-        )  # fmt: skip
+        words = Phrase("the file has {size} bytes", size=size)
+        raise Problem(416, words, field="Range", headers={"Content-Range": f"bytes */{size}"})
     return start, end

@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 
 _CHUNK_WAIT_S = 30.0
@@ -39,11 +40,17 @@ class RequestBody:
                 async with asyncio.timeout(self._wait_s):
                     piece = await self._receive_piece()
             except TimeoutError:
-                raise Problem(408, f"nothing came for {self._wait_s:g} s in the middle of the request") from None
+                words = Phrase("nothing came for {wait_s:g} s in the middle of the request", wait_s=self._wait_s)
+                raise Problem(408, words) from None
             taken += len(piece)
             if time.monotonic() - began > 2 * self._wait_s + taken / _SLOWEST_BYTES_PER_S:
-                words = f"{taken} bytes in {time.monotonic() - began:.0f} s are too slow"
-                raise Problem(408, f"{words}; allowed: {_SLOWEST_BYTES_PER_S // 1000} kB/s at least")
+                words = Phrase(
+                    "{count} bytes in {seconds:.0f} s are too slow; allowed: {least} kB/s at least",
+                    count=taken,
+                    seconds=time.monotonic() - began,
+                    least=_SLOWEST_BYTES_PER_S // 1000,
+                )
+                raise Problem(408, words)
             yield piece
 
     async def linger(self) -> None:

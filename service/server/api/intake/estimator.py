@@ -17,6 +17,7 @@ from typing import Any
 
 import structlog
 
+from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, PictureError, SpecError
 from service.http.problems import Problem
 from service.processes.kernel_cache import ESTIMATES, ready_mark
@@ -32,6 +33,30 @@ _RETRY = {"Retry-After": "5"}
 _log = structlog.get_logger("api")
 
 Answer = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Refusals:
+    too_many: Phrase
+    newer: Phrase
+    late: Phrase
+    ended: Phrase
+
+
+_REFUSALS = {
+    "estimate": _Refusals(
+        too_many=Phrase("too many estimates are asked for; try again"),
+        newer=Phrase("a newer estimate was asked for"),
+        late=Phrase("the estimate takes too long"),
+        ended=Phrase("the process for estimates has ended; try again"),
+    ),
+    "look": _Refusals(
+        too_many=Phrase("too many looks are asked for; try again"),
+        newer=Phrase("a newer look was asked for"),
+        late=Phrase("the look takes too long"),
+        ended=Phrase("the process for looks has ended; try again"),
+    ),
+}
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -50,11 +75,12 @@ class Estimator:
     """`ask` from any thread; `close` ends the process.
 
     module : of the process
-    what   : it makes, as people call it; in its answers, too
+    what   : it makes, a key of _REFUSALS; in its answers, too
     """
 
     def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate") -> None:
         self._what = what
+        self._refusals = _REFUSALS[what]
         self._idle_s = idle_s
         self._module = module
         self._condition = threading.Condition()
@@ -74,13 +100,13 @@ class Estimator:
         request = _Request(caller=caller, asked=asked, is_long=is_long)
         with self._condition:
             if self._closed:
-                raise Problem(503, "the server is ending", headers=_RETRY)
+                raise Problem(503, Phrase("the server is ending"), headers=_RETRY)
             for one in self._requests_of(caller):
                 if one.asked == asked and not one.answer.done():
                     return one.answer
             self._end_all_of(caller)
             if len(self._waiting) >= _MOST_WAITING:
-                raise Problem(503, f"too many {self._what}s are asked for; try again", headers=_RETRY)
+                raise Problem(503, self._refusals.too_many, headers=_RETRY)
             self._waiting.append(request)
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=f"{self._what}s", daemon=True)
@@ -101,7 +127,7 @@ class Estimator:
         """End a caller's asks, with the condition held."""
         older = self._requests_of(caller)
         for one in older:
-            one.end(Problem(409, f"a newer {self._what} was asked for"))
+            one.end(Problem(409, self._refusals.newer))
         self._waiting = [one for one in self._waiting if one.caller != caller]
         if any(one is self._running and one.is_long for one in older) and self._child is not None:
             self._killed = True
@@ -129,7 +155,7 @@ class Estimator:
         with self._condition:
             self._closed = True
             for ask in (*self._waiting, *([self._running] if self._running else [])):
-                ask.end(Problem(503, "the server is ending", headers=_RETRY))
+                ask.end(Problem(503, Phrase("the server is ending"), headers=_RETRY))
             self._waiting = []
             self._condition.notify()
             child = self._child
@@ -168,10 +194,7 @@ class Estimator:
                 return
             late = isinstance(error, ChildLate)
             _log.warning(f"no {self._what}", late=late, error=f"{type(error).__name__}: {error}"[:200])
-            words = (
-                f"the {self._what} takes too long" if late else f"the process for {self._what}s has ended; try again"
-            )
-            ask.end(Problem(503, words, headers=_RETRY))
+            ask.end(Problem(503, self._refusals.late if late else self._refusals.ended, headers=_RETRY))
             return
         if (problem := self._problem(found)) is not None:
             ask.end(problem)
@@ -208,5 +231,5 @@ class Estimator:
             return kinds[found["kind"]](*found["refused"])
         if "fault" in found:
             _log.error(f"no {self._what}", error=found["fault"])
-            return Problem(500, "a fault inside the server; its log says which")
+            return Problem(500, Phrase("a fault inside the server; its log says which"))
         return None

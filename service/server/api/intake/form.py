@@ -22,6 +22,7 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.intake.body import RequestBody
 from service.server.api.intake.disk_space import Space
@@ -86,7 +87,7 @@ async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm
         try:
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
-            raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
+            raise Problem(400, Phrase("the body is not multipart/form-data, or not well made"), field="body") from None
     return await asyncio.to_thread(reader.finish)
 
 
@@ -139,18 +140,20 @@ class _Reader:
         """Return the form, if it is whole."""
         self._file.flush()
         if not self._ended:
-            raise Problem(400, "the body ends in the middle of the form", field="body")
+            raise Problem(400, Phrase("the body ends in the middle of the form"), field="body")
         if self.picture not in self._seen:
-            raise Problem(422, f"the form has no part '{self.picture}' with the picture", field=self.picture)
+            raise Problem(
+                422, Phrase("the form has no part '{name}' with the picture", name=self.picture), field=self.picture
+            )
         if not self._form.image_bytes:
-            raise Problem(422, f"the part '{self.picture}' is empty", field=self.picture)
+            raise Problem(422, Phrase("the part '{name}' is empty", name=self.picture), field=self.picture)
         self._form.image_sha256 = self._digest.hexdigest()
         return self._form
 
     def _begin(self) -> None:
         self._disposition = b""
         if len(self._seen) >= _PARTS:
-            raise Problem(422, f"the form has more than {_PARTS} parts", field="body")
+            raise Problem(422, Phrase("the form has more than {most} parts", most=_PARTS), field="body")
 
     def _take_header(self) -> None:
         name, value = (bytes(text) for text in self._header)
@@ -158,18 +161,19 @@ class _Reader:
         if name.strip().lower() == b"content-disposition":
             self._disposition = value
         elif name.strip().lower() == b"content-transfer-encoding" and value.strip().lower() not in (b"binary", b"8bit"):
-            raise Problem(422, "parts must be sent as they are, without a transfer encoding", field="body")
+            raise Problem(422, Phrase("parts must be sent as they are, without a transfer encoding"), field="body")
 
     def _begin_content(self) -> None:
         kind, options = _options(self._disposition)
         name = harmless_name(options.get(b"name", b""), default="")
         if kind != b"form-data" or not name:
-            raise Problem(400, "a part of the form has no name", field="body")
+            raise Problem(400, Phrase("a part of the form has no name"), field="body")
         if name not in (self.picture, *self._small):
             allowed = ", ".join((self.picture, *self._small))
-            raise Problem(422, f"the form has a part '{name[:60]}'; allowed: {allowed}", field=name[:60])
+            words = Phrase("the form has a part '{name}'; allowed: {allowed}", name=name[:60], allowed=allowed)
+            raise Problem(422, words, field=name[:60])
         if name in self._seen:
-            raise Problem(422, f"the form has two parts '{name}'; allowed: one", field=name)
+            raise Problem(422, Phrase("the form has two parts '{name}'; allowed: one", name=name), field=name)
         self._seen.append(name)
         self._part = name
         if name == self.picture:
@@ -192,7 +196,8 @@ class _Reader:
         self._form.texts[self._part] += piece
         if len(self._form.texts[self._part]) > self._small[self._part]:
             most = self._small[self._part]
-            raise Problem(413, f"the part '{self._part}' is longer than {most} bytes", field=self._part)
+            words = Phrase("the part '{name}' is longer than {most} bytes", name=self._part, most=most)
+            raise Problem(413, words, field=self._part)
 
     def _note_end(self) -> None:
         self._ended = True
@@ -201,13 +206,14 @@ class _Reader:
 def _boundary(request: Request) -> bytes:
     header = request.headers.get("content-type", "")
     if len(header) > _CONTENT_TYPE_CHARS:  # the parser's time grows with its square
-        raise Problem(400, f"the Content-Type is longer than {_CONTENT_TYPE_CHARS} characters", field="Content-Type")
+        words = Phrase("the Content-Type is longer than {most} characters", most=_CONTENT_TYPE_CHARS)
+        raise Problem(400, words, field="Content-Type")
     kind, options = _options(header.encode("latin-1"))
     if kind != b"multipart/form-data":
-        raise Problem(415, "the Content-Type must be multipart/form-data", field="Content-Type")
+        raise Problem(415, Phrase("the Content-Type must be multipart/form-data"), field="Content-Type")
     boundary = options.get(b"boundary", b"")
     if not 1 <= len(boundary) <= 70:
-        raise Problem(400, "the Content-Type names no boundary of 1 to 70 characters", field="Content-Type")
+        raise Problem(400, Phrase("the Content-Type names no boundary of 1 to 70 characters"), field="Content-Type")
     return boundary
 
 
@@ -227,7 +233,7 @@ def _require_fitting(request: Request, most: int, picture: str) -> None:
 
 
 def _too_large(most: int, picture: str) -> Problem:
-    return Problem(413, f"the picture is too large; allowed: {most / 1e6:g} MB", field=picture)
+    return Problem(413, Phrase("the picture is too large; allowed: {most_mb:g} MB", most_mb=most / 1e6), field=picture)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.errors import FailedError, PictureError
 from service.job.picture.limits import PictureFacts
 from service.processes.line_child import ChildDied, ChildLate, LineChild
@@ -41,7 +42,7 @@ class PictureChecker:
         answer: Future[PictureFacts] = Future()
         with self._gate:
             if self._closed:
-                raise FailedError("pictures are not checked any more: the server is ending")
+                raise FailedError(Phrase("pictures are not checked any more: the server is ending"))
             self._requests.put(({"path": str(path), "name": name, "max_pixels": max_pixels}, answer))
         return answer.result()
 
@@ -74,17 +75,22 @@ class PictureChecker:
                 return _facts(child.ask(asked, self._time_limit_s))
             except ChildLate:
                 self._drop()
-                raise PictureError(f"{name}: takes longer than {self._time_limit_s:g} s to decode") from None
+                limit_s = self._time_limit_s
+                words = Phrase("{name}: takes longer than {limit_s:g} s to decode", name=name, limit_s=limit_s)
+                raise PictureError(words) from None
             except (ChildDied, OSError):
                 self._drop()
-        raise PictureError(f"{name}: the picture is damaged (decoding it ended the process that did it)")
+        raise PictureError(
+            Phrase("{name}: the picture is damaged (decoding it ended the process that did it)", name=name)
+        )
 
     def _ready_child(self) -> LineChild:
         if self._child is None:
             try:
                 self._child = LineChild(_MODULE)
             except (OSError, ChildDied, ChildLate):
-                raise FailedError("pictures cannot be checked: the process for it does not start") from None
+                words = Phrase("pictures cannot be checked: the process for it does not start")
+                raise FailedError(words) from None
         return self._child
 
     def _drop(self) -> None:

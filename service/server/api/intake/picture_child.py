@@ -45,7 +45,7 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
     try:
         return {"facts": dataclasses.asdict(check_picture(Path(asked["path"]), limits, asked["name"]))}
     except PictureError as error:
-        return {"refused": str(error).split("\n")}
+        return {"refused": error.lines}
 
 
 if __name__ == "__main__":

@@ -7,15 +7,18 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.http.problems import Kind, Problem
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolved import ResolvedJob
+from service.job.spec.section import RuleError
 from service.server.api.access.scopes import Principal
 from service.server.api.intake.form import JobForm
 from service.server.database.records import NORMAL, PRIORITIES, ClientKey
 
 _DEEPEST = 20
+_TOO_DEEP = Phrase("the part 'spec' is nested too deeply")
 _MOST_VALUES = 20_000  # a measured light has 128 x 128, all the rest of a spec a few hundred
 
 
@@ -46,7 +49,7 @@ def idempotency_key(header: str | None, principal: Principal) -> ClientKey | Non
         return None
     key = header.strip()
     if not 1 <= len(key) <= 200 or not (key.isascii() and key.isprintable()):
-        raise Problem(422, "the key must be 1 to 200 printable ASCII characters", field="Idempotency-Key")
+        raise Problem(422, Phrase("the key must be 1 to 200 printable ASCII characters"), field="Idempotency-Key")
     return ClientKey(principal.id, key)
 
 
@@ -57,7 +60,7 @@ def _resolve(text: bytes) -> ResolvedJob:
     except SpecError:
         raise
     except (TypeError, ValueError, KeyError, AttributeError, RecursionError, ArithmeticError) as error:
-        raise Problem(422, "the spec is not made as a spec is", field="spec", kind=Kind.SPEC) from error
+        raise Problem(422, Phrase("the spec is not made as a spec is"), field="spec", kind=Kind.SPEC) from error
 
 
 def _parse(text: bytes) -> dict[str, Any]:
@@ -66,21 +69,22 @@ def _parse(text: bytes) -> dict[str, Any]:
     The values are counted before they are parsed: what each of them costs from here on is paid by this process.
     """
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
-        raise _unusable(f"holds more than {_MOST_VALUES} values")
+        raise _unusable(Phrase("the part 'spec' holds more than {most} values", most=_MOST_VALUES))
     try:
         data = json.loads(
             text.decode("utf-8-sig"), object_pairs_hook=_refuse_duplicates, parse_constant=_refuse_constant
         )
     except UnicodeDecodeError:
-        raise _unusable("is not UTF-8") from None
+        raise _unusable(Phrase("the part 'spec' is not UTF-8")) from None
     except RecursionError:
-        raise _unusable("is nested too deeply") from None
+        raise _unusable(_TOO_DEEP) from None
     except ValueError as error:
-        raise _unusable(f"is not JSON: {' '.join(str(error).split())[:120]}") from None
+        cause = error.words if isinstance(error, RuleError) else " ".join(str(error).split())[:120]
+        raise _unusable(Phrase("the part 'spec' is not JSON: {cause}", cause=cause)) from None
     if not isinstance(data, dict):
-        raise _unusable("must be a JSON object")
+        raise _unusable(Phrase("the part 'spec' must be a JSON object"))
     if _depth(data) > _DEEPEST:
-        raise _unusable("is nested too deeply")
+        raise _unusable(_TOO_DEEP)
     return data
 
 
@@ -88,13 +92,13 @@ def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for key, value in pairs:
         if key in made:
-            raise ValueError(f"the key '{key[:60]}' is there twice")
+            raise RuleError(Phrase("the key '{key}' is there twice", key=" ".join(key[:60].split())))
         made[key] = value
     return made
 
 
 def _refuse_constant(word: str) -> float:
-    raise ValueError(f"{word} is no number")
+    raise RuleError(Phrase("{word} is no number", word=word))
 
 
 def _depth(value: object) -> int:
@@ -102,8 +106,8 @@ def _depth(value: object) -> int:
     return 0 if inner is None else 1 + max(map(_depth, inner), default=0)
 
 
-def _unusable(words: str) -> Problem:
-    return Problem(422, f"the part 'spec' {words}", field="spec", kind=Kind.SPEC)
+def _unusable(words: Phrase) -> Problem:
+    return Problem(422, words, field="spec", kind=Kind.SPEC)
 
 
 def _priority(text: bytearray | None) -> int:
@@ -111,6 +115,6 @@ def _priority(text: bytearray | None) -> int:
         return NORMAL
     word = text.decode("utf-8", "replace").strip()
     if word not in PRIORITIES:
-        allowed = ", ".join(PRIORITIES)
-        raise Problem(422, f"priority is '{word[:40]}'; allowed: {allowed}", field="priority")
+        words = Phrase("priority is '{word}'; allowed: {allowed}", word=word[:40], allowed=", ".join(PRIORITIES))
+        raise Problem(422, words, field="priority")
     return PRIORITIES[word]

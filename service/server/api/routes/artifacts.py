@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Path, Request, Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.download import Conditions, download
@@ -98,8 +99,9 @@ async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: 
     services = services_of(request)
     found = programs(await asyncio.to_thread(services.book.list_artifacts, str(job_id)))
     if n not in found:
-        offered = ", ".join(map(str, found)) or "none yet"
-        raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")
+        offered = ", ".join(map(str, found)) or Phrase("none yet")
+        words = Phrase("the job offers no program {number}; offered: {offered}", number=n, offered=offered)
+        raise Problem(404, words, field="n")
     return await send_artifact(request, found[n], asked)
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request
 from starlette.responses import Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.event_feed import EventStream
@@ -48,7 +49,7 @@ async def events(
     if await asyncio.to_thread(_is_over, services, str(job_id), after):
         return Response(status_code=204)
     if services.feed.full:
-        raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
+        raise Problem(503, Phrase("too many followers already; ask again later"), headers={"Retry-After": "5"})
     return EventStream(services.feed, services.book, str(job_id), after or 0)
 
 
@@ -57,7 +58,7 @@ def _after(last_event_id: str | None) -> int | None:
         return None
     text = last_event_id.strip()
     if not (text.isascii() and text.isdigit() and len(text) <= 9):
-        raise Problem(422, "this is no id of an event of ours", field="Last-Event-ID")
+        raise Problem(422, Phrase("this is no id of an event of ours"), field="Last-Event-ID")
     return int(text)
 
 

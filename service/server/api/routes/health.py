@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
+from phrases.phrase import Phrase, join
 from service.http.problems import Kind, Problem
 from service.server.api.access.scopes import ADMIN, is_open_here, require
 from service.server.api.openapi import Responses, answers, example
@@ -59,7 +60,7 @@ async def readyz(request: Request) -> Ready:
     checks = await services.readiness.checks()
     wrong = {name: words for name, words in checks.items() if words != "ok"}
     if wrong:
-        detail = "; ".join(f"{name}: {words}" for name, words in wrong.items())
+        detail = join("; ", (Phrase("{name}: {words}", name=name, words=words) for name, words in wrong.items()))
         more = {"ready": False, "checks": checks}
         raise Problem(
             503, detail, field=next(iter(wrong)), kind=Kind.NOT_READY, headers={"Retry-After": "2"}, more=more
@@ -81,5 +82,5 @@ async def metrics(request: Request) -> Response:
     try:
         text = await services.metrics.text()
     except TimeoutError:
-        raise Problem(503, "the figures are not counted yet", headers={"Retry-After": "2"}) from None
+        raise Problem(503, Phrase("the figures are not counted yet"), headers={"Retry-After": "2"}) from None
     return Response(text, headers={"Content-Type": CONTENT_TYPE_LATEST})

@@ -11,6 +11,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.client_address import address_of, is_this_computer
 from service.server.api.access.scopes import Admin, Principal, require
@@ -70,10 +71,12 @@ def _pair(request: Request, body: PairingBody) -> PairingView:
     try:
         token, secret = services.pairings.pair(body.code, body.name, address=address, counts_for_all=counts_for_all)
     except WrongCodeError as error:
-        again = ". The code has just been printed again where the server runs" if services.terminal.show() else ""
-        raise Problem(403, f"{error}{again}", field="code", more={"left": error.left}) from None
+        words = str(error)
+        if services.terminal.show():
+            words = Phrase("{refusal}. The code has just been printed again where the server runs", refusal=words)
+        raise Problem(403, words, field="code", more={"left": error.left}) from None
     except NoCodeError as error:
-        words = "this code has ended; a new one has just been printed where the server runs"
+        words = Phrase("this code has ended; a new one has just been printed where the server runs")
         raise Problem(403, words if services.terminal.show() else str(error), field="code") from None
     except TooManyTriesError as error:
         raise Problem(429, str(error), field="code", headers={"Retry-After": str(error.wait_s)}) from None
@@ -100,7 +103,10 @@ async def list_tokens(request: Request, _: Admin) -> TokenList:
 async def create(request: Request, response: Response, principal: Admin, body: NewTokenBody) -> NewTokenView:
     """The answer holds the token, this once."""
     if beyond := sorted(set(body.scopes) - principal.scopes):
-        words = f"your token lacks {', '.join(beyond)} itself; `causticmill token create` on the server gives it"
+        words = Phrase(
+            "your token lacks {scopes} itself; `causticmill token create` on the server gives it",
+            scopes=", ".join(beyond),
+        )
         raise Problem(403, words, field="scopes")
     expires_at = None if body.expires_in_s is None else time.time() + body.expires_in_s
     tokens = services_of(request).tokens

@@ -10,6 +10,7 @@ from uuid import UUID
 import structlog
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader, Writer
 from service.server.api.answers.download import matches
@@ -129,7 +130,7 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
     try:
         found = services.book.list_rows(states=states, limit=limit + 1, before=before)
     except UnknownJobError:
-        raise Problem(422, "the job of this cursor is gone; begin again without it", field="cursor") from None
+        raise Problem(422, Phrase("the job of this cursor is gone; begin again without it"), field="cursor") from None
     page = found[:limit]
     more = [("state", str(state)) for state in states] + [("limit", str(limit))]
     address = "/v1/jobs?" + urlencode([*more, ("cursor", page[-1].id)]) if len(found) > limit else None

@@ -12,6 +12,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.job.report.pictures import PICTURES
 from service.job.spec.model import JobSpec
@@ -63,7 +64,7 @@ def file(request: Request, path: str) -> Response:
     """On a thread of its own kind: a disk may be slow."""
     found = _files.file(path)
     if found is None:
-        raise Problem(404, f"the page has no file '{path[:100]}'", field="path")
+        raise Problem(404, Phrase("the page has no file '{path}'", path=path[:100]), field="path")
     return _answer_file(request, found)
 
 
@@ -71,7 +72,7 @@ def _index(request: Request) -> Response:
     """Return what a browser gets at /."""
     found = _files.file(INDEX)
     if found is None:
-        raise Problem(404, "the page is not installed", field="path")
+        raise Problem(404, Phrase("the page is not installed"), field="path")
     return _answer_file(request, found, vary="Accept, Accept-Encoding")
 
 

@@ -17,6 +17,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi import Path as InPath
 
 from machines.profile import profile_names
+from phrases.phrase import Phrase, phrases_in
 from service.errors import PictureError
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
@@ -81,7 +82,7 @@ async def post_look(request: Request, response: Response, principal: Writer, job
             caller = f"{principal.id or principal.name} {job_id}"
             found = await asyncio.wrap_future(services.looks.ask(caller, {**photo, "job": folder}))
     response.headers["Cache-Control"] = "no-store"
-    return found
+    return {**found, "phrases": phrases_in(found)}
 
 
 @router.get(
@@ -105,7 +106,9 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
     try:
         archive = await asyncio.to_thread(Path(found["archive"]).read_bytes)
     except FileNotFoundError:
-        raise Problem(503, "the test piece is being made anew; try again", headers={"Retry-After": "5"}) from None
+        raise Problem(
+            503, Phrase("the test piece is being made anew; try again"), headers={"Retry-After": "5"}
+        ) from None
     headers = {
         "Cache-Control": "private, no-cache",
         "Content-Disposition": f'attachment; filename="{job_files.COUPON_ARCHIVE}"',
@@ -133,7 +136,7 @@ async def measure(request: Request, response: Response, principal: Writer, profi
         asked = {**_piece_of(services, profile), **photo}
         found = await asyncio.wrap_future(services.looks.ask(caller, asked, is_long=True))
     response.headers["Cache-Control"] = "no-store"
-    return found
+    return {**found, "phrases": phrases_in(found)}
 
 
 @asynccontextmanager
@@ -159,7 +162,8 @@ def _piece_of(services: Services, profile: str) -> dict[str, Any]:
 
 def _require_profile(name: str) -> None:
     if name not in (known := profile_names()):
-        raise Problem(404, f"there is no machine profile {name!r}; allowed: {', '.join(known)}")
+        words = Phrase("there is no machine profile {name}; allowed: {known}", name=repr(name), known=", ".join(known))
+        raise Problem(404, words)
 
 
 def _fetch(services: Services, job_id: str, folder: Path) -> None:
@@ -168,7 +172,8 @@ def _fetch(services: Services, job_id: str, folder: Path) -> None:
     files = {file.name: file for file in services.book.list_artifacts(job_id)}
     missing = [name for name in (job_files.HEIGHTFIELD, job_files.MAP) if name not in files]
     if missing:
-        raise Problem(409, f"the job has no {missing[0]} yet: there is no lens to compare a photograph with")
+        words = Phrase("the job has no {file} yet: there is no lens to compare a photograph with", file=missing[0])
+        raise Problem(409, words)
     for name in (job_files.HEIGHTFIELD, job_files.MAP, *FORETOLD.values()):
         if name in files:
             services.store.fetch(files[name].sha256, folder / name)

@@ -17,6 +17,7 @@ from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from machines.mill.orders import Stop, suspend_aware_clock_s
+from phrases.phrase import Phrase, phrases_in
 from service.http.problems import Problem
 from service.server.api.access.order_context import context_of
 from service.server.api.access.scopes import is_at_server
@@ -83,11 +84,13 @@ async def _stop(socket: WebSocket, services: Services, context: OrderContext, as
     what, machine = str(asked.get("what")), str(asked.get("machine"))[:100]
     try:
         if what not in set(Stop):
-            raise Problem(422, f"what is {what[:40]!r}; allowed: {', '.join(Stop)}", field="what")
+            words = Phrase("what is {value}; allowed: {allowed}", value=repr(what[:40]), allowed=", ".join(Stop))
+            raise Problem(422, words, field="what")
         order = await services.fleet.stops.stop_machine(machine, Stop(what), context)
         answer |= {"taken": True} | order.model_dump(mode="json")
     except Problem as problem:
         answer |= {"taken": False, "detail": problem.detail, "code": problem.code, "values": problem.values}
+        answer |= {"phrases": phrases_in(problem.detail)}
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
         await socket.send_json(answer)
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import structlog
 from fastapi import APIRouter, Header, Request, Response
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Writer
 from service.server.api.answers.job_views import read_view
@@ -102,7 +103,7 @@ def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, 
     services.pictures.check(form.path, form.image_name, services.settings.max_pixels)
     stored = services.store.put_file(form.path)
     if stored.sha256 != form.image_sha256:
-        raise Problem(503, "the picture changed on its way into the artifact store; send it again")
+        raise Problem(503, Phrase("the picture changed on its way into the artifact store; send it again"))
     new = NewJob(
         name=form.image_name,
         spec=wanted.spec,

@@ -1,7 +1,8 @@
 """The inside of a stage's process: limits, the watch over the worker's beats, and the words it sends on its pipe.
 
 Words are JSON lines: {"share": 0.5} any number of times, then one of {"result": ...}, {"failed": [lines]},
-{"refused": [lines], "field": key}, {"crashed": words}. Everything printed goes to the stage's log.
+{"refused": [lines], "field": key}, {"crashed": words}; beside lines their "phrases". Everything printed goes to the
+stage's log.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, PictureError, ServiceError, SpecError, printable, sentence_of_os_error
 from service.processes.linux import address_space_bytes, die_with_parent, name_process
 
@@ -153,9 +155,9 @@ def _work(given: ChildOrder, words: MessagePipe) -> dict[str, Any]:
             order = json.load(file)
         return {"result": find_entry(given.entry)(order, words.send_share)}
     except InputError as error:
-        return {"refused": str(error).split("\n"), "field": _field(error)}
+        return {"refused": error.lines, "phrases": phrases_in(error.lines), "field": _field(error)}
     except ServiceError as error:
-        return {"failed": str(error).split("\n")}
+        return _failed(*error.lines)
     except BaseException as error:  # SystemExit of a library, too: the process has its say before it ends
         traceback.print_exc()
         return _word_of(error, given.memory_mb)
@@ -165,16 +167,21 @@ def _word_of(error: BaseException, memory_mb: int) -> dict[str, Any]:
     no_thread = isinstance(error, RuntimeError) and "start new thread" in str(error)
     no_memory = isinstance(error, OSError) and error.errno == errno.ENOMEM
     if isinstance(error, MemoryError) or no_thread or no_memory:
-        return {"failed": [out_of_memory(memory_mb)]}
+        return _failed(out_of_memory(memory_mb))
     if isinstance(error, OSError) and error.errno in _HOPELESS:
-        return {"failed": [sentence_of_os_error(error, doing="cannot use")]}
+        return _failed(sentence_of_os_error(error, doing=Phrase("cannot use")))
     return {"crashed": printable(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")}
 
 
-def out_of_memory(memory_mb: int) -> str:
-    return (
-        f"out of memory: a stage may take {memory_mb} MB here (CAUSTICMILL_STAGE_MEMORY_MB);"
-        " a smaller image.pixels needs less"
+def _failed(*lines: str) -> dict[str, Any]:
+    return {"failed": lines, "phrases": phrases_in(lines)}
+
+
+def out_of_memory(memory_mb: int) -> Phrase:
+    return Phrase(
+        "out of memory: a stage may take {memory_mb} MB here (CAUSTICMILL_STAGE_MEMORY_MB); a smaller image.pixels "
+        "needs less",
+        memory_mb=memory_mb,
     )
 
 

@@ -16,6 +16,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.processes.source_tree import python_path
 from service.server.worker.process.forkserver import MESSAGE_BYTES
 from service.settings import ServerSettings
@@ -106,7 +107,7 @@ class _ForkServer:
             self._its_line.close()
             self._listen()
         except OSError as error:
-            self.words = f"cannot start the stages' process: {error.strerror or error}"
+            self.words = Phrase("cannot start the stages' process: {cause}", cause=error.strerror or str(error))
         finally:
             self._end()
 
@@ -180,7 +181,7 @@ class _ForkServer:
         self._its_line.close()
         if self._process is not None:
             code = _wait_for(self._process)
-            self.words = self.words or f"the stages' process ended (code {code})"
+            self.words = self.words or Phrase("the stages' process ended (code {code})", code=code)
         with self.lock:
             self.over.set()
             self.ready.set()

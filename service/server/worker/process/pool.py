@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.server.worker.lease import SAFE_SHARE
 from service.server.worker.process.forkserver_client import Child, ForkServerError, ForkServerLink
@@ -92,7 +93,7 @@ class StageProcesses:
                 return self._link.start_child(server, files.given, silence_s=SAFE_SHARE * self._settings.lease_s)
             except ForkServerError as error:
                 words = str(error)
-        return Crashed(f"the stage could not be started: {words}")
+        return Crashed(Phrase("the stage could not be started: {cause}", cause=words))
 
 
 class _Files:

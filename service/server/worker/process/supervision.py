@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from phrases.phrase import Phrase, restore
 from service.errors import printable
 from service.processes.linux import give_back_blocks, list_living_members, signal_group, signal_stage
 from service.server.worker.process.child import out_of_memory
@@ -152,7 +153,7 @@ class Supervision:
             if reason := self._task.stop():
                 self._end_with(Stopped(reason))
             elif now > self._begun + limit_s:
-                self._end_with(Failed((f"the stage took longer than {limit_s:g} s (CAUSTICMILL_STAGE_TIME_S)",)))
+                self._end_with(Failed((_out_of_time(limit_s),)))
             elif now > self._beaten_at + self._task.settings.lease_s / 20:
                 self._beaten_at = now
                 self._link.send_beat(self._child)
@@ -185,9 +186,9 @@ class Supervision:
             case {"result": dict() as result}:
                 return Done(result)
             case {"refused": list() as lines, "field": str() as field}:
-                return Refused(_lines(lines), field)
+                return Refused(self._restore(lines), field)
             case {"failed": list() as lines}:
-                return Failed(_lines(lines))
+                return Failed(self._restore(lines))
             case {"crashed": str() as words}:
                 return Crashed(printable(words))
         return None
@@ -197,14 +198,22 @@ class Supervision:
         if child.silent:
             return Stopped("fenced")
         if child.orphaned or child.status is None:
-            return Crashed("the process that starts the stages died, and this stage with it")
+            return Crashed(Phrase("the process that starts the stages died, and this stage with it"))
         if child.peak_mb > _MEMORY_SHARE * self._task.settings.stage_memory_mb:
             return Failed((out_of_memory(self._task.settings.stage_memory_mb),))
         code = os.waitstatus_to_exitcode(child.status)
         if code >= 0:
-            return Crashed(f"the stage's process ended with code {code} and without a result")
-        hint = ": perhaps this computer is short of memory" if code == -signal.SIGKILL else ""
-        return Crashed(f"the stage's process was ended by signal {-code} ({_signal_name(-code)}){hint}")
+            return Crashed(Phrase("the stage's process ended with code {code} and without a result", code=code))
+        words = Phrase(
+            "the stage's process was ended by signal {number} ({name})", number=-code, name=_signal_name(-code)
+        )
+        if code == -signal.SIGKILL:
+            words = Phrase("{cause}: perhaps this computer is short of memory", cause=words)
+        return Crashed(words)
+
+    def _restore(self, lines: list[Any]) -> tuple[str, ...]:
+        phrases = self._words.last.get("phrases", {})
+        return tuple(restore(printable(str(line)), phrases) for line in lines)
 
 
 class _MessageReader:
@@ -258,12 +267,12 @@ class _MessageReader:
             self._share = min(1.0, max(0.0, float(share)))
 
 
-def _lines(lines: list[Any]) -> tuple[str, ...]:
-    return tuple(printable(str(line)) for line in lines)
+def _out_of_time(limit_s: float) -> Phrase:
+    return Phrase("the stage took longer than {limit_s:g} s (CAUSTICMILL_STAGE_TIME_S)", limit_s=limit_s)
 
 
 def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
     except ValueError:
-        return "unknown"
+        return Phrase("unknown")

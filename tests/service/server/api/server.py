@@ -152,4 +152,7 @@ def problem(answer: httpx.Response, status: int, field: str | None = None) -> di
     assert body["status"] == status and body["type"].startswith("urn:causticmill:problem:") and body["detail"]
     if field is not None:
         assert body["field"] == field
+    if not answer.request.url.path.startswith(("/v1/machines", "/v1/runs")):  # what mills say has codes
+        said = {body["detail"], *(row["detail"] for row in body.get("problems", []))}
+        assert sorted(said - body.get("phrases", {}).keys()) == []  # another language can say all of it
     return dict(body)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 
+from phrases.phrase import Phrase, phrases_in
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import Claim, StageClose, WorkBook
 from service.server.database.connection import begin_writing
@@ -233,6 +234,15 @@ def test_cancelled_in_the_last_moment_is_cancelled(book: JobBook, work: WorkBook
     assert work.read_wishes([claim])[claim.job.id] == "cancelled"
     work.finish(claim, JobState.SUCCEEDED, report={})
     assert book.get(claim.job.id).state == JobState.CANCELLED
+
+
+def test_why_a_job_failed_can_be_said_in_another_language(book: JobBook, work: WorkBook) -> None:
+    claim = claimed(book, work)
+    detail = Phrase("the stage took longer than {limit_s:g} s", limit_s=60)
+    work.finish(claim, JobState.FAILED, error={"stage": "map", "detail": detail, "field": None})
+    told = {**(book.get(claim.job.id).error or {})}
+    assert told == {"stage": "map", "detail": detail, "field": None, "phrases": phrases_in(detail)}
+    assert book.list_events(claim.job.id)[-1].data["error"] == told
 
 
 def test_news_of_many_jobs_come_together(book: JobBook, work: WorkBook) -> None:

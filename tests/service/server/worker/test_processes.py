@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from phrases.phrase import phrases_in
 from service.processes.linux import own_children
 from service.server.worker.process.child import MessagePipe
 from service.server.worker.process.pool import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
@@ -56,6 +57,15 @@ def test_a_stage_has_no_files_of_others_open(bench: Bench) -> None:
 def test_an_error_in_a_stage_has_its_name(bench: Bench, kind: str, args: list[Any], expected: StageEnd) -> None:
     assert bench.run("raise_error", kind=kind, args=args) == expected
     assert ("Traceback" in bench.log.read_text()) == isinstance(expected, Crashed | Failed) or kind == "FailedError"
+
+
+def test_what_a_stage_refuses_can_be_said_in_another_language(bench: Bench) -> None:
+    end = bench.run("refuse_far", how="too far")
+    assert isinstance(end, Refused)
+    (line,) = end.lines
+    far = {"template": "is {how}", "values": {"how": "too far"}}
+    told = {"template": "{key}: {sentence}", "values": {"key": "stock.x_mm", "sentence": far}}
+    assert phrases_in(end.lines) == {line: told}
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])

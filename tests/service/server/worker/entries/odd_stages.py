@@ -106,6 +106,13 @@ def raise_error(order, on_progress):
     raise kinds[order["kind"]](*order["args"])
 
 
+def refuse_far(order, on_progress):
+    from phrases.phrase import Phrase
+    from service.errors import SpecError
+
+    raise SpecError([("stock.x_mm", Phrase("is {how}", how=order["how"]))])
+
+
 def garbage(order, on_progress):
     """Into every pipe this process has; only that of the words can be written to."""
     for file in Path("/proc/self/fd").iterdir():
