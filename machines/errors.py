@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from enum import Enum
 
 from machines.codes import MillCode
+from phrases.phrase import Phrase
 
 
 class MachineError(Exception):
@@ -50,8 +51,9 @@ class WrongStateError(NotAllowedError):
 class ProgramRefusedError(MachineError):
     """A program may not be sent. `line` counts from 1; 0 where the fault is not in one line."""
 
-    def __init__(self, line: int, text: str, reason: str) -> None:
-        super().__init__(f"line {line}: '{text}': {reason}" if line else reason)
+    def __init__(self, line: int, text: str, reason: Phrase) -> None:
+        where = Phrase("line {line}: '{text}': {reason}", line=line, text=text, reason=reason)
+        super().__init__(where if line else reason)
         self.line = line
         self.text = text
         self.reason = reason

@@ -70,6 +70,23 @@ def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
     return {text: text.plain() for text in _find(document)}
 
 
+def restore(document: Any, phrases: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Return a document that was read from JSON with its phrases in place of their texts, but its table."""
+    if isinstance(document, str):
+        return _make(phrases[document], document) if document in phrases else document
+    if isinstance(document, Mapping):
+        return {key: restore(value, phrases) for key, value in document.items() if key != "phrases"}
+    if isinstance(document, list):
+        return [restore(value, phrases) for value in document]
+    return document
+
+
+def _make(plain: Mapping[str, Any], text: str = "") -> Phrase:
+    values = {name: one if isinstance(one, str) else _make(one) for name, one in plain["values"].items()}
+    said = text or _PLACE.sub(lambda place: values.get(place[1], place[0]), plain["template"])
+    return _remake(said, plain["template"], values)
+
+
 def _find(document: Any) -> Iterator[Phrase]:
     if isinstance(document, Phrase):
         yield document

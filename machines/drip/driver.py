@@ -17,6 +17,7 @@ from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
 from machines.driver import Command, CommandDone, DriverFacts, MillState, Notice, ProgramLine, Unlock
 from machines.errors import NotAllowedError, ProgramRefusedError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -51,16 +52,16 @@ class DripOptions:
     latency_s: float = 0.004
 
 
-def refuse_text(text: bytes) -> str:
-    """Return why this block cannot go over a 7-bit line to such a control; empty if it can."""
+def refuse_text(text: bytes) -> Phrase | None:
+    """Return why this block cannot go over a 7-bit line to such a control; None if it can."""
     for byte in text:
         if not 0x20 <= byte < 0x7F:
-            return f"byte 0x{byte:02x} is not printable 7-bit text"
+            return Phrase("byte 0x{byte:02x} is not printable 7-bit text", byte=byte)
     if text != text.upper():
-        return "lower case: the control takes upper case only"
+        return Phrase("lower case: the control takes upper case only")
     if _TAPE_MARK in text and text.strip() != _TAPE_MARK:
-        return "'%' inside a block would end the tape"
-    return ""
+        return Phrase("'%' inside a block would end the tape")
+    return None
 
 
 class DripDriver(OneWayDriver):
@@ -113,7 +114,7 @@ class DripDriver(OneWayDriver):
             return b""  # the tape marks are written once, by the envelope
         if self._tape_ended:
             raise ProgramRefusedError(
-                line.number, line.text.decode("latin-1"), "stands behind the '%' that ends the tape"
+                line.number, line.text.decode("latin-1"), Phrase("stands behind the '%' that ends the tape")
             )
         return line.text + b"\r\n"
 

@@ -15,6 +15,7 @@ from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
 from machines.driver import DriverFacts, FaultCause, Faulted, MillState, ProgramLine
 from machines.errors import ProgramRefusedError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -82,7 +83,7 @@ class RolandSerialDriver(OneWayDriver):
         bad = next((byte for byte in line.text if byte >= 0x7F or (byte < 0x20 and byte not in b"\t\x03")), None)
         if bad is not None:
             raise ProgramRefusedError(
-                line.number, line.text.decode("latin-1"), f"byte 0x{bad:02x} is not printable text"
+                line.number, line.text.decode("latin-1"), Phrase("byte 0x{byte:02x} is not printable text", byte=bad)
             )
         return line.text + self._line_end
 

@@ -21,9 +21,10 @@ from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placement_problems
+from machines.preflight.limits import MillLimits, limits_of, placement_problems, word_at_present_zero
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
+from phrases.phrase import restore
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
 from service.processes.source_tree import hash_files, python_path
@@ -75,7 +76,7 @@ def run_preflight(
     except OSError as error:
         raise PreflightError(sentence_of_os_error(error, doing="pre-flight")) from None
     problems = placement_problems(found, settings) if settings else ()
-    return replace(found, warnings=(*found.warnings, *(f"{AT_PRESENT_ZERO} {words}" for words in problems)))
+    return replace(found, warnings=(*found.warnings, *map(word_at_present_zero, problems)))
 
 
 def _compute(
@@ -95,7 +96,7 @@ def _compute(
     try:
         answer = _exchange(child, request, on_progress)
         if refused := answer.get("refused"):
-            raise ProgramRefusedError(refused["line"], refused["text"], refused["reason"])
+            raise ProgramRefusedError(**restore(refused, refused["phrases"]))
         if "done" not in answer:
             raise PreflightError(f"pre-flight of {path}: {answer.get('failed') or 'the reading process ended early'}")
         text = staging.read_text(encoding="utf-8")
