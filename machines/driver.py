@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
 
+from phrases.phrase import Phrase
+
 Triple = tuple[float, float, float]
 
 
@@ -43,6 +45,28 @@ class MillState(Enum):
     ALARM = "alarm"  # locked until unlocked or homed
     SLEEP = "sleep"
     TOOL = "tool"  # waits for a tool change or a cycle start asked for by the program
+
+    @property
+    def words(self) -> Phrase:
+        """The same in a sentence."""
+        return _STATE_WORDS[self]
+
+
+_STATE_WORDS = {
+    MillState.DISCONNECTED: Phrase("disconnected"),
+    MillState.CONNECTING: Phrase("connecting"),
+    MillState.IDLE: Phrase("idle"),
+    MillState.RUN: Phrase("run"),
+    MillState.HOLDING: Phrase("holding"),
+    MillState.HELD: Phrase("held"),
+    MillState.JOG: Phrase("jog"),
+    MillState.HOMING: Phrase("homing"),
+    MillState.DOOR: Phrase("door"),
+    MillState.CHECK: Phrase("check"),
+    MillState.ALARM: Phrase("alarm"),
+    MillState.SLEEP: Phrase("sleep"),
+    MillState.TOOL: Phrase("tool"),
+}
 
 
 class FaultCause(Enum):

@@ -93,7 +93,7 @@ class DripDriver(OneWayDriver):
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
         if isinstance(command, Unlock):
             if self._feed is None:
-                raise NotAllowedError("there is no program under way that could wait for DC1")
+                raise NotAllowedError(Phrase("there is no program under way that could wait for DC1"))
             self._go_on(self._port.clock())
             self._channel.events.append(CommandDone(command))
             return

@@ -28,6 +28,7 @@ from machines.driver import (
     TrustPosition,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -123,7 +124,9 @@ class OneWayDriver:
 
     def start(self, lines: Iterator[ProgramLine]) -> None:
         if self.status.state is not MillState.IDLE:
-            raise NotAllowedError(f"a program can start only when the link is idle, it is {self.status.state.value}")
+            raise NotAllowedError(
+                Phrase("a program can start only when the link is idle, it is {state}", state=self.status.state.words)
+            )
         head, tail = self._make_envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
@@ -141,13 +144,15 @@ class OneWayDriver:
 
     def resume(self) -> None:
         if self._feed is None or not self._held:
-            raise NotAllowedError(f"there is nothing to resume: the link is {self.status.state.value}")
+            raise NotAllowedError(
+                Phrase("there is nothing to resume: the link is {state}", state=self.status.state.words)
+            )
         self._held = False
         self._channel.enter(MillState.RUN, self._word_running())
 
     def abort(self) -> None:
         if self.status.state is MillState.DISCONNECTED:
-            raise NotAllowedError("the link is lost: stop the machine at its own panel")
+            raise NotAllowedError(Phrase("the link is lost: stop the machine at its own panel"))
         try:
             if data := self._abort_bytes():
                 self._port.write(data)
@@ -163,7 +168,10 @@ class OneWayDriver:
     def command(self, command: Command) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
-                f"{type(command).__name__} is not possible on this link: do it at the machine's panel"
+                Phrase(
+                    "{command} is not possible on this link: do it at the machine's panel",
+                    command=type(command).__name__,
+                )
             )
         self._channel.update(position_trusted=True)
         self._channel.events.append(CommandDone(command))

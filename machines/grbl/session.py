@@ -45,6 +45,7 @@ from machines.grbl.stream_monitor import StreamMonitor
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import OFFER_S
 from machines.grbl.transmitting import Transmitter
+from phrases.phrase import Phrase
 
 WATCH_S = 0.05
 
@@ -69,7 +70,7 @@ class GrblSession:
     def connect(self, now_s: float) -> None:
         """Begin the handshake."""
         if self.link.phase is not Phase.CLOSED:
-            raise NotAllowedError(f"connect: the link is {self.link.phase.value} already")
+            raise NotAllowedError(Phrase("connect: the link is {phase} already", phase=self.link.phase.value))
         self._splitter.clear()
         self._handshake.begin(now_s)
 

@@ -18,6 +18,7 @@ from machines.grbl.states import HELD_STATES, Phase, detail_words, stands
 from machines.grbl.status import StatusReporter
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import HOLD_S
+from phrases.phrase import Phrase
 
 RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
@@ -73,14 +74,17 @@ class StopControl:
         link, state, report = self.link, self.reporter.state, self.link.view.report
         ready = link.phase in (Phase.HAILING, Phase.READY, Phase.COMMAND, Phase.STREAMING) and report is not None
         if not ready or state not in (MillState.HELD, MillState.TOOL, MillState.DOOR):
-            raise NotAllowedError(f"resume: the mill is {state.value}, it must be held")
+            raise NotAllowedError(Phrase("resume: the mill is {state}, it must be held", state=state.words))
         assert report is not None
         if report.state == "Door" and report.sub:
-            raise NotAllowedError(f"resume: {detail_words(report)}")
+            raise NotAllowedError(Phrase("resume: {detail}", detail=detail_words(report)))
         if self.commands.held_line:
             raise NotAllowedError(
-                f"resume: '{self.commands.held_line}' was ended by the hold and is not taken up again; send a reset "
-                "(from standstill the position is kept), then give the command anew"
+                Phrase(
+                    "resume: '{text}' was ended by the hold and is not taken up again; send a reset (from "
+                    "standstill the position is kept), then give the command anew",
+                    text=self.commands.held_line,
+                )
             )
         link.hold_wanted = self.abort_wanted = False
         if report.state == "Check":

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from machines.driver import Driver, MillState, MillStatus, StreamProgress
 from machines.errors import MachineError
 from machines.grbl.settings import ControllerSettings
+from phrases.phrase import Phrase
 
 BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 AWAY = frozenset({MillState.DISCONNECTED, MillState.CONNECTING})
@@ -38,7 +39,7 @@ class Setup:
     def forget_place(self) -> None:
         self.zeroed, self.zeroed_anew, self.homed = "", "", False
 
-    def digest(self, status: MillStatus, needs: tuple[str, ...]) -> str:
+    def digest(self, status: MillStatus, needs: tuple[Phrase, ...]) -> str:
         """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
         rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, needs)

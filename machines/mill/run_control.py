@@ -12,11 +12,12 @@ from machines.mill.orders import Order
 from machines.mill.run import LINK_LOST, Run
 from machines.mill.view import MillContext
 from machines.runs import RECOVERABLE, RunState
+from phrases.phrase import Phrase
 
 _STANDS = frozenset({MillState.HELD, MillState.DOOR, MillState.TOOL, MillState.SLEEP})
 _QUIET = frozenset({MillState.IDLE, MillState.ALARM, MillState.CHECK, MillState.SLEEP})
 _MOVING = frozenset({RunState.RUNNING, RunState.RECOVERING})
-_TOUCH_OFF = "a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"
+_TOUCH_OFF = Phrase("a program has ended: if the tool is changed now, touch off Z again (probe or set zero)")
 
 
 @dataclass(eq=False)
@@ -57,8 +58,12 @@ class RunControl:
         """Go on after a hold."""
         link, driver = self.context.link, self.context.link.driver
         if link.latched and link.away:
-            words = f"resume: the mill is not connected; the {link.latched} is carried out first when it is back"
-            raise NotAllowedError(words)
+            raise NotAllowedError(
+                Phrase(
+                    "resume: the mill is not connected; the {latched} is carried out first when it is back",
+                    latched=link.latched,
+                )
+            )
         if driver is None:
             words = f"resume: the mill is disconnected ({link.problem}); allowed when it is held"
             raise WrongStateError(words, MillCode.MILL_STATE, link.status.state)
@@ -123,8 +128,8 @@ class RunControl:
         if run.live or run.state in RECOVERABLE:
             clocks = self.context.clock(), self.context.wall_clock()
             run.follow(progress, status, *clocks, moving=status.state is MillState.RUN)
-            if run.journal.failure:
-                raise JournalError(run.journal.failure)
+            if (failure := run.journal.failure) is not None:
+                raise JournalError(failure)
 
     def _mirror(self, run: Run, state: RunState, status: MillStatus, progress: StreamProgress) -> None:
         """Let the run's state follow the mill's: a button on the machine holds a run as well as a call does."""
@@ -162,7 +167,7 @@ class RunControl:
 
         Asked again at every look: a cycle start at the machine must not go on without a journal either.
         """
-        words = f"held because {error}; make room, then resume"
+        words = Phrase("held because {error}; make room, then resume", error=error.words)
         if not self._journal_words:
             self._journal_words = words
             self.context.log.say("journal", words)
@@ -178,7 +183,8 @@ class RunControl:
 
     def note_fault(self, event: Faulted) -> None:
         """Interrupt the live run; drop a link that is lost."""
-        run, words = self.streamed, f"{event.cause.value}: {event.words}"
+        run = self.streamed
+        words = Phrase("{cause}: {words}", cause=event.cause.value, words=event.words)
         self.context.log.say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
         try:

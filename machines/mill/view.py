@@ -14,6 +14,7 @@ from machines.mill.link import MillLink, get_settings
 from machines.mill.orders import NOBODY, Caller, Lease, OrderGate
 from machines.mill.run_store import RunStore
 from machines.runs import RunView
+from phrases.phrase import Phrase, phrases_in
 
 LOG_ENTRIES = 200
 SHOWN_RUNS = 100
@@ -38,7 +39,8 @@ class LogEntry:
         said = {
             "code": self.code, "values": self.values, "answer": self.answer, "by": self.by, "from": self.origin,
         }  # fmt: skip
-        return plain | {name: value for name, value in said.items() if value}
+        told = plain | {name: value for name, value in said.items() if value}
+        return told | ({"phrases": phrases} if (phrases := phrases_in(told)) else {})
 
 
 class MillLog:
@@ -123,7 +125,7 @@ class MillSnapshot:
     runs: tuple[RunView, ...] = ()
     latched: str = ""
     problem: str = ""
-    needs: tuple[str, ...] = ()
+    needs: tuple[Phrase, ...] = ()
     zeroed: str = ""
     zeroed_anew: str = ""
     homed: bool = False
@@ -137,7 +139,7 @@ class MillSnapshot:
         return self.status.state not in (MillState.DISCONNECTED, MillState.CONNECTING)
 
     def as_dict(self) -> dict[str, Any]:
-        return {
+        told = {
             "version": self.version,
             "name": self.name,
             "connected": self.connected,
@@ -145,7 +147,6 @@ class MillSnapshot:
             "progress": _plain(self.progress),
             "protections": list(self.protections),
             "facts": _plain(self.facts) if self.facts is not None else None,
-            "run": self.run.as_dict() if self.run is not None else None,
             "latched": self.latched,
             "problem": self.problem,
             "needs": list(self.needs),
@@ -155,6 +156,10 @@ class MillSnapshot:
             "setup": self.setup,
             "stops": self.stops,
             "control": None if self.lease is None else self.lease.as_dict(),
+        }
+        return told | {
+            "phrases": phrases_in(told),
+            "run": self.run.as_dict() if self.run is not None else None,
             "events": [entry.as_dict() for entry in self.events],
         }
 

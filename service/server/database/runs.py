@@ -15,6 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from machines.runs import LIVE
+from phrases.phrase import phrases_in
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
@@ -214,6 +215,8 @@ class RunBook:
         """Close a run: never handed over, taken back, or given up. An ended run stays what it is."""
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
+            phrases = phrases_in((words, reason))
+            reason = (reason or {}) | {"phrases": phrases} if phrases else reason
             values = {"open": False, "state": state, "words": words[:_WORDS], "reason": reason}
             values["ended_at"] = clock(connection)
             closed = connection.execute(runs.update().where(mine).values(**values)).rowcount

@@ -29,6 +29,7 @@ from service.server.fleet.representation import Surroundings, make_machine_view,
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
+from service.server.schemas.base import phrase_views
 from service.server.schemas.runs import MachineList, MachineView, PastOrders, RecoveryView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store
@@ -82,7 +83,7 @@ class Fleet:
     async def list_machines(self) -> MachineList:
         known, problems = await self._core.list_machines()
         rows = await asyncio.gather(*(self._describe_machine(machine) for machine in known.values()))
-        return MachineList(machines=rows, problems=problems)
+        return MachineList(machines=rows, problems=problems, phrases=phrase_views(problems))
 
     async def get_machine(self, name: str) -> MachineView:
         return await self._describe_machine(await self._core.find_machine(name))
