@@ -58,6 +58,9 @@ def _remake(text: str, template: str, values: dict[str, str]) -> Phrase:
     return made
 
 
+NO_WORDS = Phrase("")
+
+
 def join(separator: str, parts: Iterable[str]) -> Phrase:
     """Return phrases one after the other, as `separator.join` does."""
     named = {f"part{number}": part for number, part in enumerate(parts)}

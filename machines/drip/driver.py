@@ -87,7 +87,7 @@ class DripDriver(OneWayDriver):
     def connect(self) -> None:
         self._open = False
         self._channel.update(controller=FACTS.kind)
-        self._channel.enter(MillState.IDLE, "line open; the control has not asked for anything yet")
+        self._channel.enter(MillState.IDLE, Phrase("line open; the control has not asked for anything yet"))
 
     def command(self, command: Command) -> None:
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
@@ -121,17 +121,17 @@ class DripDriver(OneWayDriver):
     def _may_send(self) -> bool:
         return self._open
 
-    def _word_running(self) -> str:
+    def _word_running(self) -> Phrase:
         if self._ever_open:
             return super()._word_running()
-        return "waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control"
+        return Phrase("waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control")
 
     def _receive(self, data: bytes, now_s: float) -> None:
         for byte in data:
             if byte & 0x80 and not self._said_parity:
                 self._said_parity = True
                 self._channel.events.append(
-                    Notice("the control sends with parity, the port reads 8 bits: check bytesize, parity")
+                    Notice(Phrase("the control sends with parity, the port reads 8 bits: check bytesize, parity"))
                 )
             if byte & 0x7F == DC1:
                 self._go_on(now_s)
@@ -143,7 +143,7 @@ class DripDriver(OneWayDriver):
         self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
         if first and self._feed is not None and not self._held:
             self._channel.enter(MillState.RUN, self._word_running())
-            self._channel.events.append(Notice("the control has asked for the program (DC1)"))
+            self._channel.events.append(Notice(Phrase("the control has asked for the program (DC1)")))
 
     def _stop(self, now_s: float) -> None:
         self._open, self._since_s = False, now_s
@@ -154,8 +154,15 @@ class DripDriver(OneWayDriver):
         waiting = self._feed is not None and not self._feed.finished and not self._held and not self._open
         if waiting and not self._said_quiet and now_s - self._since_s > _QUIET_AFTER_S:
             self._said_quiet = True
-            words = "has held the line (DC3)" if self._ever_open else "has not asked for the program (DC1)"
-            self._channel.events.append(Notice(f"the control {words} for {_QUIET_AFTER_S:g} s: look at its screen"))
+            words = Phrase(
+                "the control has not asked for the program (DC1) for {seconds:g} s: look at its screen",
+                seconds=_QUIET_AFTER_S,
+            )
+            if self._ever_open:
+                words = Phrase(
+                    "the control has held the line (DC3) for {seconds:g} s: look at its screen", seconds=_QUIET_AFTER_S
+                )
+            self._channel.events.append(Notice(words))
 
     def abort(self) -> None:
         self._open = False  # a DC1 of the aborted reading must not start the next program

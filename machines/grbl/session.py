@@ -74,15 +74,15 @@ class GrblSession:
         self._splitter.clear()
         self._handshake.begin(now_s)
 
-    def lose(self, words: str, now_s: float) -> None:
+    def lose(self, words: Phrase, now_s: float) -> None:
         """Give the link up: the port is gone."""
         self._close(words, words, now_s, FaultCause.PORT_LOST)
 
     def close(self, now_s: float) -> None:
         """Give the link up; nothing is written any more."""
-        self._close("closed", "link closed", now_s, None)
+        self._close(Phrase("closed"), Phrase("link closed"), now_s, None)
 
-    def _close(self, words: str, command_words: str, now_s: float, cause: FaultCause | None) -> None:
+    def _close(self, words: Phrase, command_words: Phrase, now_s: float, cause: FaultCause | None) -> None:
         if self.link.phase is Phase.CLOSED:
             return
         line = self.streamer.first_line

@@ -83,7 +83,9 @@ class Stream:
         try:
             line = next(self._lines, None)
         except OSError as error:
-            raise ProgramChangedError(Phrase("the program cannot be read further: {error}", error=error)) from error
+            raise ProgramChangedError(
+                Phrase("the program cannot be read further: {error}", error=str(error))
+            ) from error
         if line is None:
             self.exhausted = True
             return None

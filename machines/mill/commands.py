@@ -40,13 +40,13 @@ from phrases.phrase import Phrase
 _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
 _AXES = "XYZ"
 _STEP_MM = 0.02  # of a coarse mill: its jogs end that much beside what they were asked for
-_NAMES: dict[type[Command], str] = {
-    Home: "Home",
-    Unlock: "Unlock",
-    Reset: "Reset",
-    JogCancel: "End jog",
-    TrustPosition: "Position taken as right",
-    ReadSettings: "Read settings",
+_NAMES: dict[type[Command], Phrase] = {
+    Home: Phrase("Home"),
+    Unlock: Phrase("Unlock"),
+    Reset: Phrase("Reset"),
+    JogCancel: Phrase("End jog"),
+    TrustPosition: Phrase("Position taken as right"),
+    ReadSettings: Phrase("Read settings"),
 }
 
 # The first row that fits counts. A pattern is held against the whole of a $ command, or against one word (G92.1).
@@ -110,7 +110,7 @@ class Commands:
                     Phrase(
                         "{command}: {error}; an interrupted run rests on it",
                         command=type(command).__name__,
-                        error=error,
+                        error=error.words,
                     )
                 ) from None
         stood_mm = driver.status.machine_mm
@@ -153,59 +153,72 @@ def _find_axes_zeroed(command: Command) -> str:
             return ""
 
 
-def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
+def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> Phrase:
     """Return a line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
-    return f"{_word_question(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
+    outcome = done.failure or _came_of_it(done, from_mm, at_mm)
+    return Phrase("{command}: {outcome}", command=_word_question(done.command), outcome=outcome)
 
 
-def _word_question(command: Command) -> str:
+def _word_question(command: Command) -> Phrase:
     match command:
         case Jog():
-            return f"Jog {_way(command.by_mm)}"
+            return Phrase("Jog {way}", way=_way(command.by_mm))
         case ProbeZ():
-            return f"Probe Z down by at most {command.depth_mm:g} mm, plate {command.plate_mm:g} mm"
+            return Phrase(
+                "Probe Z down by at most {depth_mm:g} mm, plate {plate_mm:g} mm",
+                depth_mm=command.depth_mm,
+                plate_mm=command.plate_mm,
+            )
         case ProbeCorner():
-            return f"Probe the corner, cutter of radius {command.cutter_radius_mm:g} mm, plate {command.plate_mm:g} mm"
+            return Phrase(
+                "Probe the corner, cutter of radius {radius_mm:g} mm, plate {plate_mm:g} mm",
+                radius_mm=command.cutter_radius_mm,
+                plate_mm=command.plate_mm,
+            )
         case SetZero():
-            return f"{_together(command.axes)} = 0 here"
+            return Phrase("{axes} = 0 here", axes=_together(command.axes))
+        case Override(what="rapid"):
+            return Phrase("Rapids at {percent} %", percent=command.percent)
+        case Override(what="spindle"):
+            return Phrase("Spindle at {percent} %", percent=command.percent)
         case Override():
-            return f"{'rapids' if command.what == 'rapid' else command.what} at {command.percent} %".capitalize()
+            return Phrase("Feed at {percent} %", percent=command.percent)
         case CheckMode():
-            return f"Check mode {'on' if command.on else 'off'}"
+            return Phrase("Check mode on") if command.on else Phrase("Check mode off")
         case SendBlock():
-            return f"Line {command.text}"
+            return Phrase("Line {text}", text=command.text)
         case _:
             return _NAMES[type(command)]
 
 
-def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None) -> str:
+def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None) -> Phrase:
     match done.command:
         case Jog(by_mm=by_mm) if from_mm is not None and at_mm is not None:
             gone_mm = (at_mm[0] - from_mm[0], at_mm[1] - from_mm[1], at_mm[2] - from_mm[2])
             if all(abs(gone - by) <= _STEP_MM for gone, by in zip(gone_mm, by_mm, strict=True)):
-                return "done"
-            return f"ended after {_way(gone_mm)}"
+                return Phrase("done")
+            return Phrase("ended after {way}", way=_way(gone_mm))
         case SetZero(axes=axes) if at_mm is not None:
             places = (f"{axis} {at_mm[_AXES.index(axis)]:.3f}" for axis in axes)
-            return f"done, at machine {', '.join(places)} mm"
+            return Phrase("done, at machine {place_mm} mm", place_mm=", ".join(places))
         case ProbeZ() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
-            return f"touched at machine Z {contact[2]:.3f} mm"
+            return Phrase("touched at machine Z {contact_mm:.3f} mm", contact_mm=contact[2])
         case ProbeCorner() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
             places = (f"{axis} {mm:.3f}" for axis, mm in zip(_AXES, contact, strict=True))
-            return f"touched at machine {', '.join(places)} mm"
+            return Phrase("touched at machine {place_mm} mm", place_mm=", ".join(places))
         case _:
-            return "done"
+            return Phrase("done")
 
 
 def _way(by_mm: Triple) -> str:
     """Word it as in "X +10 mm, Z -0.5 mm"."""
     moved = ((axis, round(by, 3)) for axis, by in zip(_AXES, by_mm, strict=True))
-    return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or "by nothing"
+    return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or Phrase("by nothing")
 
 
 def _together(axes: str) -> str:
     """Join as in "X, Y and Z"."""
-    return " and ".join((", ".join(axes[:-1]), axes[-1])) if len(axes) > 1 else axes
+    return Phrase("{first} and {last}", first=", ".join(axes[:-1]), last=axes[-1]) if len(axes) > 1 else axes
 
 
 def describe_effect(text: str) -> Phrase:

@@ -40,7 +40,13 @@ class RunControl:
         self._hold_asked = self._abort_asked = False
         self._recovering = run.state is RunState.RECOVERING
         self._journal_words = ""
-        self.context.log.say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
+        words = Phrase(
+            "{run}: {state}, confirmed by {operator}",
+            run=run.view.name,
+            state=run.state.words,
+            operator=run.record["operator"],
+        )
+        self.context.log.say("run", words)
 
     # ------------------------------------------------------------------ what a person asks for
 
@@ -157,7 +163,8 @@ class RunControl:
             "wall_s": round(self.context.wall_clock(), 3),
         }
         words = words or (self._journal_words if state in (RunState.HOLDING, RunState.HELD) else "")
-        self.context.log.say("run", f"{run.view.name}: {state.value}{f' ({words})' if words else ''}")
+        told = Phrase("{state} ({words})", state=state.words, words=words) if words else state.words
+        self.context.log.say("run", Phrase("{run}: {told}", run=run.view.name, told=told))
         # Of any other run than the streamed one the driver knows nothing.
         mark = run.last_mark(self.context.link.progress) if run is self.streamed else {}
         run.move(state, words, **mark, **where, **more)
@@ -184,7 +191,7 @@ class RunControl:
     def note_fault(self, event: Faulted) -> None:
         """Interrupt the live run; drop a link that is lost."""
         run = self.streamed
-        words = Phrase("{cause}: {words}", cause=event.cause.value, words=event.words)
+        words = Phrase("{cause}: {words}", cause=event.cause.words, words=event.words)
         self.context.log.say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
         try:
@@ -212,8 +219,8 @@ class RunControl:
     def note_stop(self, event: Stopped) -> None:
         """End a run that was to be aborted: the mill stands with empty buffers."""
         run = self.context.runs.active
-        kept = "" if event.position_kept else "position lost or never confirmed"
-        self.context.log.say("state", f"stopped{f': {kept}' if kept else ''}")
+        kept, lost = Phrase("stopped"), Phrase("stopped: position lost or never confirmed")
+        self.context.log.say("state", kept if event.position_kept else lost)
         asked, self._abort_asked = self._abort_asked, False
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
             self._end(run, RunState.ABORTED, "aborted by the operator", code=MillCode.ABORTED)

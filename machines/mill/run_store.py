@@ -230,7 +230,7 @@ class RunStore:
             self._runs[run_id] = run
             if content.torn:
                 run.record["torn"] = content.torn
-                self._say("journal", f"{run.view.name or run_id}: {content.torn}")
+                self._say("journal", Phrase("{run}: {torn}", run=run.view.name or run_id, torn=content.torn))
             if run.live:  # whoever wrote that has gone without saying so
                 values = {"state": run.record["state"]}
                 words = Phrase("the agent ended while the run was {state}", state=run.state.words)

@@ -14,7 +14,7 @@ from machines.mill.link import MillLink, get_settings
 from machines.mill.orders import NOBODY, Caller, Lease, OrderGate
 from machines.mill.run_store import RunStore
 from machines.runs import RunView
-from phrases.phrase import Phrase, phrases_in
+from phrases.phrase import NO_WORDS, Phrase, phrases_in
 
 LOG_ENTRIES = 200
 SHOWN_RUNS = 100
@@ -124,7 +124,7 @@ class MillSnapshot:
     run: RunView | None = None
     runs: tuple[RunView, ...] = ()
     latched: str = ""
-    problem: str = ""
+    problem: Phrase = NO_WORDS
     needs: tuple[Phrase, ...] = ()
     zeroed: str = ""
     zeroed_anew: str = ""

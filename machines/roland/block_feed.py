@@ -22,8 +22,9 @@ _MOVES_FRAME = re.compile(rb"G(5[5-9]|92|10|52|43|68)(?!\d)")  # G54 is read bef
 class FeedFault(Exception):
     """Why no further block may go."""
 
-    def __init__(self, cause: FaultCause, words: str, line: int) -> None:
+    def __init__(self, cause: FaultCause, words: Phrase, line: int) -> None:
         super().__init__(words)
+        self.words = words
         self.cause = cause
         self.line = line
 
@@ -79,12 +80,18 @@ class BlockFeed:
             except PortError:
                 raise
             except (MachineError, RmlFault, OSError) as error:
-                raise FeedFault(FaultCause.PROGRAM_CHANGED, str(error), self.sent_line) from error
+                raise FeedFault(
+                    FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), self.sent_line
+                ) from error
 
     def _count(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
         counter, now_s = device.read_counter(), device.clock()
         if (block.counter_after - counter) % COUNTER_MODULUS > len(block.data):
-            words = f"the byte counter is {counter}, at most {block.counter_after} can be right: blocks do not match"
+            words = Phrase(
+                "the byte counter is {counter}, at most {most} can be right: blocks do not match",
+                counter=counter,
+                most=block.counter_after,
+            )
             raise FeedFault(FaultCause.REPLY_COUNT, words, block.line.number)
         if counter != self._counter:
             self._counter, self.changed_s = counter, now_s

@@ -70,7 +70,7 @@ class RolandUsbDriver:
         device = self._device
         if device is None:
             raise NotAllowedError(Phrase("the link was lost: open the mill anew"))
-        self._channel.enter(MillState.CONNECTING, "asking the mill for its state")
+        self._channel.enter(MillState.CONNECTING, Phrase("asking the mill for its state"))
         try:
             model = device.model()
         except PortError as error:
@@ -220,6 +220,6 @@ class RolandUsbDriver:
         if device is not None:
             device.close()  # lets go of the interface, so that the mill can be opened anew
         self._channel.update(position_trusted=False)
-        self._channel.enter(MillState.DISCONNECTED, str(error))
-        words = f"{error}; the mill finishes the few blocks it holds, the spindle may stay on"
+        self._channel.enter(MillState.DISCONNECTED, error.words)
+        words = Phrase("{error}; the mill finishes the few blocks it holds, the spindle may stay on", error=error.words)
         self._channel.events.append(Faulted(FaultCause.PORT_LOST, words, line, now_s))

@@ -14,8 +14,8 @@ from uuid import uuid4
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, OperationalError
 
-from machines.runs import LIVE
-from phrases.phrase import phrases_in
+from machines.runs import LIVE, RunState
+from phrases.phrase import Phrase, phrases_in
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
@@ -73,14 +73,20 @@ class NewRun:
 
 class UnknownRunError(LookupError):
     def __init__(self, run_id: str) -> None:
-        super().__init__(f"there is no run {run_id}")
+        super().__init__(Phrase("there is no run {run_id}", run_id=run_id))
 
 
 class MachineTakenError(Exception):
     """The mill has an open run already."""
 
     def __init__(self, machine: str, other: str) -> None:
-        super().__init__(f"machine '{machine}' has an open run, {other}; it must be finished or aborted first")
+        super().__init__(
+            Phrase(
+                "machine '{machine}' has an open run, {other}; it must be finished or aborted first",
+                machine=machine,
+                other=other,
+            )
+        )
         self.other = other
 
 
@@ -88,10 +94,14 @@ class JobNotReadyError(Exception):
     """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
 
     def __init__(self, job: Job) -> None:
-        state = "being cancelled" if job.state is JobState.RUNNING and job.cancel_requested else job.state
+        state = Phrase("being cancelled") if job.state is JobState.RUNNING and job.cancel_requested else job.state
         super().__init__(
-            f"job {job.id} is {state}; its programs may be run once all of them have been checked, "
-            "and not those of failed or cancelled jobs"
+            Phrase(
+                "job {job} is {state}; its programs may be run once all of them have been checked, and not "
+                "those of failed or cancelled jobs",
+                job=job.id,
+                state=state,
+            )
         )
 
 
@@ -236,7 +246,7 @@ class RunBook:
 
     def _open_id(self, machine: str) -> str:
         other = self.open_on(machine)
-        return other.id if other is not None else "which has just ended"
+        return other.id if other is not None else Phrase("which has just ended")
 
 
 def _get(connection: sa.Connection, run_id: str) -> RunRow:
@@ -254,6 +264,12 @@ def _first_row(new: NewRun, run_id: str, at: float) -> Json:
 def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
     row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": new.request_sha256}
     return row | {"resource_id": run_id, "created_at": at}
+
+
+def word_state(state: str) -> str:
+    """Return a run's state as a sentence has it."""
+    own = {PREPARING: Phrase("preparing"), REFUSED: Phrase("refused"), LOST: Phrase("lost")}
+    return own[state] if state in own else RunState(state).words
 
 
 def read_reason(view: Json) -> Json:

@@ -121,7 +121,7 @@ def _override(fields: Fields) -> Command:
 def _block(fields: Fields) -> Command:
     text = fields.text("text", longest=255)
     if not text.isascii() or not text.isprintable() or any(character in text for character in "?!~"):
-        raise Problem(422, "text must be one line of plain G-code, without ? ! ~", field="text")
+        raise Problem(422, Phrase("text must be one line of plain G-code, without ? ! ~"), field="text")
     if not fields.flag("confirm", False) and (effect := describe_effect(text)):
         effect = Phrase("'{text}' {effect}", text=text.strip(), effect=effect)
         words = Phrase('{effect}. To send it all the same, send it again with "confirm": true', effect=effect)
