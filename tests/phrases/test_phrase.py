@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phrases.phrase import Phrase, join, phrases_in, translate
+from phrases.phrase import Phrase, join, phrases_in, restore, translate
 
 words = st.text(max_size=8)
 plain = words.map(lambda text: text.replace("{", "{{").replace("}", "}}"))
@@ -40,6 +40,8 @@ def test_it_survives_a_pickle_and_is_told_once_more_from_its_parts(made: Phrase)
     assert (again, again.template, again.values) == (made, made.template, made.values)
     told = json.loads(json.dumps({"a": [made], "phrases": phrases_in({"a": [made]})}))
     assert translate(told, told["phrases"], {}) == {"a": [made]}
+    (back,) = restore(told, told["phrases"])["a"]
+    assert (back, back.plain()) == (made, made.plain())
 
 
 @given(st.lists(phrases(depth=0), max_size=4), words)
