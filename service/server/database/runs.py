@@ -90,11 +90,21 @@ class MachineTakenError(Exception):
         self.other = other
 
 
+_JOB_STATES = {
+    JobState.QUEUED: Phrase("queued"),
+    JobState.RUNNING: Phrase("running"),
+    JobState.SUCCEEDED: Phrase("succeeded"),
+    JobState.FAILED: Phrase("failed"),
+    JobState.CANCELLED: Phrase("cancelled"),
+}
+
+
 class JobNotReadyError(Exception):
     """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
 
     def __init__(self, job: Job) -> None:
-        state = Phrase("being cancelled") if job.state is JobState.RUNNING and job.cancel_requested else job.state
+        cancelling = job.state is JobState.RUNNING and job.cancel_requested
+        state = Phrase("being cancelled") if cancelling else _JOB_STATES[job.state]
         super().__init__(
             Phrase(
                 "job {job} is {state}; its programs may be run once all of them have been checked, and not "
