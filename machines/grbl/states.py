@@ -72,7 +72,7 @@ def mill_state(report: Status) -> MillState:
 
 def detail_words(report: Status) -> Phrase:
     if report.state == "Door":
-        return _DOOR.get(report.sub or 0, Phrase("door"))
+        return _DOOR.get(report.sub or 0, Phrase("{state}", state="door"))
     if report.state == "Alarm":
         return Phrase("locked: home ($H) or unlock ($X)")
     return Phrase("")

@@ -120,7 +120,7 @@ class MillCycle:
                     self.context.log.say("state", event.after.value)
         except JournalError as error:
             if run is None:
-                self.context.log.say("journal", str(error))
+                self.context.log.say("journal", error.words)
             else:
                 self.control.hold_without_journal(run, error)
         self.publish()

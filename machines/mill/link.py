@@ -54,7 +54,7 @@ class MillLink:
         connect: Callable[[], Driver],
         clock: Callable[[], float],
         pause: Callable[[float], object] | None,
-        say: Callable[[str, str], None],
+        say: Callable[[str, Phrase], None],
     ) -> None:
         self._connect = connect
         self._clock = clock

@@ -105,7 +105,7 @@ class RunControl:
             ended_s = round(self.context.wall_clock(), 3)
             run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)
         run.let_go()
 
     def _note_asked(self, run: Run, state: RunState) -> None:
@@ -113,7 +113,7 @@ class RunControl:
         try:
             self._change(run, state)
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)
 
     # ------------------------------------------------------------------ what the mill does
 

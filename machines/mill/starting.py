@@ -217,4 +217,4 @@ class RunStarter:
         try:
             self.context.runs.note_touch_off()
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)

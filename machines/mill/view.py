@@ -6,7 +6,7 @@ import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, overload
 
 from machines.driver import DriverFacts, MillState, MillStatus, StreamProgress
 from machines.grbl.settings import ControllerSettings
@@ -51,6 +51,23 @@ class MillLog:
         self._entries: deque[LogEntry] = deque(maxlen=LOG_ENTRIES)
         self.count = 0
 
+    @overload
+    def say(self, kind: Literal["state"], words: str) -> None: ...
+    @overload
+    def say(
+        self, kind: str, words: Phrase, answer: Mapping[str, object] | None = None, caller: Caller = NOBODY
+    ) -> None: ...
+    @overload
+    def say(
+        self,
+        kind: str,
+        words: str,
+        answer: Mapping[str, object] | None = None,
+        caller: Caller = NOBODY,
+        *,
+        code: str,
+        values: Mapping[str, object] | None = None,
+    ) -> None: ...
     def say(
         self,
         kind: str,
@@ -61,6 +78,7 @@ class MillLog:
         code: str = "",
         values: Mapping[str, object] | None = None,
     ) -> None:
+        """Add an entry. The page has words of its own for states and codes; anything else is a phrase."""
         self.count += 1
         entry = LogEntry(
             number=self.count,
