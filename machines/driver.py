@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
 
+from phrases.phrase import NO_WORDS, Phrase
+
 Triple = tuple[float, float, float]
 
 
@@ -44,6 +46,28 @@ class MillState(Enum):
     SLEEP = "sleep"
     TOOL = "tool"  # waits for a tool change or a cycle start asked for by the program
 
+    @property
+    def words(self) -> Phrase:
+        """The same in a sentence."""
+        return _STATE_WORDS[self]
+
+
+_STATE_WORDS = {
+    MillState.DISCONNECTED: Phrase("disconnected"),
+    MillState.CONNECTING: Phrase("connecting"),
+    MillState.IDLE: Phrase("idle"),
+    MillState.RUN: Phrase("run"),
+    MillState.HOLDING: Phrase("holding"),
+    MillState.HELD: Phrase("held"),
+    MillState.JOG: Phrase("jog"),
+    MillState.HOMING: Phrase("homing"),
+    MillState.DOOR: Phrase("door"),
+    MillState.CHECK: Phrase("check"),
+    MillState.ALARM: Phrase("alarm"),
+    MillState.SLEEP: Phrase("sleep"),
+    MillState.TOOL: Phrase("tool"),
+}
+
 
 class FaultCause(Enum):
     """The first sign by which a fault showed itself."""
@@ -59,6 +83,26 @@ class FaultCause(Enum):
     ECHO = "echo differs from what was sent"
     PROGRAM_CHANGED = "program changed on disk"
     DEVICE = "device reports a fault"
+
+    @property
+    def words(self) -> Phrase:
+        """The same in a sentence."""
+        return _CAUSE_WORDS[self]
+
+
+_CAUSE_WORDS = {
+    FaultCause.ERROR_REPLY: Phrase("error reply"),
+    FaultCause.ALARM: Phrase("alarm"),
+    FaultCause.RESET: Phrase("controller restarted"),
+    FaultCause.PORT_LOST: Phrase("port lost"),
+    FaultCause.REPLY_COUNT: Phrase("replies do not match lines"),
+    FaultCause.GARBLED_REPLY: Phrase("garbled reply"),
+    FaultCause.STALL: Phrase("no reply in time"),
+    FaultCause.OFF_PATH: Phrase("position off the programmed path"),
+    FaultCause.ECHO: Phrase("echo differs from what was sent"),
+    FaultCause.PROGRAM_CHANGED: Phrase("program changed on disk"),
+    FaultCause.DEVICE: Phrase("device reports a fault"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +133,7 @@ class MillStatus:
     """
 
     state: MillState = MillState.DISCONNECTED
-    detail: str = ""  # in words: "Door: ajar", "ALARM:2 soft limit ..."
+    detail: Phrase = NO_WORDS  # in words: "Door: ajar", "ALARM:2 soft limit ..."
     code: str = ""  # the same for programs, of MillCode; "": the detail is all
     alarm: int = 0  # number of the alarm that it is locked by
     machine_mm: Triple | None = None
@@ -137,7 +181,7 @@ class Faulted:
     """The stream has stopped by itself; the driver has told the mill to hold wherever it can still be told."""
 
     cause: FaultCause
-    words: str
+    words: Phrase
     line: int = 0  # program line the sign belongs to, 0 if none
     at_s: float = 0.0
     alarm: int = 0  # its number, where it is one
@@ -167,7 +211,7 @@ class CommandDone:
     """A command ended. `answer` holds what it brought, e.g. the probed position; `failure` is empty on success."""
 
     command: Command
-    failure: str = ""
+    failure: Phrase = NO_WORDS
     answer: dict[str, object] = field(default_factory=dict)
 
 
@@ -175,7 +219,7 @@ class CommandDone:
 class Notice:
     """Something the controller said that the operator should see ([MSG:...], unknown lines)."""
 
-    words: str
+    words: Phrase
 
 
 Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | CommandDone | Notice
@@ -193,7 +237,7 @@ class StatusChannel:
         """Change fields of the status."""
         self.status = replace(self.status, **fields)
 
-    def enter(self, state: MillState, detail: str) -> None:
+    def enter(self, state: MillState, detail: Phrase) -> None:
         """Change the state; an event tells of it where it is another."""
         if state is not self.status.state:
             self.events.append(StateChanged(self.status.state, state))

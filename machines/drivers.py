@@ -5,6 +5,7 @@ from __future__ import annotations
 from machines.driver import Driver
 from machines.errors import MachineError, NotAllowedError
 from machines.profile import MachineProfile
+from phrases.phrase import Phrase
 
 
 def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
@@ -13,7 +14,10 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
     url = port_url or profile.link.port
     if kind == "none":
         raise NotAllowedError(
-            f"machine '{profile.name}' has no link from here: copy the program to its own computer and start it there"
+            Phrase(
+                "machine '{machine}' has no link from here: copy the program to its own computer and start it there",
+                machine=profile.name,
+            )
         )
     if kind == "roland-usb":
         from machines.roland.usb_device import open_mdx40a
@@ -22,8 +26,11 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
         return RolandUsbDriver(open_mdx40a(url), dialect=profile.dialect)
     if not url:
         raise NotAllowedError(
-            f"machine '{profile.name}' names no port: give one (/dev/serial/by-id/..., socket://host:port), "
-            "or write port = ... under [link] in a profile of your own"
+            Phrase(
+                "machine '{machine}' names no port: give one (/dev/serial/by-id/..., socket://host:port), or "
+                "write port = ... under [link] in a profile of your own",
+                machine=profile.name,
+            )
         )
     if kind == "grbl":
         return _open_grbl(profile, url)
@@ -31,7 +38,13 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
         return _open_drip(profile, url)
     if kind == "roland-serial":
         return _open_roland_serial(profile, url)
-    raise MachineError(f"machine '{profile.name}': link.driver = '{kind}' is not a driver that exists")
+    raise MachineError(
+        Phrase(
+            "machine '{machine}': link.driver = '{driver}' is not a driver that exists",
+            machine=profile.name,
+            driver=kind,
+        )
+    )
 
 
 def _open_grbl(profile: MachineProfile, url: str) -> Driver:
@@ -49,8 +62,12 @@ def _open_drip(profile: MachineProfile, url: str) -> Driver:
 
     if profile.link.flow != "none":
         raise NotAllowedError(
-            f"machine '{profile.name}': link.flow = '{profile.link.flow}': allowed with the drip driver: 'none' "
-            "(it obeys DC1 and DC3 itself; a port that does would hide them)"
+            Phrase(
+                "machine '{machine}': link.flow = '{flow}': allowed with the drip driver: 'none' (it obeys DC1 "
+                "and DC3 itself; a port that does would hide them)",
+                machine=profile.name,
+                flow=profile.link.flow,
+            )
         )
     return DripDriver(open_port(url, profile.link), profile.link, planner_blocks=profile.planner_blocks)
 
@@ -61,13 +78,20 @@ def _open_roland_serial(profile: MachineProfile, url: str) -> Driver:
 
     if profile.link.flow != "rtscts":
         raise NotAllowedError(
-            f"machine '{profile.name}': link.flow = '{profile.link.flow}': allowed with the Roland serial driver: "
-            "'rtscts' (the mill stops the sender by its handshake line)"
+            Phrase(
+                "machine '{machine}': link.flow = '{flow}': allowed with the Roland serial driver: 'rtscts' "
+                "(the mill stops the sender by its handshake line)",
+                machine=profile.name,
+                flow=profile.link.flow,
+            )
         )
     if "://" in url and not url.startswith("loop://"):
         raise NotAllowedError(
-            f"port {url} cannot tell what it still holds: a busy mill would look like a lost one and a hold would come "
-            "late; allowed: a serial port of this computer"
+            Phrase(
+                "port {url} cannot tell what it still holds: a busy mill would look like a lost one and a hold "
+                "would come late; allowed: a serial port of this computer",
+                url=url,
+            )
         )
     port = open_port(url, profile.link)
     return RolandSerialDriver(port, profile.link, dialect=profile.dialect, planner_blocks=profile.planner_blocks)

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from typing import overload
 
 from machines.codes import MillCode
+from phrases.phrase import Phrase
 
 
 class MachineError(Exception):
-    """Base of all errors of this package; `str(error)` is fit to be shown to the operator.
+    """Base of all errors of this package; `str(error)`, the same as `words`, is fit to be shown to the operator.
 
-    code, values : the same for programs; "" where none tells it apart
+    code, values : the same for programs; "" where none tells it apart. Where there is none, only a phrase can be told
+                   in another language.
     """
 
+    @overload
+    def __init__(self, words: Phrase) -> None: ...
+    @overload
+    def __init__(self, words: str, *, code: str, values: Mapping[str, object] | None = None) -> None: ...
     def __init__(self, words: str, *, code: str = "", values: Mapping[str, object] | None = None) -> None:
         super().__init__(words)
+        self.words = words if isinstance(words, Phrase) else Phrase("{words}", words=words)
         self.code = code
         self.values = dict(values or {})
 
@@ -24,7 +32,7 @@ class PortError(MachineError):
     """The link cannot be opened, or was lost. `url` names it."""
 
     def __init__(self, url: str, text: str) -> None:
-        super().__init__(f"port {url}: {text}")
+        super().__init__(Phrase("port {url}: {text}", url=url, text=text))
         self.url = url
 
 
@@ -50,8 +58,9 @@ class WrongStateError(NotAllowedError):
 class ProgramRefusedError(MachineError):
     """A program may not be sent. `line` counts from 1; 0 where the fault is not in one line."""
 
-    def __init__(self, line: int, text: str, reason: str) -> None:
-        super().__init__(f"line {line}: '{text}': {reason}" if line else reason)
+    def __init__(self, line: int, text: str, reason: Phrase) -> None:
+        where = Phrase("line {line}: '{text}': {reason}", line=line, text=text, reason=reason)
+        super().__init__(where if line else reason)
         self.line = line
         self.text = text
         self.reason = reason

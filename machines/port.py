@@ -23,6 +23,7 @@ from serial.tools import list_ports
 
 from machines.errors import PortError, PortLostError
 from machines.profile import LinkSettings
+from phrases.phrase import Phrase
 
 BY_ID = Path("/dev/serial/by-id")
 READ_BYTES = 4096
@@ -82,7 +83,7 @@ def open_port(url: str, link: LinkSettings) -> Port:
             write_timeout=2.0,
         )
     except ValueError as error:
-        raise PortError(name, f"not a port or URL that is known: {error}") from error
+        raise PortError(name, Phrase("not a port or URL that is known: {reason}", reason=error)) from error
     if "://" not in name:
         line.exclusive = True
         line.dtr = True  # as the kernel sets it on open: no edge is made that would reset the controller
@@ -105,7 +106,9 @@ def _require_address(url: str) -> None:
     except ValueError:
         good = False
     if not good:
-        raise PortError(url, f"names no host and port; allowed: {url.partition('://')[0]}://HOST:PORT")
+        raise PortError(
+            url, Phrase("names no host and port; allowed: {scheme}://HOST:PORT", scheme=url.partition("://")[0])
+        )
 
 
 def _descriptor(line: Any) -> int:
@@ -135,20 +138,24 @@ def _make_open_error(name: str, error: Exception) -> PortError:
     text = str(error)
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in text:
         holder = _holder(name)
-        who = f"process {holder}" if holder else "another program"
-        return PortError(name, f"in use by {who}; close that first")
+        if holder:
+            return PortError(name, Phrase("in use by process {process}; close that first", process=holder))
+        return PortError(name, Phrase("in use by another program; close that first"))
     if number in (errno.EACCES, errno.EPERM):
         return PortError(
-            name, "permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew"
+            name, Phrase("permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew")
         )
     if "://" in name:
-        return PortError(name, f"cannot be reached: {_reason(text)}")
+        return PortError(name, Phrase("cannot be reached: {reason}", reason=_reason(text)))
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or ("could not open port" in text and number is None):
-        there = ", ".join(port_names()) or "none"
-        return PortError(name, f"does not exist; ports here: {there}")
+        return PortError(name, Phrase("does not exist; ports here: {ports}", ports=_list_ports()))
     if number in (errno.EISDIR, errno.ENOTTY) or "not configure port" in text:
-        return PortError(name, f"is not a serial port; ports here: {', '.join(port_names()) or 'none'}")
-    return PortError(name, f"cannot be opened: {_reason(text)}")
+        return PortError(name, Phrase("is not a serial port; ports here: {ports}", ports=_list_ports()))
+    return PortError(name, Phrase("cannot be opened: {reason}", reason=_reason(text)))
+
+
+def _list_ports() -> str:
+    return ", ".join(port_names()) or Phrase("none")
 
 
 def _reason(text: str) -> str:
@@ -271,6 +278,8 @@ class SerialPort:
     def _make_lost_error(self, error: Exception) -> PortLostError:
         self.close()
         if isinstance(error, serial.SerialTimeoutException):
-            return PortLostError(self.url, "takes no bytes any more (2 s): unplugged, or switched off")
-        said = f" ({error})" if isinstance(error, OSError) and error.errno else ""  # pyserial's own words guess
-        return PortLostError(self.url, f"gone: cable out, power off or the far end closed{said}")
+            return PortLostError(self.url, Phrase("takes no bytes any more (2 s): unplugged, or switched off"))
+        gone = Phrase("gone: cable out, power off or the far end closed")
+        if isinstance(error, OSError) and error.errno:  # pyserial's own words guess
+            gone = Phrase("{what} ({reason})", what=gone, reason=error)
+        return PortLostError(self.url, gone)

@@ -17,6 +17,7 @@ from typing import Any
 from machines.driver import Triple
 from machines.errors import MachineError
 from machines.profile_values import LINK_VALUES, PROFILE_VALUES, SPINDLE_VALUES, BadValueError, Rules
+from phrases.phrase import Phrase
 
 _MOST_EXTENDS = 8
 
@@ -25,7 +26,9 @@ class UnknownProfileError(LookupError):
     """No profile has this name; `known` lists those that exist."""
 
     def __init__(self, name: str, known: tuple[str, ...]) -> None:
-        super().__init__(f"no machine profile is called '{name}'; known: {', '.join(known)}")
+        super().__init__(
+            Phrase("no machine profile is called '{name}'; known: {known}", name=name, known=", ".join(known))
+        )
         self.name = name
         self.known = known
 
@@ -33,8 +36,8 @@ class UnknownProfileError(LookupError):
 class ProfileError(MachineError):
     """A profile file that cannot be used: the message names file, key, value and what is allowed."""
 
-    def __init__(self, file: str, text: str) -> None:
-        super().__init__(f"{file}: {text}")
+    def __init__(self, file: str, text: Phrase) -> None:
+        super().__init__(Phrase("{file}: {text}", file=file, text=text))
         self.file = file
         self.text = text
 
@@ -70,17 +73,23 @@ class LinkSettings:
 
 
 _ON_HOLD = {
-    "turns": "the spindle keeps turning in a hold, however long it lasts, with the tool where it stands",
-    "stops": "the spindle stops in a hold and starts again before the program goes on",
-    "unknown": "what the spindle does in a hold is not known for this mill: look before you leave it held",
+    "turns": Phrase("the spindle keeps turning in a hold, however long it lasts, with the tool where it stands"),
+    "stops": Phrase("the spindle stops in a hold and starts again before the program goes on"),
+    "unknown": Phrase("what the spindle does in a hold is not known for this mill: look before you leave it held"),
 }
 _ON_LOST_LINK = {
-    "turns": "when this computer or its cable is gone, the mill carries out what it holds, then stands with the "
-    "spindle turning until somebody comes (see docs/spindle.md for a watchdog)",
-    "stops": "when this computer or its cable is gone, something at the mill itself stops the spindle (as its profile "
-    "says; try it without a tool)",
-    "unknown": "what the spindle does when this computer or its cable is gone is not known for this mill: do not leave "
-    "it alone",
+    "turns": Phrase(
+        "when this computer or its cable is gone, the mill carries out what it holds, then stands with the "
+        "spindle turning until somebody comes (see docs/spindle.md for a watchdog)"
+    ),
+    "stops": Phrase(
+        "when this computer or its cable is gone, something at the mill itself stops the spindle (as its profile "
+        "says; try it without a tool)"
+    ),
+    "unknown": Phrase(
+        "what the spindle does when this computer or its cable is gone is not known for this mill: do not leave "
+        "it alone"
+    ),
 }
 
 
@@ -96,7 +105,7 @@ class SpindleSettings:
     on_lost_link: str = "unknown"
 
     @property
-    def sentences(self) -> tuple[str, str]:
+    def sentences(self) -> tuple[Phrase, Phrase]:
         """The same for a person: in a hold, without a link."""
         return _ON_HOLD[self.on_hold], _ON_LOST_LINK[self.on_lost_link]
 
@@ -214,13 +223,19 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     required = {field.name for field in fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
     if missing:
-        raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')
+        words = Phrase('{keys}: missing; give them, or start from a profile: extends = "grbl"', keys=", ".join(missing))
+        raise ProfileError(file, words)
     profile = MachineProfile(**values, link=link, spindle=spindle)
     if profile.safe_z_mm >= profile.travel_mm[2]:
-        raise ProfileError(file, f"safe_z_mm = {profile.safe_z_mm:g}: allowed: less than the travel in Z, "
-                                 f"{profile.travel_mm[2]:g} mm")  # fmt: skip
+        words = Phrase(
+            "safe_z_mm = {safe_z_mm:g}: allowed: less than the travel in Z, {travel_mm:g} mm",
+            safe_z_mm=profile.safe_z_mm,
+            travel_mm=profile.travel_mm[2],
+        )
+        raise ProfileError(file, words)
     if profile.top_z_mm is not None and not profile.homing:
-        raise ProfileError(file, f"top_z_mm = {profile.top_z_mm:g}: allowed: only with homing = true")
+        words = Phrase("top_z_mm = {top_z_mm:g}: allowed: only with homing = true", top_z_mm=profile.top_z_mm)
+        raise ProfileError(file, words)
     return profile
 
 
@@ -233,16 +248,17 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
         extends = raw.pop("extends", None)
         own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
         if own.setdefault("name", name) != name:
-            raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
+            raise BadValueError("name", own["name"], Phrase("the name of the file, '{name}'", name=name))
         if extends is None:
             return own | tables
         _require_base(name, extends, sources, trail)
     except BadValueError as error:
-        raise ProfileError(file, str(error)) from None
+        raise ProfileError(file, error.words) from None
     try:
         base = _read_values(extends, sources, (*trail, name))
     except ProfileError as error:
-        raise ProfileError(file, f"extends '{extends}', which cannot be used: {error}") from None
+        words = Phrase("extends '{name}', which cannot be used: {why}", name=extends, why=error.words)
+        raise ProfileError(file, words) from None
     return base | own | {name: base[name] | table for name, table in tables.items()}
 
 
@@ -251,7 +267,8 @@ _TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
 
 def _check_table(name: str, values: object, rules: Rules) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise BadValueError(name, values, f"a table: [{name}] and below it {', '.join(rules.keys)}")
+        allowed = Phrase("a table: [{name}] and below it {keys}", name=name, keys=", ".join(rules.keys))
+        raise BadValueError(name, values, allowed)
     return {key: rules.check(key, value, f"{name}.") for key, value in values.items()}
 
 
@@ -261,7 +278,8 @@ def _require_base(name: str, extends: object, sources: Mapping[str, str], trail:
     others = ", ".join(f"'{other}'" for other in sources if other not in chain)
     if extends in chain:
         way = " -> ".join(f"'{link}'" for link in (*chain[chain.index(str(extends)) :], extends))
-        raise BadValueError("extends", extends, f"a profile that does not come back to this one ({way}): {others}")
+        allowed = Phrase("a profile that does not come back to this one ({way}): {others}", way=way, others=others)
+        raise BadValueError("extends", extends, allowed)
     if not isinstance(extends, str) or extends not in sources or len(trail) >= _MOST_EXTENDS:
         raise BadValueError("extends", extends, others)
 
@@ -270,9 +288,13 @@ def _read(file: str) -> dict[str, Any]:
     try:
         return tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))  # some editors begin a file with a mark
     except UnicodeDecodeError:
-        raise ProfileError(file, "is not UTF-8 text; save it as UTF-8") from None
+        raise ProfileError(file, Phrase("is not UTF-8 text; save it as UTF-8")) from None
     except OSError as error:
-        words = {"IsADirectoryError": "is a folder", "FileNotFoundError": "is a link to a file that is not there"}
-        raise ProfileError(file, words.get(type(error).__name__, f"cannot be read: {error.strerror}")) from None
+        words = {
+            IsADirectoryError: Phrase("is a folder"),
+            FileNotFoundError: Phrase("is a link to a file that is not there"),
+        }
+        unread = Phrase("cannot be read: {reason}", reason=error.strerror)
+        raise ProfileError(file, words.get(type(error), unread)) from None
     except tomllib.TOMLDecodeError as error:
-        raise ProfileError(file, f"not valid TOML: {error}") from None
+        raise ProfileError(file, Phrase("not valid TOML: {error}", error=error)) from None

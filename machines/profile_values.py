@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from machines.gcode.dialects import DIALECTS as GCODE_DIALECTS
+from phrases.phrase import Phrase
 
 DIALECTS = (*GCODE_DIALECTS, "rml-1")
 DRIVERS = ("grbl", "roland-serial", "roland-usb", "drip", "none")
@@ -21,7 +22,8 @@ class BadValueError(ValueError):
     """One key that cannot be taken: key, value, what is allowed."""
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
-        super().__init__(f"{key} = {value!r}: allowed: {allowed}")
+        self.words = Phrase("{key} = {value}: allowed: {allowed}", key=key, value=repr(value), allowed=allowed)
+        super().__init__(self.words)
         self.key = key
 
 
@@ -46,7 +48,7 @@ class Rules:
     def check(self, key: str, value: object, prefix: str) -> Any:
         rule = self._rules.get(key)
         if rule is None:
-            raise BadValueError(prefix + key, value, f"the keys {', '.join(self._rules)}")
+            raise BadValueError(prefix + key, value, Phrase("the keys {keys}", keys=", ".join(self._rules)))
         try:
             return rule.take(value)
         except (ValueError, TypeError):
@@ -62,7 +64,10 @@ def _number(low: float, high: float, value: object) -> float:
 
 
 def number(low: float, high: float, unit: str = "") -> Rule:
-    return Rule(lambda value: _number(low, high, value), f"a number from {low:g} to {high:g}{unit and ' ' + unit}")
+    allowed = Phrase("a number from {low:g} to {high:g}", low=low, high=high)
+    if unit:
+        allowed = Phrase("a number from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
+    return Rule(lambda value: _number(low, high, value), allowed)
 
 
 def triple(low: float, high: float, unit: str) -> Rule:
@@ -71,7 +76,8 @@ def triple(low: float, high: float, unit: str) -> Rule:
             raise ValueError
         return tuple(_number(low, high, v) for v in value)
 
-    return Rule(take, f"three numbers [X, Y, Z] from {low:g} to {high:g} {unit}")
+    allowed = Phrase("three numbers [X, Y, Z] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
+    return Rule(take, allowed)
 
 
 def pair(low: float, high: float, unit: str) -> Rule:
@@ -83,7 +89,8 @@ def pair(low: float, high: float, unit: str) -> Rule:
             raise ValueError
         return (least, most)
 
-    return Rule(take, f"two numbers [slowest, fastest] from {low:g} to {high:g} {unit}")
+    allowed = Phrase("two numbers [slowest, fastest] from {low:g} to {high:g} {unit}", low=low, high=high, unit=unit)
+    return Rule(take, allowed)
 
 
 def whole(low: int, high: int) -> Rule:
@@ -92,7 +99,7 @@ def whole(low: int, high: int) -> Rule:
             raise ValueError
         return value
 
-    return Rule(take, f"a whole number from {low} to {high}")
+    return Rule(take, Phrase("a whole number from {low} to {high}", low=low, high=high))
 
 
 def one_of(*values: object) -> Rule:
@@ -110,7 +117,7 @@ def text(most: int) -> Rule:
             raise ValueError
         return value
 
-    return Rule(take, f"text on one line, at most {most} characters")
+    return Rule(take, Phrase("text on one line, at most {most} characters", most=most))
 
 
 def _flag(value: Any) -> bool:

@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Any
 
 from machines.errors import NotAllowedError
+from phrases.phrase import Phrase, join, phrases_in
 
 
 class RunState(Enum):
@@ -22,6 +23,23 @@ class RunState(Enum):
     FINISHED = "finished"
     ABORTED = "aborted"
 
+    @property
+    def words(self) -> Phrase:
+        """The same in a sentence."""
+        return _STATE_WORDS[self]
+
+
+_STATE_WORDS = {
+    RunState.PARKED: Phrase("parked"),
+    RunState.RUNNING: Phrase("running"),
+    RunState.HOLDING: Phrase("holding"),
+    RunState.HELD: Phrase("held"),
+    RunState.STOPPING: Phrase("stopping"),
+    RunState.INTERRUPTED: Phrase("interrupted"),
+    RunState.RECOVERING: Phrase("recovering"),
+    RunState.FINISHED: Phrase("finished"),
+    RunState.ABORTED: Phrase("aborted"),
+}
 
 _S = RunState
 _ON_THE_MILL = {_S.HOLDING, _S.HELD, _S.STOPPING, _S.INTERRUPTED, _S.FINISHED}
@@ -48,8 +66,15 @@ RECOVER_CHECKS = START_CHECKS | {"position"}
 def move_state(before: RunState, after: RunState) -> RunState:
     """Return `after`, where the table allows the move; NotAllowedError names both states otherwise."""
     if after not in TRANSITIONS[before]:
-        allowed = ", ".join(sorted(state.value for state in TRANSITIONS[before])) or "nothing"
-        raise NotAllowedError(f"a run that is {before.value} cannot become {after.value}; allowed: {allowed}")
+        allowed = join(", ", sorted(state.words for state in TRANSITIONS[before])) or Phrase("nothing")
+        raise NotAllowedError(
+            Phrase(
+                "a run that is {before} cannot become {after}; allowed: {allowed}",
+                before=before.words,
+                after=after.words,
+                allowed=allowed,
+            )
+        )
     return after
 
 
@@ -63,10 +88,12 @@ class Confirmation:
     def demand(self, needed: frozenset[str], doing: str) -> None:
         """Raise NotAllowedError naming what was not confirmed."""
         if not self.operator.strip():
-            raise NotAllowedError(f"{doing} needs the operator's name")
+            raise NotAllowedError(Phrase("{doing} needs the operator's name", doing=doing))
         if missing := needed - self.checks:
             words = ", ".join(sorted(missing))
-            raise NotAllowedError(f"{doing} needs the operator's confirmation of: {words}")
+            raise NotAllowedError(
+                Phrase("{doing} needs the operator's confirmation of: {checks}", doing=doing, checks=words)
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,9 +140,10 @@ class RunView:
 
     def as_dict(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in self.__slots__}
-        return values | {
+        told = values | {
             "state": self.state.value,
             "warnings": list(self.warnings),
             "share": self.share,
             "live": self.live,
         }
+        return told | {"phrases": phrases_in((self.words, self.values, told["warnings"]))}

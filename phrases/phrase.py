@@ -70,6 +70,9 @@ def _remake(text: str, template: str, values: dict[str, str]) -> Phrase:
     return made
 
 
+NO_WORDS = Phrase("")
+
+
 def join(separator: str, parts: Iterable[str]) -> Phrase:
     """Return phrases one after the other, as `separator.join` does."""
     named = {f"part{number}": part for number, part in enumerate(parts)}
@@ -83,21 +86,20 @@ def phrases_in(document: Any) -> dict[str, dict[str, Any]]:
 
 
 def restore(document: Any, phrases: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return a document that came as JSON with the phrases in it made again, of the table that came with it."""
+    """Return a document that was read from JSON with its phrases in place of their texts, but its table."""
     if isinstance(document, str):
-        return _restore(document, phrases[document]) if document in phrases else document
+        return _make(phrases[document], document) if document in phrases else document
     if isinstance(document, Mapping):
-        return {key: restore(value, phrases) for key, value in document.items()}
+        return {key: restore(value, phrases) for key, value in document.items() if value is not phrases}
     if isinstance(document, list | tuple):
         return [restore(value, phrases) for value in document]
     return document
 
 
-def _restore(text: str, plain: Mapping[str, Any]) -> Phrase:
-    values = {
-        name: one if isinstance(one, str) else _restore(_say(one, {}), one) for name, one in plain["values"].items()
-    }
-    return _remake(text, plain["template"], values)
+def _make(plain: Mapping[str, Any], text: str = "") -> Phrase:
+    values = {name: one if isinstance(one, str) else _make(one) for name, one in plain["values"].items()}
+    said = text or _PLACE.sub(lambda place: values.get(place[1], place[0]), plain["template"])
+    return _remake(said, plain["template"], values)
 
 
 def _find(document: Any) -> Iterator[Phrase]:

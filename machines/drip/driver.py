@@ -17,6 +17,7 @@ from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
 from machines.driver import Command, CommandDone, DriverFacts, MillState, Notice, ProgramLine, Unlock
 from machines.errors import NotAllowedError, ProgramRefusedError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -51,16 +52,16 @@ class DripOptions:
     latency_s: float = 0.004
 
 
-def refuse_text(text: bytes) -> str:
-    """Return why this block cannot go over a 7-bit line to such a control; empty if it can."""
+def refuse_text(text: bytes) -> Phrase | None:
+    """Return why this block cannot go over a 7-bit line to such a control; None if it can."""
     for byte in text:
         if not 0x20 <= byte < 0x7F:
-            return f"byte 0x{byte:02x} is not printable 7-bit text"
+            return Phrase("byte 0x{byte:02x} is not printable 7-bit text", byte=byte)
     if text != text.upper():
-        return "lower case: the control takes upper case only"
+        return Phrase("lower case: the control takes upper case only")
     if _TAPE_MARK in text and text.strip() != _TAPE_MARK:
-        return "'%' inside a block would end the tape"
-    return ""
+        return Phrase("'%' inside a block would end the tape")
+    return None
 
 
 class DripDriver(OneWayDriver):
@@ -86,13 +87,13 @@ class DripDriver(OneWayDriver):
     def connect(self) -> None:
         self._open = False
         self._channel.update(controller=FACTS.kind)
-        self._channel.enter(MillState.IDLE, "line open; the control has not asked for anything yet")
+        self._channel.enter(MillState.IDLE, Phrase("line open; the control has not asked for anything yet"))
 
     def command(self, command: Command) -> None:
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
         if isinstance(command, Unlock):
             if self._feed is None:
-                raise NotAllowedError("there is no program under way that could wait for DC1")
+                raise NotAllowedError(Phrase("there is no program under way that could wait for DC1"))
             self._go_on(self._port.clock())
             self._channel.events.append(CommandDone(command))
             return
@@ -113,24 +114,24 @@ class DripDriver(OneWayDriver):
             return b""  # the tape marks are written once, by the envelope
         if self._tape_ended:
             raise ProgramRefusedError(
-                line.number, line.text.decode("latin-1"), "stands behind the '%' that ends the tape"
+                line.number, line.text.decode("latin-1"), Phrase("stands behind the '%' that ends the tape")
             )
         return line.text + b"\r\n"
 
     def _may_send(self) -> bool:
         return self._open
 
-    def _word_running(self) -> str:
+    def _word_running(self) -> Phrase:
         if self._ever_open:
             return super()._word_running()
-        return "waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control"
+        return Phrase("waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control")
 
     def _receive(self, data: bytes, now_s: float) -> None:
         for byte in data:
             if byte & 0x80 and not self._said_parity:
                 self._said_parity = True
                 self._channel.events.append(
-                    Notice("the control sends with parity, the port reads 8 bits: check bytesize, parity")
+                    Notice(Phrase("the control sends with parity, the port reads 8 bits: check bytesize, parity"))
                 )
             if byte & 0x7F == DC1:
                 self._go_on(now_s)
@@ -142,7 +143,7 @@ class DripDriver(OneWayDriver):
         self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
         if first and self._feed is not None and not self._held:
             self._channel.enter(MillState.RUN, self._word_running())
-            self._channel.events.append(Notice("the control has asked for the program (DC1)"))
+            self._channel.events.append(Notice(Phrase("the control has asked for the program (DC1)")))
 
     def _stop(self, now_s: float) -> None:
         self._open, self._since_s = False, now_s
@@ -153,8 +154,15 @@ class DripDriver(OneWayDriver):
         waiting = self._feed is not None and not self._feed.finished and not self._held and not self._open
         if waiting and not self._said_quiet and now_s - self._since_s > _QUIET_AFTER_S:
             self._said_quiet = True
-            words = "has held the line (DC3)" if self._ever_open else "has not asked for the program (DC1)"
-            self._channel.events.append(Notice(f"the control {words} for {_QUIET_AFTER_S:g} s: look at its screen"))
+            words = Phrase(
+                "the control has not asked for the program (DC1) for {seconds:g} s: look at its screen",
+                seconds=_QUIET_AFTER_S,
+            )
+            if self._ever_open:
+                words = Phrase(
+                    "the control has held the line (DC3) for {seconds:g} s: look at its screen", seconds=_QUIET_AFTER_S
+                )
+            self._channel.events.append(Notice(words))
 
     def abort(self) -> None:
         self._open = False  # a DC1 of the aborted reading must not start the next program

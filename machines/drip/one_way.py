@@ -28,6 +28,7 @@ from machines.driver import (
     TrustPosition,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -73,13 +74,15 @@ class OneWayDriver:
     def _abort_bytes(self) -> bytes:
         return b""
 
-    def _word_running(self) -> str:
-        return "bytes go out; what the machine does with them is not visible on this link"
+    def _word_running(self) -> Phrase:
+        return Phrase("bytes go out; what the machine does with them is not visible on this link")
 
-    def _word_held(self) -> str:
+    def _word_held(self) -> Phrase:
         """Return how much the machine may still execute, in words."""
         known = self._buffer_bytes
-        return f"up to {known} bytes" if known is not None else "whatever its buffer holds (size not known)"
+        if known is None:
+            return Phrase("whatever its buffer holds (size not known)")
+        return Phrase("up to {count} bytes", count=known)
 
     # The interface.
 
@@ -92,7 +95,7 @@ class OneWayDriver:
         return self._channel.progress
 
     def connect(self) -> None:
-        self._channel.enter(MillState.IDLE, "line open; nothing answers on this link until a program is read")
+        self._channel.enter(MillState.IDLE, Phrase("line open; nothing answers on this link until a program is read"))
 
     def poll(self, timeout_s: float) -> tuple[Event, ...]:
         deadline_s = self._port.clock() + timeout_s
@@ -108,7 +111,7 @@ class OneWayDriver:
                 if data:
                     self._receive(data, now_s)
             except PortError as error:
-                self._lose(str(error))
+                self._lose(error.words)
                 break
             if self._channel.events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
                 break  # the last case: somebody called wake()
@@ -123,7 +126,9 @@ class OneWayDriver:
 
     def start(self, lines: Iterator[ProgramLine]) -> None:
         if self.status.state is not MillState.IDLE:
-            raise NotAllowedError(f"a program can start only when the link is idle, it is {self.status.state.value}")
+            raise NotAllowedError(
+                Phrase("a program can start only when the link is idle, it is {state}", state=self.status.state.words)
+            )
         head, tail = self._make_envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
@@ -135,27 +140,34 @@ class OneWayDriver:
         if self._feed is None or self._held:
             return
         self._held = True
-        words = f"sending has stopped; the machine still executes {self._word_held()}: press feed hold at the machine"
+        words = Phrase(
+            "sending has stopped; the machine still executes {held}: press feed hold at the machine",
+            held=self._word_held(),
+        )
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
 
     def resume(self) -> None:
         if self._feed is None or not self._held:
-            raise NotAllowedError(f"there is nothing to resume: the link is {self.status.state.value}")
+            raise NotAllowedError(
+                Phrase("there is nothing to resume: the link is {state}", state=self.status.state.words)
+            )
         self._held = False
         self._channel.enter(MillState.RUN, self._word_running())
 
     def abort(self) -> None:
         if self.status.state is MillState.DISCONNECTED:
-            raise NotAllowedError("the link is lost: stop the machine at its own panel")
+            raise NotAllowedError(Phrase("the link is lost: stop the machine at its own panel"))
         try:
             if data := self._abort_bytes():
                 self._port.write(data)
         except PortError as error:
-            self._lose(str(error))
+            self._lose(error.words)
             return
         self._end_stream()
-        words = f"sending has ended; the machine may still execute {self._word_held()}: reset it at its own panel"
+        words = Phrase(
+            "sending has ended; the machine may still execute {held}: reset it at its own panel", held=self._word_held()
+        )
         self._channel.events += [Notice(words), Stopped(position_kept=False)]
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.IDLE, words)
@@ -163,7 +175,10 @@ class OneWayDriver:
     def command(self, command: Command) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
-                f"{type(command).__name__} is not possible on this link: do it at the machine's panel"
+                Phrase(
+                    "{command} is not possible on this link: do it at the machine's panel",
+                    command=type(command).__name__,
+                )
             )
         self._channel.update(position_trusted=True)
         self._channel.events.append(CommandDone(command))
@@ -196,8 +211,10 @@ class OneWayDriver:
             piece = feed.take(room)
         except (MachineError, OSError) as error:
             self._end_stream()
-            self._channel.enter(MillState.IDLE, "sending has stopped")
-            self._channel.events.append(Faulted(FaultCause.PROGRAM_CHANGED, str(error), feed.sent_line, now_s))
+            self._channel.enter(MillState.IDLE, Phrase("sending has stopped"))
+            self._channel.events.append(
+                Faulted(FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), feed.sent_line, now_s)
+            )
             return
         if piece:
             self._port.write(piece)
@@ -211,8 +228,9 @@ class OneWayDriver:
             return max(end_s - now_s, 0.01)
         self._book()
         self._end_stream()
-        words = (
-            f"every byte has left; the machine may still be cutting {self._word_held()}: wait for its own end signal"
+        words = Phrase(
+            "every byte has left; the machine may still be cutting {held}: wait for its own end signal",
+            held=self._word_held(),
         )
         self._channel.events += [Notice(words), ProgramDone()]
         self._channel.enter(MillState.IDLE, words)
@@ -244,12 +262,13 @@ class OneWayDriver:
         self._feed, self._held = None, False
         self._channel.end_stream()
 
-    def _lose(self, words: str) -> None:
+    def _lose(self, words: Phrase) -> None:
         now_s = self._port.clock()
         streaming, line = self._feed is not None, self.progress.sent_line
         self._feed = None
         self._channel.end_stream()
         self._channel.update(position_trusted=False, epoch=self.status.epoch + 1)
         self._channel.enter(MillState.DISCONNECTED, words)
-        more = f"; the machine still executes {self._word_held()}" if streaming else ""
-        self._channel.events.append(Faulted(FaultCause.PORT_LOST, words + more, line, now_s))
+        if streaming:
+            words = Phrase("{words}; the machine still executes {held}", words=words, held=self._word_held())
+        self._channel.events.append(Faulted(FaultCause.PORT_LOST, words, line, now_s))

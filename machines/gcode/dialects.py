@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from machines.gcode import refusals
 from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, MOVES_FRAME, OFFSET_BY_H
+from phrases.phrase import Phrase
 
 SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
 
@@ -85,29 +86,31 @@ class Dialect:
         return _letters(self.needs_point)
 
     @property
-    def name_rule(self) -> str:
+    def name_rule(self) -> Phrase:
         least, most = self.name_digits
         if self.named:
-            return "O and at most 16 letters and digits"
-        return f"O and {most} digits" if least == most else f"O and {least} to {most} digits"
+            return Phrase("O and at most 16 letters and digits")
+        if least == most:
+            return Phrase("O and {most} digits", most=most)
+        return Phrase("O and {least} to {most} digits", least=least, most=most)
 
     @property
-    def dwell_rule(self) -> str:
+    def dwell_rule(self) -> Phrase:
         actions = {action for code, action, _, _ in self.own if code == 40}
         if DWELL_MS in actions:
-            return "P, its milliseconds, or X, its seconds"
-        return "F, its seconds" if DWELL_BY_F in actions else "P, its seconds"
+            return Phrase("P, its milliseconds, or X, its seconds")
+        return Phrase("F, its seconds") if DWELL_BY_F in actions else Phrase("P, its seconds")
 
-    def reason_for(self, code: int) -> str:
+    def reason_for(self, code: int) -> Phrase:
         """Return the sentence of a refusal by this control."""
-        return refusals.REASONS[code].format(
+        return refusals.make_reasons(
             limit=self.line_limit,
             n_limit=self.n_limit,
             dialect=self.title,
             decimals=self.decimals,
             name_rule=self.name_rule,
             dwell_rule=self.dwell_rule,
-        )
+        )[code]
 
 
 _CYCLES = (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)
@@ -148,7 +151,7 @@ DIALECTS: dict[str, Dialect] = {
             own=(*_CNC_OWN, *_LENGTHS, *_MORE_OFFSETS),
         ),
         Dialect(
-            name="fanuc", title="a Fanuc-like control", line_limit=128, n_limit=99_999_999, percent=True,
+            name="fanuc", title=Phrase("a Fanuc-like control"), line_limit=128, n_limit=99_999_999, percent=True,
             name_digits=(1, 4), needs_point="XYZIJKR",  # F in mm/min is a whole number on these
             own=(*_CNC_OWN, *_LENGTHS, *_NOT_ON_ISO, *_g(MOVES_FRAME, (54.1,), "P"), *_g(DWELL_MS, (4,), "PX"),
                  *_g(ACCEPT, (30,), "P"), *_PRECISE),

@@ -15,6 +15,7 @@ from machines.gcode.dialects import DIALECTS
 from machines.gcode.modal import ModalState, Position, state_of, vector_of
 from machines.gcode.step import Arc, Step
 from machines.gcode.words import BadTextError, shown, split_words, strip_block
+from phrases.phrase import Phrase
 
 _NUMBER = rb"([-+]?(?:\d{1,9}(?:\.\d{0,8})?|\.\d{1,8}))"
 _STRAIGHT = re.compile(rb"(?:G0?([01]))?" + b"".join(rb"(?:%c%s)?" % (c, _NUMBER) for c in b"XYZF")).fullmatch
@@ -42,7 +43,9 @@ class Interpreter:
 
     def __init__(self, state: ModalState | None = None, *, dialect: str = "grbl") -> None:
         if dialect not in DIALECTS:
-            raise MachineError(f"dialect {dialect}: not G-code, so nothing modal can be rebuilt from its lines")
+            raise MachineError(
+                Phrase("dialect {dialect}: not G-code, so nothing modal can be rebuilt from its lines", dialect=dialect)
+            )
         self._dialect = DIALECTS[dialect]
         self._letters = self._dialect.letter_bits
         self._vector = vector_of(state or ModalState())

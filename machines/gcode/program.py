@@ -22,6 +22,7 @@ from machines.gcode.dialects import DIALECTS
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.words import shown, strip_block, strip_ends
+from phrases.phrase import Phrase
 
 DIGEST_BYTES = 16
 _TEXT_LINES = 20_000  # about: pieces end by their bytes
@@ -121,15 +122,22 @@ class ProgramReader:
         try:
             return self.path.open("rb")
         except OSError as error:
-            raise ProgramChangedError(f"{self.path}: cannot be read any more ({error.strerror})") from None
+            raise ProgramChangedError(
+                Phrase("{path}: cannot be read any more ({reason})", path=self.path, reason=error.strerror)
+            ) from None
 
     def _piece(self, file: BinaryIO, number: int) -> bytes:
         entry, end = self.index.entries[number], self.index.end_of(number)
         data = os.pread(file.fileno(), end - entry.offset, entry.offset)
         if len(data) != end - entry.offset or piece_digest(data) != entry.digest:
             raise ProgramChangedError(
-                f"{self.path}: changed on disk since pre-flight (in the {len(data)} bytes from line {entry.line} on); "
-                "nothing of that piece was sent; run pre-flight again"
+                Phrase(
+                    "{path}: changed on disk since pre-flight (in the {count} bytes from line {line} on); nothing "
+                    "of that piece was sent; run pre-flight again",
+                    path=self.path,
+                    count=len(data),
+                    line=entry.line,
+                )
             )
         return data
 
@@ -207,5 +215,7 @@ class TextIndex:
         self._bytes += len(piece)
 
     def _refuse_long(self, number: int, text: bytes) -> None:
-        reason = f"a line of more than {LONGEST_LINE} bytes; put a line end behind each command (sed 's/;/;\\n/g')"
+        reason = Phrase(
+            "a line of more than {most} bytes; put a line end behind each command (sed 's/;/;\\n/g')", most=LONGEST_LINE
+        )
         raise ProgramRefusedError(number, shown(text[:60]), reason)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from machines.driver import Triple
 from machines.grbl import replies
 from machines.grbl.settings import ControllerSettings, read_settings
+from phrases.phrase import NO_WORDS, Phrase
 
 REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
 BLOCK_S = 60.0
@@ -39,7 +40,7 @@ class WaitStill:
 class Answer:
     """What came back. `failure` in words; "" if `ok` came."""
 
-    failure: str = ""
+    failure: Phrase = NO_WORDS
     heard: tuple[replies.Reply, ...] = ()
     machine_mm: Triple | None = None
 
@@ -55,6 +56,10 @@ class Outcome:
 
 class SequenceFailedError(Exception):
     """The sequence cannot go on; the text is for the operator."""
+
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
+        self.words = words
 
 
 CommandSequence = Generator[Ask | WaitStill, Answer, Outcome]
@@ -83,7 +88,9 @@ def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tu
             return answer.heard
         else:
             last = answer.heard
-    raise SequenceFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
+    raise SequenceFailedError(
+        Phrase("{text} is answered differently every time: the link damages bytes", text=text.decode("ascii"))
+    )
 
 
 def ask_offsets(

@@ -15,9 +15,10 @@ from machines.grbl.sequences import make_sequence
 from machines.grbl.settings import is_parser_state
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import BANNER_S
+from phrases.phrase import NO_WORDS, Phrase
 
 STILL_REPORTS = 2  # a report may have been made just before the motion of an answered line began
-OnEnd = Callable[[str, dict[str, object], float], None]
+OnEnd = Callable[[Phrase, dict[str, object], float], None]
 """What follows a sequence that has ended by itself: its failure in words, its answer, the time."""
 
 
@@ -92,13 +93,13 @@ class CommandChannel:
         ask = self._waiting
         if not isinstance(ask, Ask):
             return
-        failure = ""
+        failure = NO_WORDS
         if error:
-            failure = f"{self.asked}: {error_words(error)}"
+            failure = Phrase("{asked}: {error}", asked=self.asked, error=error_words(error))
         elif ask.expect and not any(_is(reply, ask.expect) for reply in self._heard):
             if not any(isinstance(reply, Push) and reply.tag == ask.expect for reply in self._heard):
                 return
-            failure = f"{self.asked}: its answer was damaged on the way"
+            failure = Phrase("{asked}: its answer was damaged on the way", asked=self.asked)
         self._advance(Answer(failure, tuple(self._heard)), now_s)
 
     def take_report(self, report: Status, now_s: float) -> None:
@@ -113,10 +114,16 @@ class CommandChannel:
         """Give up where nothing comes."""
         waiting = self._waiting
         if waiting is not None and self.link.silence.spent_s >= self._due_s:
-            what = self.asked or "standstill"
-            self._advance(Answer(f"{what}: no answer in {waiting.timeout_s:g} s", tuple(self._heard)), now_s)
+            what = self.asked or Phrase("standstill")
+            self._advance(
+                Answer(
+                    Phrase("{what}: no answer in {timeout_s:g} s", what=what, timeout_s=waiting.timeout_s),
+                    tuple(self._heard),
+                ),
+                now_s,
+            )
 
-    def end(self, words: str) -> None:
+    def end(self, words: Phrase) -> None:
         """End what is under way, for a reason; the override too."""
         if self._sequence is not None:
             self._sequence.close()
@@ -126,7 +133,7 @@ class CommandChannel:
             self.link.events.append(CommandDone(command, words))
         self.override.end(words)
 
-    def give_up(self, words: str, now_s: float) -> None:
+    def give_up(self, words: Phrase, now_s: float) -> None:
         """End the command under way and make the link ready for the next."""
         self.end(words)
         if self.link.phase is Phase.COMMAND:
@@ -140,15 +147,15 @@ class CommandChannel:
         try:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
         except StopIteration as stop:
-            self._finish(stop.value, "", now_s)
+            self._finish(stop.value, NO_WORDS, now_s)
         except SequenceFailedError as failed:
-            self._finish(Outcome(), str(failed), now_s)
+            self._finish(Outcome(), failed.words, now_s)
         else:
             self._due_s = self.link.silence.spent_s + waiting.timeout_s
             if isinstance(waiting, Ask):
                 self.link.text += waiting.text + b"\n"
 
-    def _finish(self, outcome: Outcome, failure: str, now_s: float) -> None:
+    def _finish(self, outcome: Outcome, failure: Phrase, now_s: float) -> None:
         """Take over what a sequence leaves behind."""
         self._sequence = self._waiting = None
         view = self.link.view
@@ -158,7 +165,7 @@ class CommandChannel:
         view.vouch(outcome.vouched)
         self._on_end(failure, outcome.answer, now_s)
 
-    def _end_command(self, failure: str, answer: dict[str, object], now_s: float) -> None:
+    def _end_command(self, failure: Phrase, answer: dict[str, object], now_s: float) -> None:
         command, self.command = self.command, None
         assert command is not None
         self.link.enter(Phase.READY, now_s)

@@ -67,7 +67,7 @@ class GrblDriver:
             self._write(now_s)
         except PortError as error:
             self.failure = error
-            session.lose(str(error), port.clock())
+            session.lose(error.words, port.clock())
         return self._name_fault(session.take_events())
 
     def _write(self, now_s: float) -> None:
@@ -82,7 +82,7 @@ class GrblDriver:
         for event in events:
             if isinstance(event, Faulted) and event.cause is FaultCause.DEVICE:
                 self.failure = NotAControllerError(self._port.url, event.words)
-                named = Faulted(event.cause, str(self.failure), event.line, event.at_s)
+                named = Faulted(event.cause, self.failure.words, event.line, event.at_s)
                 return tuple(named if one is event else one for one in events)
         return events
 
@@ -122,7 +122,7 @@ class GrblDriver:
                 self._port.write(data)
         except PortError as error:
             self.failure = error
-            self._session.lose(str(error), self._port.clock())
+            self._session.lose(error.words, self._port.clock())
 
     def command(self, command: Command) -> None:
         self._session.command(command, self._port.clock())

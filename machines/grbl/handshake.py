@@ -16,6 +16,7 @@ from machines.grbl.states import Phase, stands
 from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import HANDSHAKE_SILENCE_S
+from phrases.phrase import NO_WORDS, Phrase
 
 NAMES = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}
 
@@ -39,7 +40,7 @@ class Handshake:
         link, view = self.link, self.link.view
         link.urgent.clear()
         link.text.clear()
-        link.failure = self._banner = self.commands.held_line = ""
+        link.failure, self._banner, self.commands.held_line = NO_WORDS, "", ""
         self.streamer.echoes = False
         view.begin_epoch(position_kept=False)
         view.judge_place()
@@ -65,14 +66,16 @@ class Handshake:
         link.hold_wanted = link.paused = self.stops.abort_wanted = False
         streamer.echoes = streamer.late_answers = False
         commands.banner_due_s, commands.held_line = 0.0, ""
-        commands.override.end("the controller restarted")
+        commands.override.end(Phrase("the controller restarted"))
         link.view.begin_epoch(position_kept=kept)
-        commands.end("" if checked_off else "the controller restarted")
+        commands.end(NO_WORDS if checked_off else Phrase("the controller restarted"))
         streamer.end()
         link.greet(now_s, recognised=known)
         link.greeting.banner = True
         if streaming:
-            words = f"the controller restarted by itself ('{banner}'): reset button, power or a reset line"
+            words = Phrase(
+                "the controller restarted by itself ('{banner}'): reset button, power or a reset line", banner=banner
+            )
             link.events.append(Faulted(FaultCause.RESET, words, line, now_s))
 
     def take_reply(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
@@ -100,10 +103,10 @@ class Handshake:
             link.enter(Phase.IDENTIFYING, now_s)
             self.commands.run(identify(self._banner), self._note_identity, now_s)
 
-    def _note_identity(self, failure: str, _: dict[str, object], now_s: float) -> None:
+    def _note_identity(self, failure: Phrase, _: dict[str, object], now_s: float) -> None:
         link = self.link
         if failure:
-            words = f"something answers, but it is not a GRBL controller: {failure}"
+            words = Phrase("something answers, but it is not a GRBL controller: {failure}", failure=failure)
             link.close(words, now_s, FaultCause.DEVICE)
             return
         link.view.identified = True
@@ -120,11 +123,11 @@ class Handshake:
         link, silent_s = self.link, self.link.silence.silent_s
         if link.phase is Phase.READY:
             if silent_s > HANDSHAKE_SILENCE_S:
-                link.events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
+                link.events.append(Notice(Phrase("no answer to '?' for {silent_s:.0f} s", silent_s=silent_s)))
                 link.view.report = None
                 link.greet(now_s, recognised=True)
         elif not link.greeting.recognised and link.silence.waited_s >= link.options.identify_s:
-            self.commands.end("not connected")
+            self.commands.end(Phrase("not connected"))
             link.close(link.greeting.verdict(), now_s, FaultCause.DEVICE)
 
 

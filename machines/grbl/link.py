@@ -10,12 +10,13 @@ from machines.grbl.replies import Empty, Reply
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
 from machines.grbl.view import MachineView
+from phrases.phrase import NO_WORDS, Phrase
 
 TOOL_DONE = b"\xa3"
 STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
 PLAIN = bytes(range(0x20, 0x7F)) + b"\t\r\n"
 # Said where nothing answers any more, or not yet; a person then may send a reset.
-SILENT = (
+SILENT = Phrase(
     "nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not "
     "answer either: look at the mill; where it stands, send a reset"
 )
@@ -48,25 +49,27 @@ class Greeting:
         return bool(self._bytes or self._rest) and not self.recognised and not self.banner
 
     @property
-    def words(self) -> str:
+    def words(self) -> Phrase:
         if self.banner:
-            return "the controller has started, asking for its state"
-        return "asking '?'" if not self.recognised else "waiting for a report"
+            return Phrase("the controller has started, asking for its state")
+        return Phrase("asking '?'") if not self.recognised else Phrase("waiting for a report")
 
-    def verdict(self) -> str:
+    def verdict(self) -> Phrase:
         """Return why this is not a controller, after patience has run out."""
         heard = self._bytes + len(self._rest)
         noise = self._noise + len(self._rest.translate(None, PLAIN))
         if not heard:
-            return (
+            return Phrase(
                 "nothing answers '?': is the mill switched on, is this its port, and is the baud rate right "
                 "(GRBL: 115200)? After a limit alarm (ALARM:1, ALARM:2) a controller hears nothing but a reset: look "
                 "at the mill, then send one"
             )
         if noise > NOISE_SHARE * heard:
-            return "answers with noise, not text: wrong baud rate? (GRBL: 115200)"
+            return Phrase("answers with noise, not text: wrong baud rate? (GRBL: 115200)")
         shown = (self._text or self._rest[:60]).decode("ascii", "backslashreplace")
-        return f"something answers ('{shown}'), but it is not a GRBL controller: is this the right port?"
+        return Phrase(
+            "something answers ('{shown}'), but it is not a GRBL controller: is this the right port?", shown=shown
+        )
 
 
 @dataclass(slots=True)
@@ -85,7 +88,7 @@ class GrblLink:
     silence: SilenceClock = field(default_factory=SilenceClock)
     greeting: Greeting = field(default_factory=Greeting)
     phase: Phase = Phase.CLOSED
-    failure: str = ""  # why the phase is CLOSED, in words
+    failure: Phrase = NO_WORDS  # why the phase is CLOSED, in words
     controller: str = ""  # name and version
     epoch: int = 0  # counts restarts of the controller
     urgent: bytearray = field(default_factory=bytearray)
@@ -112,7 +115,7 @@ class GrblLink:
         self.greeting = Greeting(recognised=recognised)
         self.enter(Phase.HAILING, now_s)
 
-    def close(self, words: str, now_s: float, cause: FaultCause | None, line: int = 0) -> None:
+    def close(self, words: Phrase, now_s: float, cause: FaultCause | None, line: int = 0) -> None:
         """Give the link up; nothing is written any more."""
         self.failure = words
         self.urgent.clear()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from machines.driver import OVERRIDE_PERCENT, CommandDone, Override
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
+from phrases.phrase import NO_WORDS, Phrase
 
 # what -> (place in Ov:, back to 100 %, +10, -10, +1, -1)
 _STEPS = {
@@ -18,14 +19,18 @@ REPORTS_TO_CHANGE = 6  # reports without any change after which a step is sent a
 GIVE_UP_S = 15.0
 
 
-def find_refusal(what: str, percent: int) -> str:
-    """Say why this override cannot be set; "" if it can."""
+def find_refusal(what: str, percent: int) -> Phrase | None:
+    """Say why this override cannot be set; None if it can."""
     if what == "rapid":
-        return "" if percent in _RAPID else f"rapid override {percent} %: only 25, 50 and 100 exist"
+        if percent in _RAPID:
+            return None
+        return Phrase("rapid override {percent} %: only 25, 50 and 100 exist", percent=percent)
     if what not in _STEPS:
-        return f"override '{what}': known are feed, rapid and spindle"
+        return Phrase("override '{what}': known are feed, rapid and spindle", what=what)
     low, high = OVERRIDE_PERCENT
-    return "" if low <= percent <= high else f"{what} override {percent} %: from {low} to {high}"
+    if low <= percent <= high:
+        return None
+    return Phrase("{what} override {percent} %: from {low} to {high}", what=what, percent=percent, low=low, high=high)
 
 
 def _read_percent(what: str, overrides: tuple[int, int, int]) -> int:
@@ -66,12 +71,12 @@ class OverrideControl:
         return self._command is not None
 
     def begin(self, command: Override, now_s: float) -> None:
-        self.end("replaced by a newer override")
+        self.end(Phrase("replaced by a newer override"))
         self._command, self._until_s = command, now_s + GIVE_UP_S
         self._reports = REPORTS_TO_CHANGE
         self.link.poll_at_s = now_s
 
-    def end(self, failure: str = "") -> None:
+    def end(self, failure: Phrase = NO_WORDS) -> None:
         """Tell the end of the override under way, if there is one."""
         command, self._command = self._command, None
         if command is not None:
@@ -90,7 +95,7 @@ class OverrideControl:
         if not step and (report.overrides is not None or view.override_reports):
             self.end()
         elif now_s > self._until_s:
-            self.end(f"{command.what} override stays at {percent} %")
+            self.end(Phrase("{what} override stays at {percent} %", what=command.what, percent=percent))
         elif self._reports >= 2:
             self.link.urgent += step
             self._reports = 0

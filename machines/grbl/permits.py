@@ -27,6 +27,7 @@ from machines.grbl.probing import find_reached_mm
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.grbl.streaming import PLAIN
+from phrases.phrase import Phrase
 
 _IDLE = frozenset({MillState.IDLE})
 _STANDING = frozenset(
@@ -72,67 +73,85 @@ def check_command(
         words = f"{name}: the mill is {state.value}; allowed when {states}"
         raise WrongStateError(words, MillCode.MILL_STATE, state)
     if phase is Phase.STREAMING and isinstance(command, Reset):
-        raise NotAllowedError("Reset: a program is under way; abort it")
+        raise NotAllowedError(Phrase("Reset: a program is under way; abort it"))
     sleeping = isinstance(command, Reset) and phase is Phase.HAILING
     if phase is not Phase.READY and not isinstance(command, _BESIDE) and not sleeping:
-        raise NotAllowedError(f"{name}: the link is busy ({phase.value}); wait until it is done")
+        raise NotAllowedError(
+            Phrase("{name}: the link is busy ({phase}); wait until it is done", name=name, phase=phase.value)
+        )
     if isinstance(command, SendBlock) and not _is_plain(command.text):
         words = f"{name}: '{command.text}' is not a plain block"
         raise NotAllowedError(words, code=MillCode.NO_BLOCK, values={"text": command.text})
     if refusal := _values(command, settings, machine_mm):
-        raise NotAllowedError(f"{name}: {refusal}")
+        raise NotAllowedError(Phrase("{command}: {refusal}", command=name, refusal=refusal))
 
 
 def check_start(state: MillState, phase: Phase, settings: ControllerSettings) -> None:
     """Raise NotAllowedError unless a program may start now."""
     if phase is not Phase.READY or state not in (MillState.IDLE, MillState.CHECK):
-        raise NotAllowedError(f"start: the mill is {state.value}, it must be idle")
+        raise NotAllowedError(Phrase("start: the mill is {state}, it must be idle", state=state.words))
     if settings.laser_mode:
         raise NotAllowedError(
-            "start: laser mode is on ($32=1): the spindle would stop wherever the mill stands, and the next cut go "
-            "with a dead one; send '$32=0' to mill"
+            Phrase(
+                "start: laser mode is on ($32=1): the spindle would stop wherever the mill stands, and the next "
+                "cut go with a dead one; send '$32=0' to mill"
+            )
         )
 
 
-def _values(command: Command, settings: ControllerSettings, machine_mm: Triple | None) -> str:
+def _values(command: Command, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
     if isinstance(command, Override):
         return find_refusal(command.what, command.percent)
     if isinstance(command, Home) and settings.homing is False:
-        return "homing is switched off ($22=0); set the zero by hand"
+        return Phrase("homing is switched off ($22=0); set the zero by hand")
     if isinstance(command, SetZero):
         axes = command.axes
-        return (
-            "" if axes and not set(axes) - set("XYZ") and len(set(axes)) == len(axes) else f"axes '{axes}': of X, Y, Z"
-        )
+        if axes and not set(axes) - set("XYZ") and len(set(axes)) == len(axes):
+            return None
+        return Phrase("axes '{axes}': of X, Y, Z", axes=axes)
     if isinstance(command, Jog):
-        return "" if 0.0 < command.feed_mm_per_min <= 100_000.0 else f"feed {command.feed_mm_per_min} mm/min: above 0"
+        if 0.0 < command.feed_mm_per_min <= 100_000.0:
+            return None
+        return Phrase("feed {feed_mm_per_min} mm/min: above 0", feed_mm_per_min=command.feed_mm_per_min)
     if isinstance(command, ProbeZ):
         return _probe(command)
     if isinstance(command, ProbeCorner):
         return _corner(command, settings, machine_mm)
-    return _block(command.text) if isinstance(command, SendBlock) else ""
+    return _block(command.text) if isinstance(command, SendBlock) else None
 
 
-def _probe(command: ProbeZ) -> str:
+def _probe(command: ProbeZ) -> Phrase | None:
     if not 0.0 < command.depth_mm <= 200.0:
-        return f"depth {command.depth_mm} mm: above 0, at most 200"
+        return Phrase("depth {depth_mm} mm: above 0, at most 200", depth_mm=command.depth_mm)
     if not 0.0 < command.feed_mm_per_min <= 2000.0:
-        return f"feed {command.feed_mm_per_min} mm/min: above 0, at most 2000"
-    return "" if 0.0 <= command.retract_mm <= 200.0 else f"retract {command.retract_mm} mm: from 0 to 200"
+        return Phrase("feed {feed_mm_per_min} mm/min: above 0, at most 2000", feed_mm_per_min=command.feed_mm_per_min)
+    if 0.0 <= command.retract_mm <= 200.0:
+        return None
+    return Phrase("retract {retract_mm} mm: from 0 to 200", retract_mm=command.retract_mm)
 
 
-def _corner(command: ProbeCorner, settings: ControllerSettings, machine_mm: Triple | None) -> str:
+def _corner(command: ProbeCorner, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
     radius_mm = command.cutter_radius_mm
     if min(command.below_mm, command.aside_mm) <= radius_mm:
-        return f"the side of a cutter of radius {radius_mm:g} mm touches only further below and aside than its radius"
+        return Phrase(
+            "the side of a cutter of radius {radius_mm:g} mm touches only further below and aside than its radius",
+            radius_mm=radius_mm,
+        )
     reach_mm = settings.reach_mm if settings.homing or settings.soft_limits else None
     if reach_mm is None or machine_mm is None:
-        return ""
+        return None
     for name, (least, most), (low, high) in zip("XYZ", find_reached_mm(command, machine_mm), reach_mm, strict=True):
         if least < low or most > high:
-            where = f"{name} might go from {least:.3f} to {most:.3f} mm in machine coordinates"
-            return f"{where}; the machine reaches {low:g} to {high:g}"
-    return ""
+            return Phrase(
+                "{axis} might go from {least_mm:.3f} to {most_mm:.3f} mm in machine coordinates; the machine reaches "
+                "{low_mm:g} to {high_mm:g}",
+                axis=name,
+                least_mm=least,
+                most_mm=most,
+                low_mm=low,
+                high_mm=high,
+            )
+    return None
 
 
 def _is_plain(text: str) -> bool:
@@ -140,11 +159,11 @@ def _is_plain(text: str) -> bool:
     return text.isascii() and data != b"" and data.translate(None, PLAIN) == b""
 
 
-def _block(text: str) -> str:
+def _block(text: str) -> Phrase | None:
     data = text.strip().encode("ascii")
     if len(data) > 78:
-        return f"{len(data)} characters; at most 78"
+        return Phrase("{count} characters; at most 78", count=len(data))
     first = data.replace(b" ", b"").upper()
     if first.startswith((b"$H", b"$C", b"$J", b"$X", b"$SLP")):
-        return f"'{text}': use the command for it"
-    return ""
+        return Phrase("'{text}': use the command for it", text=text)
+    return None

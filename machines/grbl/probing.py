@@ -24,6 +24,7 @@ from machines.grbl.asking import (
     require_ok,
 )
 from machines.grbl.settings import ControllerSettings
+from phrases.phrase import Phrase
 
 BACK_MM = 1.0  # from the fast touch to where the slow one begins
 SLOW_MM_PER_MIN = 25.0
@@ -102,8 +103,10 @@ def _lower(command: ProbeCorner, unit_mm: float) -> Generator[Ask | WaitStill, A
     _, touched = yield from _probe("G38.3", "Z", down_mm, command.feed_mm_per_min, unit_mm)
     if touched:
         raise SequenceFailedError(
-            "the tool touched on its way down beside the plate: begin nearer to the corner, or go further aside; "
-            "no zero is set"
+            Phrase(
+                "the tool touched on its way down beside the plate: begin nearer to the corner, or go further "
+                "aside; no zero is set"
+            )
         )
 
 
@@ -114,7 +117,14 @@ def _touch_twice(axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: float
     yield from _go(axis, fast_mm - back_mm)
     slow_mm = (yield from _touch(axis, 2.0 * back_mm, min(feed_mm_per_min, SLOW_MM_PER_MIN), unit_mm))[k]
     if abs(slow_mm - fast_mm) > APART_MM:
-        raise SequenceFailedError(f"{axis} was touched at {fast_mm:.3f} and at {slow_mm:.3f} mm: no zero is set")
+        raise SequenceFailedError(
+            Phrase(
+                "{axis} was touched at {fast_mm:.3f} and at {slow_mm:.3f} mm: no zero is set",
+                axis=axis,
+                fast_mm=fast_mm,
+                slow_mm=slow_mm,
+            )
+        )
     return slow_mm
 
 
@@ -122,7 +132,7 @@ def _touch(axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: float) -> _
     """Return where the probe has touched, in machine coordinates."""
     contact_mm, touched = yield from _probe("G38.2", axis, by_mm, feed_mm_per_min, unit_mm)
     if not touched:
-        raise SequenceFailedError("the probe did not touch: no zero is set")
+        raise SequenceFailedError(Phrase("the probe did not touch: no zero is set"))
     return contact_mm
 
 
@@ -142,7 +152,7 @@ def _stand() -> _Triple:
     """Return where the mill stands, in machine coordinates."""
     still = require_ok((yield WaitStill()))
     if still.machine_mm is None:
-        raise SequenceFailedError("the controller reports no machine position: no zero is set")
+        raise SequenceFailedError(Phrase("the controller reports no machine position: no zero is set"))
     return still.machine_mm
 
 
@@ -162,4 +172,4 @@ def _read_probe(answer: Answer, unit_mm: float) -> tuple[Triple, bool]:
             except ValueError:
                 break
             return (x, y, z), success == "1"
-    raise SequenceFailedError("the controller does not tell where the probe touched: no zero is set")
+    raise SequenceFailedError(Phrase("the controller does not tell where the probe touched: no zero is set"))

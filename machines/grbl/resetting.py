@@ -10,6 +10,7 @@ from machines.grbl.link import GrblLink
 from machines.grbl.states import Phase
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import BANNER_S, PERSON_S
+from phrases.phrase import Phrase
 
 BUSY_S = 0.05  # between status requests while the mill is being stopped
 RESET = b"\x18"
@@ -97,7 +98,7 @@ class ResetControl:
     def take_message(self, words: str, now_s: float) -> None:
         """Pass a message on; after a critical alarm one says that the controller waits for a reset."""
         link, sequence = self.link, self.sequence
-        link.events.append(Notice(f"controller: {words}"))
+        link.events.append(Notice(Phrase("controller: {words}", words=words)))
         if words != MESSAGE:
             return
         if sequence is not None and sequence.repeats:
@@ -114,10 +115,16 @@ class ResetControl:
         if not sequence.repeats:
             return waited_s > BANNER_S
         if not sequence.ours and waited_s > PERSON_S:
-            words = f"nothing answers, not even {sequence.sent} resets: mill off, another port, or another baud rate"
+            words = Phrase(
+                "nothing answers, not even {count} resets: mill off, another port, or another baud rate",
+                count=sequence.sent,
+            )
             link.close(words, now_s, FaultCause.DEVICE)
         elif waited_s > BANNER_S and not link.silence.notified:
             link.silence.notified = True
-            words = "no answer to {} resets after the alarm: is an emergency stop pressed, is the mill without power?"
-            link.events.append(Notice(words.format(sequence.sent)))
+            words = Phrase(
+                "no answer to {count} resets after the alarm: is an emergency stop pressed, is the mill without power?",
+                count=sequence.sent,
+            )
+            link.events.append(Notice(words))
         return False

@@ -40,12 +40,13 @@ from machines.grbl.asking import (
 from machines.grbl.probing import probe_corner, probe_z
 from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import longest_homing_s
+from phrases.phrase import Phrase
 
 
 def identify(banner: str) -> CommandSequence:
     """Ask $I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
     heard: list[replies.Reply] = []
-    version = Answer("not asked")
+    version = Answer(Phrase("not asked"))
     for _ in range(3):
         # A line half sent by someone before us may be in the controller's reader: '$' makes it an error, not a motion.
         version = yield Ask(b"$I", expect=VERSION_TAG)
@@ -57,7 +58,9 @@ def identify(banner: str) -> CommandSequence:
     heard += yield from ask_twice(b"$G", PARSER_TAG)
     settings = read_settings(heard, banner)
     if version.failure and not banner and not settings.values and not settings.parser_state:
-        raise SequenceFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
+        raise SequenceFailedError(
+            Phrase("answers '?' like GRBL, but neither $I nor $$ ({failure})", failure=version.failure)
+        )
     return Outcome(settings=settings, answer=describe_settings(settings))
 
 

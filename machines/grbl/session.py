@@ -45,6 +45,7 @@ from machines.grbl.stream_monitor import StreamMonitor
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import OFFER_S
 from machines.grbl.transmitting import Transmitter
+from phrases.phrase import Phrase
 
 WATCH_S = 0.05
 
@@ -69,19 +70,19 @@ class GrblSession:
     def connect(self, now_s: float) -> None:
         """Begin the handshake."""
         if self.link.phase is not Phase.CLOSED:
-            raise NotAllowedError(f"connect: the link is {self.link.phase.value} already")
+            raise NotAllowedError(Phrase("connect: the link is {phase} already", phase=self.link.phase.value))
         self._splitter.clear()
         self._handshake.begin(now_s)
 
-    def lose(self, words: str, now_s: float) -> None:
+    def lose(self, words: Phrase, now_s: float) -> None:
         """Give the link up: the port is gone."""
         self._close(words, words, now_s, FaultCause.PORT_LOST)
 
     def close(self, now_s: float) -> None:
         """Give the link up; nothing is written any more."""
-        self._close("closed", "link closed", now_s, None)
+        self._close(Phrase("closed"), Phrase("link closed"), now_s, None)
 
-    def _close(self, words: str, command_words: str, now_s: float, cause: FaultCause | None) -> None:
+    def _close(self, words: Phrase, command_words: Phrase, now_s: float, cause: FaultCause | None) -> None:
         if self.link.phase is Phase.CLOSED:
             return
         line = self.streamer.first_line

@@ -10,6 +10,7 @@ from typing import Any
 
 from machines.driver import Triple
 from machines.grbl.replies import Push, Reply, Setting
+from phrases.phrase import Phrase
 
 MM_PER_INCH = 25.4
 # Both tell in the letters of [OPT:] where M7 is built in; of FluidNC that is not known.
@@ -203,15 +204,17 @@ def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
     return offsets
 
 
-def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> str:
+def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> Phrase:
     """Say why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
 
     mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.
     """
     letters = settings.option_letters
     if not mist_line or letters is None or settings.firmware not in _TELL_MIST or MIST in letters:
-        return ""
-    return (
-        f"line {mist_line}: M7 (mist) is error:20 on this controller: it is built without it ([OPT:{settings.options}] "
-        "has no M); take M7 out of the program, or use M8"
+        return Phrase("")
+    return Phrase(
+        "line {line}: M7 (mist) is error:20 on this controller: it is built without it ([OPT:{options}] has no M); "
+        "take M7 out of the program, or use M8",
+        line=mist_line,
+        options=settings.options,
     )

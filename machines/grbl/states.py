@@ -6,6 +6,7 @@ from enum import Enum
 
 from machines.driver import MillState
 from machines.grbl.replies import Status
+from phrases.phrase import Phrase
 
 
 class Phase(Enum):
@@ -55,10 +56,10 @@ _STATES = {
     "Tool": MillState.TOOL,
 }
 _DOOR = {
-    0: "door closed, ready to resume",
-    1: "stopped, door still open",
-    2: "door opened, the mill is coming to rest",
-    3: "door closed, going back to work",
+    0: Phrase("door closed, ready to resume"),
+    1: Phrase("stopped, door still open"),
+    2: Phrase("door opened, the mill is coming to rest"),
+    3: Phrase("door closed, going back to work"),
 }
 
 
@@ -69,12 +70,12 @@ def mill_state(report: Status) -> MillState:
     return _STATES[report.state]
 
 
-def detail_words(report: Status) -> str:
+def detail_words(report: Status) -> Phrase:
     if report.state == "Door":
-        return _DOOR.get(report.sub or 0, "door")
+        return _DOOR.get(report.sub or 0, Phrase("{state}", state="door"))
     if report.state == "Alarm":
-        return "locked: home ($H) or unlock ($X)"
-    return ""
+        return Phrase("locked: home ($H) or unlock ($X)")
+    return Phrase("")
 
 
 def stands(report: Status) -> bool:

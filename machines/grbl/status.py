@@ -12,6 +12,7 @@ from machines.grbl.link import SILENT, GrblLink
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Streamer
 from machines.grbl.tracking import SEGMENTS
+from phrases.phrase import Phrase
 
 
 @dataclass(slots=True, eq=False)
@@ -86,24 +87,26 @@ class StatusReporter:
             return MillCode.LOCKED_UNTIL_RESET
         return MillCode.LOCKED if self._alarm(state) else ""
 
-    def _detail(self, state: MillState) -> str:
+    def _detail(self, state: MillState) -> Phrase:
         link, view = self.link, self.link.view
         if link.phase is Phase.CLOSED:
             return link.failure
         if link.offers_reset:
             return SILENT
         if view.alarm:
-            waits = "; waits for the controller to take a reset" if link.phase is Phase.CLEARING else ""
-            return alarm_words(view.alarm) + waits
+            alarm = alarm_words(view.alarm)
+            if link.phase is not Phase.CLEARING:
+                return alarm
+            return Phrase("{alarm}; waits for the controller to take a reset", alarm=alarm)
         if state is MillState.CONNECTING:
-            return link.greeting.words if link.phase is Phase.HAILING else "reading version and settings"
+            return link.greeting.words if link.phase is Phase.HAILING else Phrase("reading version and settings")
         if link.phase in (Phase.STOPPING, Phase.CLEARING):
-            return "stopping: buffers are cleared when the mill stands"
+            return Phrase("stopping: buffers are cleared when the mill stands")
         if state is MillState.TOOL:
-            return "the program waits for a person (M0, M1 or a tool change): resume when ready"
+            return Phrase("the program waits for a person (M0, M1 or a tool change): resume when ready")
         if state is MillState.ALARM and view.locked_by:
             return alarm_words(view.locked_by)
-        return detail_words(view.report) if view.report else ""
+        return detail_words(view.report) if view.report else Phrase("")
 
     @property
     def facts(self) -> DriverFacts:

@@ -18,11 +18,12 @@ from machines.grbl.states import HELD_STATES, Phase, detail_words, stands
 from machines.grbl.status import StatusReporter
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import HOLD_S
+from phrases.phrase import Phrase
 
 RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
-HELD = "a hold came before it had ended: it is not taken up again"
-NOT_SENT = "a stop came before it was sent"
+HELD = Phrase("a hold came before it had ended: it is not taken up again")
+NOT_SENT = Phrase("a stop came before it was sent")
 
 
 @dataclass(slots=True, eq=False)
@@ -73,14 +74,17 @@ class StopControl:
         link, state, report = self.link, self.reporter.state, self.link.view.report
         ready = link.phase in (Phase.HAILING, Phase.READY, Phase.COMMAND, Phase.STREAMING) and report is not None
         if not ready or state not in (MillState.HELD, MillState.TOOL, MillState.DOOR):
-            raise NotAllowedError(f"resume: the mill is {state.value}, it must be held")
+            raise NotAllowedError(Phrase("resume: the mill is {state}, it must be held", state=state.words))
         assert report is not None
         if report.state == "Door" and report.sub:
-            raise NotAllowedError(f"resume: {detail_words(report)}")
+            raise NotAllowedError(Phrase("resume: {detail}", detail=detail_words(report)))
         if self.commands.held_line:
             raise NotAllowedError(
-                f"resume: '{self.commands.held_line}' was ended by the hold and is not taken up again; send a reset "
-                "(from standstill the position is kept), then give the command anew"
+                Phrase(
+                    "resume: '{text}' was ended by the hold and is not taken up again; send a reset (from "
+                    "standstill the position is kept), then give the command anew",
+                    text=self.commands.held_line,
+                )
             )
         link.hold_wanted = self.abort_wanted = False
         if report.state == "Check":
@@ -111,7 +115,7 @@ class StopControl:
         if self.is_quiet:
             link.events.append(Stopped(position_kept=link.view.trusted))
             return
-        self.commands.end("aborted")
+        self.commands.end(Phrase("aborted"))
         link.put_hold()
         self.streamer.late_answers = True
         self._begin_stop(now_s)
@@ -133,19 +137,19 @@ class StopControl:
             self.commands.give_up(HELD, now_s)
 
     def _greet_again(self, now_s: float) -> None:
-        self.commands.end("held")
+        self.commands.end(Phrase("held"))
         self.link.text.clear()
         self.link.greet(now_s, recognised=True)
 
     def _reset_homing(self, now_s: float) -> None:
         """Stop a homing cycle, which obeys no hold; its position means nothing yet, so a reset loses nothing."""
-        self.commands.end("homing was stopped")
+        self.commands.end(Phrase("homing was stopped"))
         self.link.view.lose_position()
         self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
 
     # ------------------------------------------------------------------ shown by the controller
 
-    def raise_fault(self, cause: FaultCause, words: str, line: int, now_s: float, *, alarm: int = 0) -> None:
+    def raise_fault(self, cause: FaultCause, words: Phrase, line: int, now_s: float, *, alarm: int = 0) -> None:
         """End the program for a fault, '!' before anything else. The first sign counts."""
         if self.link.phase is not Phase.STREAMING:
             return
@@ -190,13 +194,13 @@ class StopControl:
         if self.link.phase is Phase.STOPPING:
             self._watch_stop(now_s)
         elif self.resets.watch(now_s):
-            self.link.events.append(Notice("no banner after the reset: asking again whether the mill stands"))
+            self.link.events.append(Notice(Phrase("no banner after the reset: asking again whether the mill stands")))
             self.link.put_hold()
             self._await_standstill(now_s)
 
     def _begin_stop(self, now_s: float) -> None:
         self.link.text.clear()
-        self.commands.override.end("the program was stopped")
+        self.commands.override.end(Phrase("the program was stopped"))
         self._await_standstill(now_s)
 
     def _await_standstill(self, now_s: float) -> None:
@@ -241,4 +245,4 @@ class StopControl:
             self._hold_again(now_s)
         if now_s > self._notified_at_s + HOLD_S:
             self._notified_at_s = now_s
-            self.link.events.append(Notice("the mill does not confirm the hold: use its own stop button"))
+            self.link.events.append(Notice(Phrase("the mill does not confirm the hold: use its own stop button")))

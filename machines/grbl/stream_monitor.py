@@ -14,6 +14,7 @@ from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Flight, Stream, Streamer
 from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, NOTIFY_SILENCE_S, REPORT_SILENCE_S, longest_wait_s
 from machines.grbl.tracking import Place
+from phrases.phrase import Phrase
 
 DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
 
@@ -61,18 +62,20 @@ class StreamMonitor:
         """Take `ok` (0) or the number of an error for the oldest line under way."""
         streamer, stream = self.streamer, self._stream
         self._note_answer()
-        words = error_words(error) if error else "ok"
+        words = error_words(error) if error else Phrase("ok")
         first = stream.first
         if first is None:
-            words = f"{words} came although every line was answered already"
+            words = Phrase("{words} came although every line was answered already", words=words)
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, 0, now_s)
         elif streamer.echoes and not stream.echoed:
             line = stream.first_line
-            words = f"line {line} was answered ({words}) without its echo"
+            words = Phrase("line {line} was answered ({words}) without its echo", line=line, words=words)
             self.stops.raise_fault(FaultCause.ECHO, words, line, now_s)
         elif error:
             block = first[0]
-            words = f"line {block.number} '{show(block.text)}' was refused: {words}"
+            words = Phrase(
+                "line {line} '{text}' was refused: {words}", line=block.number, text=show(block.text), words=words
+            )
             self.stops.raise_fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
         else:
             stream.take_answer()
@@ -85,11 +88,16 @@ class StreamMonitor:
         stream = self._stream
         first = stream.first
         if first is None:
-            words = f"the controller has read '{show(text)}', which was not sent"
+            words = Phrase("the controller has read '{read}', which was not sent", read=show(text))
             self.stops.raise_fault(FaultCause.ECHO, words, 0, now_s)
         elif stream.echoed or _as_read(first[0].text) != _as_read(text):
             block = first[0]
-            words = f"line {block.number} was sent as '{show(block.text)}', but read as '{show(text)}'"
+            words = Phrase(
+                "line {line} was sent as '{text}', but read as '{read}'",
+                line=block.number,
+                text=show(block.text),
+                read=show(text),
+            )
             self.stops.raise_fault(FaultCause.ECHO, words, block.number, now_s)
         else:
             self.streamer.echoes = stream.echoed = True
@@ -97,10 +105,10 @@ class StreamMonitor:
     def take_garbled(self, raw: bytes, now_s: float) -> None:
         """End the program for a line that no controller says."""
         if self.link.phase is Phase.STREAMING:
-            words = f"'{show(raw)}' is nothing a controller says: damaged on the way"
+            words = Phrase("'{text}' is nothing a controller says: damaged on the way", text=show(raw))
             self.stops.raise_fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
         elif self.link.phase is not Phase.CLEARING:
-            self.link.events.append(Notice(f"not understood: '{show(raw)}'"))
+            self.link.events.append(Notice(Phrase("not understood: '{text}'", text=show(raw))))
 
     def note_report(self, report: Status, now_s: float, *, moved: bool) -> None:
         """Take the signs from a report, in every phase."""
@@ -119,7 +127,7 @@ class StreamMonitor:
         """Compare a report with the program under way: on the path, off it, done?"""
         stream = self._stream
         if report.state in ("Alarm", "Sleep") and not self.link.view.alarm:
-            words = f"the controller reports '{report.state}' in the middle of a program"
+            words = Phrase("the controller reports '{state}' in the middle of a program", state=report.state)
             self.stops.raise_fault(FaultCause.ALARM, words, stream.first_line, now_s)
             return
         if report.state in ("Run", "Hold", "Idle"):
@@ -145,14 +153,22 @@ class StreamMonitor:
         elif sight.place is Place.OFF_PATH:
             stream.tracker.distrust_positions()
             at = " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", position, strict=True))
-            words = (
-                f"the mill reports {at}, {sight.distance_mm:.3f} mm from the nearest line that can be under way "
-                f"(line {sight.line}; allowed {stream.tracker.tolerance_mm:.3f} mm): a byte was damaged or a step lost"
+            words = Phrase(
+                "the mill reports {place}, {distance_mm:.3f} mm from the nearest line that can be under way "
+                "(line {near_line}; allowed {allowed_mm:.3f} mm): a byte was damaged or a step lost",
+                place=at,
+                distance_mm=sight.distance_mm,
+                near_line=sight.line,
+                allowed_mm=stream.tracker.tolerance_mm,
             )
             self.stops.raise_fault(FaultCause.OFF_PATH, words, sight.line, now_s)
         elif sight.place is Place.UNANSWERED:
             line = stream.first_line
-            words = f"the mill is on line {sight.line}, but line {line} was never answered: a reply was lost"
+            words = Phrase(
+                "the mill is on line {near_line}, but line {line} was never answered: a reply was lost",
+                near_line=sight.line,
+                line=line,
+            )
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, line, now_s)
 
     def _finish(self, stream: Stream, report: Status, now_s: float) -> None:
@@ -161,7 +177,9 @@ class StreamMonitor:
         if report.state == "Idle" and last is not None and position is not None and not last.probes:
             away = max((abs(p - e) for p, e in zip(position, last.end_mm, strict=True) if e is not None), default=0.0)
             if away > stream.tracker.tolerance_mm:
-                words = f"the program is done, but the mill stands {away:.3f} mm from its end"
+                words = Phrase(
+                    "the program is done, but the mill stands {distance_mm:.3f} mm from its end", distance_mm=away
+                )
                 self.stops.raise_fault(FaultCause.OFF_PATH, words, stream.answered_line, now_s)
                 return
         self.streamer.end()
@@ -174,14 +192,16 @@ class StreamMonitor:
         silent_s = silence.silent_s
         if silent_s > REPORT_SILENCE_S:
             self.streamer.late_answers = True
-            words = f"no answer to '?' for {silent_s:.1f} s"
+            words = Phrase("no answer to '?' for {silent_s:.1f} s", silent_s=silent_s)
             self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
             return
         if silent_s > NOTIFY_SILENCE_S and not silence.notified:
             silence.notified = True
-            words = (
-                f"no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "
-                f"written all the same; after {REPORT_SILENCE_S:.0f} s the run is interrupted"
+            words = Phrase(
+                "no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "
+                "written all the same; after {limit_s:.0f} s the run is interrupted",
+                silent_s=silent_s,
+                limit_s=REPORT_SILENCE_S,
             )
             link.events.append(Notice(words))
         if not link.paused and not stream.exhausted and now_s >= stream.count.due_s:
@@ -208,7 +228,11 @@ class StreamMonitor:
             return
         words = _word_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
-            words += f" after line {stream.agreed_line} (if a line, it was not cut: look at the part from there on)"
+            words = Phrase(
+                "{words} after line {line} (if a line, it was not cut: look at the part from there on)",
+                words=words,
+                line=stream.agreed_line,
+            )
         self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
 
     @property
@@ -218,13 +242,23 @@ class StreamMonitor:
         return stream
 
 
-def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> str:
+def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> Phrase:
     if first is None:
-        return f"every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now"
-    words = f"line {first[0].number} '{show(first[0].text)}' got no answer and nothing moved for {waited_s:.1f} s"
+        return Phrase(
+            "every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now",
+            waited_s=waited_s,
+        )
+    words = Phrase(
+        "line {line} '{text}' got no answer and nothing moved for {waited_s:.1f} s",
+        line=first[0].number,
+        text=show(first[0].text),
+        waited_s=waited_s,
+    )
     if standing:
-        return f"{words}; the mill reports Idle: a line or a reply was lost"
-    return f"{words} (at most {allowed_s:.1f} s are explained by what is under way)"
+        return Phrase("{words}; the mill reports Idle: a line or a reply was lost", words=words)
+    return Phrase(
+        "{words} (at most {allowed_s:.1f} s are explained by what is under way)", words=words, allowed_s=allowed_s
+    )
 
 
 def show(text: bytes) -> str:

@@ -14,6 +14,7 @@ from machines.grbl.flow_control import AnswerCount, SendWindow, usable_bytes
 from machines.grbl.link import GrblLink
 from machines.grbl.states import Phase
 from machines.grbl.tracking import SEGMENTS, Tracker
+from phrases.phrase import Phrase
 
 # Bytes that a block may consist of: printable, without the characters that act at once wherever they stand (! ? ~).
 PLAIN = bytes(set(range(0x20, 0x7F)) - set(b"!?~"))
@@ -82,17 +83,29 @@ class Stream:
         try:
             line = next(self._lines, None)
         except OSError as error:
-            raise ProgramChangedError(f"the program cannot be read further: {error}") from error
+            raise ProgramChangedError(
+                Phrase("the program cannot be read further: {error}", error=str(error))
+            ) from error
         if line is None:
             self.exhausted = True
             return None
         if len(line.text) >= self.window.capacity:
             raise MachineError(
-                f"line {line.number}: {len(line.text)} characters and its end; the controller's buffer takes "
-                f"{self.window.capacity}: split the line"
+                Phrase(
+                    "line {line}: {count} characters and its end; the controller's buffer takes {most}: split the line",
+                    line=line.number,
+                    count=len(line.text),
+                    most=self.window.capacity,
+                )
             )
         if not line.text or line.text.translate(None, PLAIN):
-            raise MachineError(f"line {line.number}: {line.text!r} is not a plain block: run pre-flight again")
+            raise MachineError(
+                Phrase(
+                    "line {line}: {text} is not a plain block: run pre-flight again",
+                    line=line.number,
+                    text=repr(line.text),
+                )
+            )
         self._next = (line, self.interpreter.take(line.text))
         return self._next
 

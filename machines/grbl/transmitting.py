@@ -14,6 +14,7 @@ from machines.grbl.states import Phase
 from machines.grbl.stopping import StopControl
 from machines.grbl.stream_monitor import StreamMonitor
 from machines.grbl.streaming import Stream, Streamer
+from phrases.phrase import Phrase
 
 HAIL_S = 0.25  # between status requests while nobody has answered
 QUICK_S = 0.1  # at most, while something waits for what the next report shows
@@ -95,8 +96,10 @@ class Transmitter:
         try:
             data = stream.fill(budget)
         except MachineError as error:
-            refused = "block refused before it was sent: " if isinstance(error, ProgramRefusedError) else ""
-            self.stops.raise_fault(FaultCause.PROGRAM_CHANGED, f"{refused}{error}", 0, now_s)
+            words = error.words
+            if isinstance(error, ProgramRefusedError):
+                words = Phrase("block refused before it was sent: {words}", words=words)
+            self.stops.raise_fault(FaultCause.PROGRAM_CHANGED, words, 0, now_s)
             return b""
         if idle and data:
             self.monitor.note_sent()

@@ -21,6 +21,7 @@ from typing import Any
 
 from machines.errors import JournalError
 from machines.journal.disk import Disk, File, RealDisk, Syncer, ThreadSyncer, os_words
+from phrases.phrase import Phrase, join, phrases_in, restore
 
 ROTATE_BYTES = 4_000_000
 _PATTERN = "journal-*.log"
@@ -37,9 +38,16 @@ class JournalContent:
 
 
 def encode(record: Mapping[str, Any]) -> bytes:
-    """Encode one line of a journal."""
-    text = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
+    """Encode one line of a journal; its phrases with what they are made of."""
+    phrases = phrases_in(record)
+    text = json.dumps(
+        {**record, "phrases": phrases} if phrases else record, separators=(",", ":"), allow_nan=False
+    ).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def _word_failure(place: Path, reason: str) -> Phrase:
+    return Phrase("journal {path}: {reason}", path=place, reason=reason)
 
 
 def decode(line: bytes) -> dict[str, Any] | None:
@@ -51,7 +59,9 @@ def decode(line: bytes) -> dict[str, Any] | None:
         record = json.loads(text)
     except ValueError:
         return None
-    return record if isinstance(record, dict) else None
+    if not isinstance(record, dict):
+        return None
+    return restore(record, record["phrases"]) if "phrases" in record else record
 
 
 def records_in(data: bytes) -> Iterator[dict[str, Any]]:
@@ -69,21 +79,27 @@ def records_in(data: bytes) -> Iterator[dict[str, Any]]:
 
 def read_journal(folder: Path) -> JournalContent | None:
     """Return the newest state that can be read; None if the folder holds no readable journal. Never writes."""
-    torn: list[str] = []
+    torn: list[Phrase] = []
     for path in sorted(folder.glob(_PATTERN), reverse=True):
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise JournalError(f"journal {path}: cannot be read ({os_words(error)})") from error
+            words = Phrase("journal {path}: cannot be read ({reason})", path=path, reason=os_words(error))
+            raise JournalError(words) from error
         content = _fold_records(data)
         whole = sum(len(encode(record)) for record in records_in(data))
         if whole < len(data) or not data:
             torn.append(
-                f"{path.name}: {len(data) - whole} bytes from byte {whole} on are torn or damaged and do not count"
+                Phrase(
+                    "{file}: {count} bytes from byte {whole} on are torn or damaged and do not count",
+                    file=path.name,
+                    count=len(data) - whole,
+                    whole=whole,
+                )
             )
         if content is not None:
             state, sequence, count = content
-            return JournalContent(state, sequence, count, "; ".join(torn))
+            return JournalContent(state, sequence, count, join("; ", torn))
     return None
 
 
@@ -113,28 +129,28 @@ class Journal:
         self._rotate_bytes = rotate_bytes
         self._file: File | None = None
         self._written = 0
-        self._failure = ""
+        self._failure: Phrase | None = None
         try:
             self._disk.make_folder(folder)
             found = read_journal(folder)
         except OSError as error:
-            raise JournalError(f"journal {folder}: {os_words(error)}") from error
+            raise JournalError(_word_failure(folder, os_words(error))) from error
         self.torn = found.torn if found else ""
         self.state: dict[str, Any] = dict(found.state) if found else {}
         self._sequence = found.sequence if found else 0
 
     @property
-    def failure(self) -> str:
-        """Why nothing can be written at present; "" if nothing is wrong."""
-        if not self._failure and (words := self._syncer.failure):
-            self._failure = f"journal {self.folder}: {words}"
+    def failure(self) -> Phrase | None:
+        """Why nothing can be written at present; None if nothing is wrong."""
+        if self._failure is None and (words := self._syncer.failure):
+            self._failure = _word_failure(self.folder, words)
         return self._failure
 
     def append(self, kind: str, **fields: Any) -> None:
         """Add one record. JournalError if this one, or an fsync since the last call, failed."""
         self.state.update(fields)
-        if self.failure:
-            raise JournalError(self._failure)
+        if (failure := self.failure) is not None:
+            raise JournalError(failure)
         if self._file is None or self._written >= self._rotate_bytes:
             self._rotate()
             return
@@ -145,8 +161,8 @@ class Journal:
         """Wait until everything appended is safe on disk: before anything may move."""
         if self._file is not None and not self.failure:
             self._syncer.sync()
-        if self.failure:
-            raise JournalError(self._failure)
+        if (failure := self.failure) is not None:
+            raise JournalError(failure)
 
     def hasten(self) -> None:
         """Let everything appended be made safe soon, without waiting: `failure` tells if it could not be."""
@@ -185,17 +201,17 @@ class Journal:
         except OSError as error:
             if file is not None:
                 file.close()
-            self._failure = f"journal {path}: {os_words(error)}"
+            self._failure = _word_failure(path, os_words(error))
             raise JournalError(self._failure) from error
         self._sequence += 1
-        self._file, self._written, self._failure = file, len(data), ""
+        self._file, self._written, self._failure = file, len(data), None
         self._syncer.take(file, drop_older)
 
     def _write(self, file: File, data: bytes) -> None:
         try:
             file.write(data)
         except OSError as error:
-            self._failure = f"journal {self.folder}: {os_words(error)}"
+            self._failure = _word_failure(self.folder, os_words(error))
             raise JournalError(self._failure) from error
         self._written += len(data)
         self._syncer.note_written()

@@ -35,49 +35,53 @@ from machines.gcode.words import strip_block
 from machines.mill.orders import NOBODY, Caller, Order
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext
+from phrases.phrase import Phrase
 
 _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
 _AXES = "XYZ"
 _STEP_MM = 0.02  # of a coarse mill: its jogs end that much beside what they were asked for
-_NAMES: dict[type[Command], str] = {
-    Home: "Home",
-    Unlock: "Unlock",
-    Reset: "Reset",
-    JogCancel: "End jog",
-    TrustPosition: "Position taken as right",
-    ReadSettings: "Read settings",
+_NAMES: dict[type[Command], Phrase] = {
+    Home: Phrase("Home"),
+    Unlock: Phrase("Unlock"),
+    Reset: Phrase("Reset"),
+    JogCancel: Phrase("End jog"),
+    TrustPosition: Phrase("Position taken as right"),
+    ReadSettings: Phrase("Read settings"),
 }
 
 # The first row that fits counts. A pattern is held against the whole of a $ command, or against one word (G92.1).
-EFFECTS: tuple[tuple[str, str], ...] = (
-    (r"\$RST=.*", "sets the controller back to factory values: travel, limits, steps per mm and zeros may be gone"),
-    (r"\$N\d*=.*", "stores a line that the controller runs by itself each time it is reset or switched on"),
-    (r"\$[01]=.*", "changes how the motors are driven and held: steps may be lost"),
-    (r"\$[2-6]=.*", "changes what the signals mean: axes may run the wrong way, limits or probe may go unseen"),
-    (r"\$10=.*", "changes what the controller reports: positions may be missing or mean something else"),
-    (r"\$13=.*", "changes the unit of the reports, mm or inches: positions may be read 25.4 times wrong"),
-    (r"\$20=0", "switches the soft limits off: nothing stops the mill before the end of its travel"),
-    (r"\$21=0", "switches the limit switches off: nothing stops the mill at the end of its travel"),
-    (r"\$22=0", "switches homing off: the mill does not know where its travel ends"),
-    (r"\$2[3-7]=.*", "changes how the mill homes: where its travel begins may be wrong"),
-    (r"\$3[01]=.*", "changes which spindle speed an S word means"),
-    (r"\$32=1", "switches laser mode on: the spindle stops in every rapid and turns slower in slow moves"),
-    (r"\$10[0-9]=.*", "changes the steps per mm: every length is wrong until it has been measured again"),
-    (r"\$1[12][0-9]=.*", "changes how fast an axis may move or speed up: steps may be lost"),
-    (r"\$13[0-9]=.*", "changes the travel that the soft limits guard"),
-    (r"\$(F|SD/RUN|LOCALFS/RUN)=.*", "runs a file of the controller's own, which nobody has checked"),
-    (r"\$[^=]*=.*", "changes a setting of the controller, for good"),
-    (r"\$(\$|#|G|I|N|\d+|[HJXC].*|SLP)?", ""),
-    (r"\$.*", "is a command that is not known here: it may move the mill or change what protects it"),
-    (r"\[.*", "is a command to the controller's files and network: it may run a file or change a setting"),
-    (r"#.*", "writes a parameter of the controller, which may be a zero or the length of a tool"),
-    (r"G10", "sets a work zero or a tool's length: what is cut afterwards lies elsewhere"),
-    (r"G92(\.[123])?|G52", "shifts the work zero: what is cut afterwards lies elsewhere"),
-    (r"G5[5-9]|G59\.[123]", "selects another work coordinate system, whose zero may lie anywhere"),
-    (r"G43(\.[12])?|G49", "changes the length of the tool in use: Z lies elsewhere"),
-    (r"G5[01]|G6[89]", "scales, mirrors or turns what is cut afterwards"),
-    (r"G28\.1|G30\.1", "stores this place as the one to which G28 or G30 drives"),
-    (r"G20", "reads all numbers from now on as inches"),
+EFFECTS: tuple[tuple[str, Phrase], ...] = (
+    (
+        r"\$RST=.*",
+        Phrase("sets the controller back to factory values: travel, limits, steps per mm and zeros may be gone"),
+    ),
+    (r"\$N\d*=.*", Phrase("stores a line that the controller runs by itself each time it is reset or switched on")),
+    (r"\$[01]=.*", Phrase("changes how the motors are driven and held: steps may be lost")),
+    (r"\$[2-6]=.*", Phrase("changes what the signals mean: axes may run the wrong way, limits or probe may go unseen")),
+    (r"\$10=.*", Phrase("changes what the controller reports: positions may be missing or mean something else")),
+    (r"\$13=.*", Phrase("changes the unit of the reports, mm or inches: positions may be read 25.4 times wrong")),
+    (r"\$20=0", Phrase("switches the soft limits off: nothing stops the mill before the end of its travel")),
+    (r"\$21=0", Phrase("switches the limit switches off: nothing stops the mill at the end of its travel")),
+    (r"\$22=0", Phrase("switches homing off: the mill does not know where its travel ends")),
+    (r"\$2[3-7]=.*", Phrase("changes how the mill homes: where its travel begins may be wrong")),
+    (r"\$3[01]=.*", Phrase("changes which spindle speed an S word means")),
+    (r"\$32=1", Phrase("switches laser mode on: the spindle stops in every rapid and turns slower in slow moves")),
+    (r"\$10[0-9]=.*", Phrase("changes the steps per mm: every length is wrong until it has been measured again")),
+    (r"\$1[12][0-9]=.*", Phrase("changes how fast an axis may move or speed up: steps may be lost")),
+    (r"\$13[0-9]=.*", Phrase("changes the travel that the soft limits guard")),
+    (r"\$(F|SD/RUN|LOCALFS/RUN)=.*", Phrase("runs a file of the controller's own, which nobody has checked")),
+    (r"\$[^=]*=.*", Phrase("changes a setting of the controller, for good")),
+    (r"\$(\$|#|G|I|N|\d+|[HJXC].*|SLP)?", Phrase("")),
+    (r"\$.*", Phrase("is a command that is not known here: it may move the mill or change what protects it")),
+    (r"\[.*", Phrase("is a command to the controller's files and network: it may run a file or change a setting")),
+    (r"#.*", Phrase("writes a parameter of the controller, which may be a zero or the length of a tool")),
+    (r"G10", Phrase("sets a work zero or a tool's length: what is cut afterwards lies elsewhere")),
+    (r"G92(\.[123])?|G52", Phrase("shifts the work zero: what is cut afterwards lies elsewhere")),
+    (r"G5[5-9]|G59\.[123]", Phrase("selects another work coordinate system, whose zero may lie anywhere")),
+    (r"G43(\.[12])?|G49", Phrase("changes the length of the tool in use: Z lies elsewhere")),
+    (r"G5[01]|G6[89]", Phrase("scales, mirrors or turns what is cut afterwards")),
+    (r"G28\.1|G30\.1", Phrase("stores this place as the one to which G28 or G30 drives")),
+    (r"G20", Phrase("reads all numbers from now on as inches")),
 )
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _WORD, _SETTING = re.compile(f"([A-Z])({_NUMBER})"), re.compile(rf"\$({_NUMBER})=(.*)")
@@ -102,7 +106,13 @@ class Commands:
             try:
                 self.unattended.note_touch()
             except JournalError as error:
-                raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
+                raise NotAllowedError(
+                    Phrase(
+                        "{command}: {error}; an interrupted run rests on it",
+                        command=type(command).__name__,
+                        error=error.words,
+                    )
+                ) from None
         stood_mm = driver.status.machine_mm
         order.require()
         driver.command(command)
@@ -143,62 +153,75 @@ def _find_axes_zeroed(command: Command) -> str:
             return ""
 
 
-def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
+def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> Phrase:
     """Return a line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
-    return f"{_word_question(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
+    outcome = done.failure or _came_of_it(done, from_mm, at_mm)
+    return Phrase("{command}: {outcome}", command=_word_question(done.command), outcome=outcome)
 
 
-def _word_question(command: Command) -> str:
+def _word_question(command: Command) -> Phrase:
     match command:
         case Jog():
-            return f"Jog {_way(command.by_mm)}"
+            return Phrase("Jog {way}", way=_way(command.by_mm))
         case ProbeZ():
-            return f"Probe Z down by at most {command.depth_mm:g} mm, plate {command.plate_mm:g} mm"
+            return Phrase(
+                "Probe Z down by at most {depth_mm:g} mm, plate {plate_mm:g} mm",
+                depth_mm=command.depth_mm,
+                plate_mm=command.plate_mm,
+            )
         case ProbeCorner():
-            return f"Probe the corner, cutter of radius {command.cutter_radius_mm:g} mm, plate {command.plate_mm:g} mm"
+            return Phrase(
+                "Probe the corner, cutter of radius {radius_mm:g} mm, plate {plate_mm:g} mm",
+                radius_mm=command.cutter_radius_mm,
+                plate_mm=command.plate_mm,
+            )
         case SetZero():
-            return f"{_together(command.axes)} = 0 here"
+            return Phrase("{axes} = 0 here", axes=_together(command.axes))
+        case Override(what="rapid"):
+            return Phrase("Rapids at {percent} %", percent=command.percent)
+        case Override(what="spindle"):
+            return Phrase("Spindle at {percent} %", percent=command.percent)
         case Override():
-            return f"{'rapids' if command.what == 'rapid' else command.what} at {command.percent} %".capitalize()
+            return Phrase("Feed at {percent} %", percent=command.percent)
         case CheckMode():
-            return f"Check mode {'on' if command.on else 'off'}"
+            return Phrase("Check mode on") if command.on else Phrase("Check mode off")
         case SendBlock():
-            return f"Line {command.text}"
+            return Phrase("Line {text}", text=command.text)
         case _:
             return _NAMES[type(command)]
 
 
-def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None) -> str:
+def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None) -> Phrase:
     match done.command:
         case Jog(by_mm=by_mm) if from_mm is not None and at_mm is not None:
             gone_mm = (at_mm[0] - from_mm[0], at_mm[1] - from_mm[1], at_mm[2] - from_mm[2])
             if all(abs(gone - by) <= _STEP_MM for gone, by in zip(gone_mm, by_mm, strict=True)):
-                return "done"
-            return f"ended after {_way(gone_mm)}"
+                return Phrase("done")
+            return Phrase("ended after {way}", way=_way(gone_mm))
         case SetZero(axes=axes) if at_mm is not None:
             places = (f"{axis} {at_mm[_AXES.index(axis)]:.3f}" for axis in axes)
-            return f"done, at machine {', '.join(places)} mm"
+            return Phrase("done, at machine {place_mm} mm", place_mm=", ".join(places))
         case ProbeZ() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
-            return f"touched at machine Z {contact[2]:.3f} mm"
+            return Phrase("touched at machine Z {contact_mm:.3f} mm", contact_mm=contact[2])
         case ProbeCorner() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
             places = (f"{axis} {mm:.3f}" for axis, mm in zip(_AXES, contact, strict=True))
-            return f"touched at machine {', '.join(places)} mm"
+            return Phrase("touched at machine {place_mm} mm", place_mm=", ".join(places))
         case _:
-            return "done"
+            return Phrase("done")
 
 
 def _way(by_mm: Triple) -> str:
     """Word it as in "X +10 mm, Z -0.5 mm"."""
     moved = ((axis, round(by, 3)) for axis, by in zip(_AXES, by_mm, strict=True))
-    return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or "by nothing"
+    return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or Phrase("by nothing")
 
 
 def _together(axes: str) -> str:
     """Join as in "X, Y and Z"."""
-    return " and ".join((", ".join(axes[:-1]), axes[-1])) if len(axes) > 1 else axes
+    return Phrase("{first} and {last}", first=", ".join(axes[:-1]), last=axes[-1]) if len(axes) > 1 else axes
 
 
-def describe_effect(text: str) -> str:
+def describe_effect(text: str) -> Phrase:
     """Return what the line would change, as the end of a sentence that begins with it; "" where it need not be asked
     for.
     """
@@ -207,9 +230,9 @@ def describe_effect(text: str) -> str:
         [_normalize_setting(line)] if line[:1] in ("$", "[", "#") else [_word(*found) for found in _WORD.findall(line)]
     )
     for part in parts:
-        if words := next((words for pattern, words in EFFECTS if re.fullmatch(pattern, part)), ""):
+        if words := next((words for pattern, words in EFFECTS if re.fullmatch(pattern, part)), Phrase("")):
             return words
-    return ""
+    return Phrase("")
 
 
 def _normalize_setting(line: str) -> str:

@@ -24,6 +24,7 @@ from machines.mill.link import AWAY
 from machines.mill.run_control import RunControl
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext
+from phrases.phrase import Phrase
 
 LOOK_S = 0.05
 ASK_S = 5.0
@@ -119,14 +120,14 @@ class MillCycle:
                     self.context.log.say("state", event.after.value)
         except JournalError as error:
             if run is None:
-                self.context.log.say("journal", str(error))
+                self.context.log.say("journal", error.words)
             else:
                 self.control.hold_without_journal(run, error)
         self.publish()
 
     def _note_restart(self, event: Restarted) -> None:
         self.context.link.setup.parser_state = None
-        self.context.log.say("link", f"controller restarted: {event.banner}")
+        self.context.log.say("link", Phrase("controller restarted: {banner}", banner=event.banner))
         self.unattended.note_touch()
         if not self.context.link.status.position_trusted:
             self.context.link.setup.forget_place()

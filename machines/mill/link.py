@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from machines.driver import Driver, MillState, MillStatus, StreamProgress
 from machines.errors import MachineError
 from machines.grbl.settings import ControllerSettings
+from phrases.phrase import NO_WORDS, Phrase
 
 BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 AWAY = frozenset({MillState.DISCONNECTED, MillState.CONNECTING})
@@ -38,7 +39,7 @@ class Setup:
     def forget_place(self) -> None:
         self.zeroed, self.zeroed_anew, self.homed = "", "", False
 
-    def digest(self, status: MillStatus, needs: tuple[str, ...]) -> str:
+    def digest(self, status: MillStatus, needs: tuple[Phrase, ...]) -> str:
         """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
         rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, needs)
@@ -53,7 +54,7 @@ class MillLink:
         connect: Callable[[], Driver],
         clock: Callable[[], float],
         pause: Callable[[float], object] | None,
-        say: Callable[[str, str], None],
+        say: Callable[[str, Phrase], None],
     ) -> None:
         self._connect = connect
         self._clock = clock
@@ -63,7 +64,7 @@ class MillLink:
         self._tries = 0
         self._try_at_s = float("-inf")
         self.driver: Driver | None = None
-        self.problem = ""
+        self.problem = NO_WORDS
         self.latched = ""
         self.setup = Setup()
 
@@ -103,7 +104,7 @@ class MillLink:
         except MachineError as error:
             if driver is not None:
                 driver.close()
-            self._fail(str(error))
+            self._fail(error.words)
             return False
         self.driver = driver
         if self.latched:
@@ -124,7 +125,7 @@ class MillLink:
                     raise
         if self.away:
             if not self.latched:
-                self._say("command", f"{what}: waits for the link")
+                self._say("command", Phrase("{what}: waits for the link", what=what))
             self.latched = "abort" if "abort" in (what, self.latched) else what
 
     def hold_unasked(self) -> None:
@@ -132,19 +133,19 @@ class MillLink:
         try:
             self.order("hold")
         except MachineError as error:
-            self._say("fault", f"hold: {error}")
+            self._say("fault", Phrase("hold: {error}", error=error.words))
 
     def note_seen(self) -> None:
         """Note that the mill was heard: what was latched has been carried out."""
-        self._tries, self.problem, self.latched = 0, "", ""
+        self._tries, self.problem, self.latched = 0, NO_WORDS, ""
 
-    def drop(self, words: str) -> None:
+    def drop(self, words: Phrase) -> None:
         """Give the link up, or note that it is lost."""
         self.setup = Setup()
         self.close()
         self._fail(words)
 
-    def _fail(self, words: str) -> None:
+    def _fail(self, words: Phrase) -> None:
         if words != self.problem:
             self._say("link", words)
         self.problem = words

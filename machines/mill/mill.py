@@ -32,6 +32,7 @@ from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPubli
 from machines.preflight.preflight import Preflight
 from machines.recovery.plan_model import RecoveryPlan, Reentry
 from machines.runs import Confirmation, RunView
+from phrases.phrase import Phrase
 
 T = TypeVar("T")
 
@@ -209,8 +210,15 @@ class Mill:
         run = self._runs.live
         if detach or run is None or self.status.state not in _MOVES:
             return
-        raise NotAllowedError(f"stop: run {run.id} is {run.state.value}, the mill {self.status.state.value}; hold it, "
-                              "or say that it may go on without us (detach)")  # fmt: skip
+        raise NotAllowedError(
+            Phrase(
+                "stop: run {run} is {run_state}, the mill {state}; hold it, or say that it may go on without us "
+                "(detach)",
+                run=run.id,
+                run_state=run.state.words,
+                state=self.status.state.words,
+            )
+        )
 
     def close(self, *, detach: bool = False) -> None:
         """Let go of port, journal and folder. The mill keeps what it holds; a live run will be found interrupted."""
@@ -233,4 +241,4 @@ class Mill:
 
     def _require_open(self) -> None:
         if self._closed:
-            raise NotAllowedError(f"mill {self.name} is closed")
+            raise NotAllowedError(Phrase("mill {mill} is closed", mill=self.name))

@@ -12,11 +12,12 @@ from machines.mill.orders import Order
 from machines.mill.run import LINK_LOST, Run
 from machines.mill.view import MillContext
 from machines.runs import RECOVERABLE, RunState
+from phrases.phrase import Phrase
 
 _STANDS = frozenset({MillState.HELD, MillState.DOOR, MillState.TOOL, MillState.SLEEP})
 _QUIET = frozenset({MillState.IDLE, MillState.ALARM, MillState.CHECK, MillState.SLEEP})
 _MOVING = frozenset({RunState.RUNNING, RunState.RECOVERING})
-_TOUCH_OFF = "a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"
+_TOUCH_OFF = Phrase("a program has ended: if the tool is changed now, touch off Z again (probe or set zero)")
 
 
 @dataclass(eq=False)
@@ -39,7 +40,13 @@ class RunControl:
         self._hold_asked = self._abort_asked = False
         self._recovering = run.state is RunState.RECOVERING
         self._journal_words = ""
-        self.context.log.say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
+        words = Phrase(
+            "{run}: {state}, confirmed by {operator}",
+            run=run.view.name,
+            state=run.state.words,
+            operator=run.record["operator"],
+        )
+        self.context.log.say("run", words)
 
     # ------------------------------------------------------------------ what a person asks for
 
@@ -57,8 +64,12 @@ class RunControl:
         """Go on after a hold."""
         link, driver = self.context.link, self.context.link.driver
         if link.latched and link.away:
-            words = f"resume: the mill is not connected; the {link.latched} is carried out first when it is back"
-            raise NotAllowedError(words)
+            raise NotAllowedError(
+                Phrase(
+                    "resume: the mill is not connected; the {latched} is carried out first when it is back",
+                    latched=link.latched,
+                )
+            )
         if driver is None:
             words = f"resume: the mill is disconnected ({link.problem}); allowed when it is held"
             raise WrongStateError(words, MillCode.MILL_STATE, link.status.state)
@@ -94,7 +105,7 @@ class RunControl:
             ended_s = round(self.context.wall_clock(), 3)
             run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)
         run.let_go()
 
     def _note_asked(self, run: Run, state: RunState) -> None:
@@ -102,7 +113,7 @@ class RunControl:
         try:
             self._change(run, state)
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)
 
     # ------------------------------------------------------------------ what the mill does
 
@@ -123,8 +134,8 @@ class RunControl:
         if run.live or run.state in RECOVERABLE:
             clocks = self.context.clock(), self.context.wall_clock()
             run.follow(progress, status, *clocks, moving=status.state is MillState.RUN)
-            if run.journal.failure:
-                raise JournalError(run.journal.failure)
+            if (failure := run.journal.failure) is not None:
+                raise JournalError(failure)
 
     def _mirror(self, run: Run, state: RunState, status: MillStatus, progress: StreamProgress) -> None:
         """Let the run's state follow the mill's: a button on the machine holds a run as well as a call does."""
@@ -152,7 +163,8 @@ class RunControl:
             "wall_s": round(self.context.wall_clock(), 3),
         }
         words = words or (self._journal_words if state in (RunState.HOLDING, RunState.HELD) else "")
-        self.context.log.say("run", f"{run.view.name}: {state.value}{f' ({words})' if words else ''}")
+        told = Phrase("{state} ({words})", state=state.words, words=words) if words else state.words
+        self.context.log.say("run", Phrase("{run}: {told}", run=run.view.name, told=told))
         # Of any other run than the streamed one the driver knows nothing.
         mark = run.last_mark(self.context.link.progress) if run is self.streamed else {}
         run.move(state, words, **mark, **where, **more)
@@ -162,7 +174,7 @@ class RunControl:
 
         Asked again at every look: a cycle start at the machine must not go on without a journal either.
         """
-        words = f"held because {error}; make room, then resume"
+        words = Phrase("held because {error}; make room, then resume", error=error.words)
         if not self._journal_words:
             self._journal_words = words
             self.context.log.say("journal", words)
@@ -178,7 +190,8 @@ class RunControl:
 
     def note_fault(self, event: Faulted) -> None:
         """Interrupt the live run; drop a link that is lost."""
-        run, words = self.streamed, f"{event.cause.value}: {event.words}"
+        run = self.streamed
+        words = Phrase("{cause}: {words}", cause=event.cause.words, words=event.words)
         self.context.log.say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
         try:
@@ -206,8 +219,8 @@ class RunControl:
     def note_stop(self, event: Stopped) -> None:
         """End a run that was to be aborted: the mill stands with empty buffers."""
         run = self.context.runs.active
-        kept = "" if event.position_kept else "position lost or never confirmed"
-        self.context.log.say("state", f"stopped{f': {kept}' if kept else ''}")
+        kept, lost = Phrase("stopped"), Phrase("stopped: position lost or never confirmed")
+        self.context.log.say("state", kept if event.position_kept else lost)
         asked, self._abort_asked = self._abort_asked, False
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
             self._end(run, RunState.ABORTED, "aborted by the operator", code=MillCode.ABORTED)

@@ -26,6 +26,7 @@ from machines.mill.run import OWNER_LOST, Run
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
 from machines.runs import RECOVERABLE, RunState, RunView
+from phrases.phrase import Phrase
 
 KEPT_RUNS = 200
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")
@@ -43,17 +44,22 @@ class FolderLock:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise JournalError(
-                f"folder {folder}: {os_words(error)}; the journal needs one that can be written"
+                Phrase(
+                    "folder {folder}: {reason}; the journal needs one that can be written",
+                    folder=folder,
+                    reason=os_words(error),
+                )
             ) from None
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             owner = os.pread(self._descriptor, 32, 0).decode("ascii", "replace").strip()
             os.close(self._descriptor)
-            words = f" (process {owner})" if owner else ""
-            raise NotAllowedError(
-                f"folder {folder}: another agent or stream{words} owns this mill; stop that one first"
-            ) from None
+            who = Phrase("another agent or stream")
+            if owner:
+                who = Phrase("another agent or stream (process {process})", process=owner)
+            words = Phrase("folder {folder}: {who} owns this mill; stop that one first", folder=folder, who=who)
+            raise NotAllowedError(words) from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
 
@@ -71,7 +77,7 @@ class RunFolders:
 
     def path(self, run_id: str) -> Path:
         if not _ID.fullmatch(run_id):
-            raise NotAllowedError(f"'{run_id[:40]}' is not the id of a run")
+            raise NotAllowedError(Phrase("'{run}' is not the id of a run", run=run_id[:40]))
         return self.folder / run_id
 
     def new_id(self, wall_s: float, sha256: str) -> str:
@@ -109,16 +115,20 @@ class RunFolders:
                 os.fsync(file.fileno())
             part.replace(folder / "preflight.json")
         except OSError as error:
-            raise JournalError(f"folder {folder}: {os_words(error)}") from error
+            raise JournalError(Phrase("folder {folder}: {reason}", folder=folder, reason=os_words(error))) from error
 
     def load_facts(self, run_id: str) -> Preflight:
         path = self.path(run_id) / "preflight.json"
         try:
             return Preflight.from_json(path.read_text(encoding="utf-8"))
         except OSError as error:
-            raise JournalError(f"{path}: {os_words(error)}; the run cannot go on without it") from error
+            raise JournalError(
+                Phrase("{path}: {reason}; the run cannot go on without it", path=path, reason=os_words(error))
+            ) from error
         except (ValueError, KeyError, TypeError) as error:
-            raise JournalError(f"{path}: damaged ({error}); the run cannot go on without it") from error
+            raise JournalError(
+                Phrase("{path}: damaged ({error}); the run cannot go on without it", path=path, error=error)
+            ) from error
 
     def list_runs(self) -> Iterator[tuple[str, JournalContent]]:
         """Yield every run with a readable journal, oldest first."""
@@ -162,7 +172,7 @@ class RunStore:
     def get(self, run_id: str) -> Run:
         run = self._runs.get(run_id)
         if run is None:
-            raise NotAllowedError(f"no run '{run_id[:80]}' on this mill")
+            raise NotAllowedError(Phrase("no run '{run}' on this mill", run=run_id[:80]))
         return run
 
     @property
@@ -220,10 +230,10 @@ class RunStore:
             self._runs[run_id] = run
             if content.torn:
                 run.record["torn"] = content.torn
-                self._say("journal", f"{run.view.name or run_id}: {content.torn}")
+                self._say("journal", Phrase("{run}: {torn}", run=run.view.name or run_id, torn=content.torn))
             if run.live:  # whoever wrote that has gone without saying so
                 values = {"state": run.record["state"]}
-                words = f"the agent ended while the run was {run.record['state']}"
+                words = Phrase("the agent ended while the run was {state}", state=run.state.words)
                 run.write("run", state=RunState.INTERRUPTED.value, words=words, code=MillCode.OWNER_LOST, values=values,
                           found_s=round(self._wall(), 3),
                           adrift="" if run.record.get("restarted") else OWNER_LOST)  # fmt: skip
@@ -265,11 +275,11 @@ class RunStore:
             run.write("touched off", touch_off="")
             self.let_rest(run)
 
-    def needs(self) -> tuple[str, ...]:
+    def needs(self) -> tuple[Phrase, ...]:
         """Return what a person has to do before the next start, in words."""
         if self.live is not None:
             return ()
-        return tuple(f"re-probe Z: {run.record['touch_off']}" for run in self._to_touch_off()[-1:])
+        return tuple(Phrase("re-probe Z: {why}", why=run.record["touch_off"]) for run in self._to_touch_off()[-1:])
 
     def _to_touch_off(self) -> list[Run]:
         return [run for run in self._runs.values() if run.record.get("touch_off")]

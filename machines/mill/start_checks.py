@@ -22,6 +22,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.mill.run import Run
 from machines.preflight.limits import placement_problems, work_zero_mm
 from machines.preflight.preflight import Bounds, Preflight
+from phrases.phrase import Phrase
 
 _PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
 _BEGINNING_LINES = 100
@@ -33,7 +34,7 @@ LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a se
 class Placement:
     """What does not fit, one sentence each. `certain`: machine coordinates are known to be right."""
 
-    problems: tuple[str, ...] = ()
+    problems: tuple[Phrase, ...] = ()
     certain: bool = False
 
 
@@ -41,9 +42,18 @@ def check_file(run: Run, facts: Preflight) -> None:
     try:
         size = run.path.stat().st_size
     except OSError as error:
-        raise ProgramChangedError(f"{run.path}: cannot be read any more ({error.strerror})") from None
+        raise ProgramChangedError(
+            Phrase("{path}: cannot be read any more ({reason})", path=run.path, reason=error.strerror)
+        ) from None
     if size != facts.bytes:
-        raise ProgramChangedError(f"{run.path}: has {size} bytes, pre-flight read {facts.bytes}; load it again")
+        raise ProgramChangedError(
+            Phrase(
+                "{path}: has {size_bytes} bytes, pre-flight read {read_bytes}; load it again",
+                path=run.path,
+                size_bytes=size,
+                read_bytes=facts.bytes,
+            )
+        )
 
 
 def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
@@ -54,8 +64,11 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
     missing = [mode for mode in (*facts.assumed, *_PRESUMED) if mode not in modes]
     if missing:
         raise NotAllowedError(
-            f"start: the program takes {' '.join(missing)} for granted, the controller is in {' '.join(modes)}: "
-            f"send '{' '.join(missing)}' first"
+            Phrase(
+                "start: the program takes {missing} for granted, the controller is in {modes}: send '{missing}' first",
+                missing=" ".join(missing),
+                modes=" ".join(modes),
+            )
         )
 
 
@@ -63,8 +76,12 @@ def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed:
     """Raise NotAllowedError where the program goes by machine coordinates (G53), which mean nothing here."""
     if settings is None or "machine" not in facts.bounds_by_frame or homed or settings.soft_limits:
         return
-    way = "home the mill" if settings.homing else "this mill has no homing: write it with a profile without top_z_mm"
-    raise NotAllowedError(f"start: the program goes by machine coordinates (G53), which homing gives a meaning: {way}")
+    way = Phrase("home the mill")
+    if not settings.homing:
+        way = Phrase("this mill has no homing: write it with a profile without top_z_mm")
+    raise NotAllowedError(
+        Phrase("start: the program goes by machine coordinates (G53), which homing gives a meaning: {way}", way=way)
+    )
 
 
 def check_way_down(
@@ -87,8 +104,15 @@ def check_way_down(
     )
     if z > first_mm + _REPORTED_MM and not over:
         raise NotAllowedError(
-            f"start: the program first goes to Z{first_mm:g}, and the tool stands at X{x:.1f} Y{y:.1f} Z{z:.1f}: that "
-            "would be straight down beside the block; bring the tool over the block, or no higher than that"
+            Phrase(
+                "start: the program first goes to Z{first_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} "
+                "Z{z_mm:.1f}: that would be straight down beside the block; bring the tool over the block, or "
+                "no higher than that",
+                first_mm=first_mm,
+                x_mm=x,
+                y_mm=y,
+                z_mm=z,
+            )
         )
 
 
@@ -114,7 +138,10 @@ def program_placement(
     if not problems:
         return Placement()
     where = _first_outside(facts, reader, settings)
-    return Placement(tuple(f"{problem} ({where})" for problem in problems), _certain(settings, status))
+    return Placement(
+        tuple(Phrase("{problem} ({where})", problem=problem, where=where) for problem in problems),
+        _certain(settings, status),
+    )
 
 
 def recovery_placement(
@@ -149,7 +176,10 @@ def _way_in_placement(
         return Placement()
     box = _box(points)
     problems = placement_problems(replace(facts, bounds_by_frame={interpreter.state.wcs: box}), settings)
-    return Placement(tuple(f"on the way back in {problem}" for problem in problems), _certain(settings, status))
+    return Placement(
+        tuple(Phrase("on the way back in {problem}", problem=problem) for problem in problems),
+        _certain(settings, status),
+    )
 
 
 def _certain(settings: ControllerSettings, status: MillStatus) -> bool:
@@ -163,7 +193,7 @@ def _box(points: Sequence[tuple[float | None, float | None, float | None]]) -> B
     return Bounds((least[0], least[1], least[2]), (most[0], most[1], most[2]))
 
 
-def _first_outside(facts: Preflight, reader: ProgramReader, settings: ControllerSettings) -> str:
+def _first_outside(facts: Preflight, reader: ProgramReader, settings: ControllerSettings) -> Phrase:
     """Tell in words the first line that leaves the travel."""
     interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
     last = 0
@@ -174,9 +204,9 @@ def _first_outside(facts: Preflight, reader: ProgramReader, settings: Controller
             if step.moves and not interpreter.state.shifted:
                 box = Bounds(step.end_mm, step.end_mm)
                 if placement_problems(replace(facts, bounds_by_frame={interpreter.state.wcs: box}), settings):
-                    return f"from line {last} of {facts.lines} on"
+                    return Phrase("from line {line} of {count} on", line=last, count=facts.lines)
             if last >= LINES_LOOKED_AT:
                 break
     except MachineError:
         pass
-    return f"after line {last} of {facts.lines}"
+    return Phrase("after line {line} of {count}", line=last, count=facts.lines)

@@ -34,6 +34,7 @@ from machines.preflight.limits import top_of_travel_mm
 from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
 from machines.recovery.planner import plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
+from phrases.phrase import Phrase, join
 
 
 @dataclass(eq=False)
@@ -108,15 +109,15 @@ class RunStarter:
             raise OrderRefusedError(Refusal.SETUP, "start: the zero or the position has changed since it was looked at")
         check_modes(facts, answer)
         settings = get_settings(driver)
-        if settings is not None and (words := find_missing_option(settings, mist_line=facts.mist_line)):
-            raise NotAllowedError(f"start: {words}")
+        if settings is not None and (lack := find_missing_option(settings, mist_line=facts.mist_line)):
+            raise NotAllowedError(Phrase("start: {words}", words=lack))
         check_homed(facts, settings, homed=link.setup.homed)
         check_way_down(facts, reader, driver.status.machine_mm, (answer or {}).get("offsets") or {})
         placement = program_placement(facts, reader, settings, driver.status)
         if placement.certain and placement.problems:
             words = "; ".join(placement.problems)
             words = f"start: {words}: home the mill if it counts wrongly, or set the work zero elsewhere"
-            raise NotAllowedError(words, code=MillCode.TRAVEL, values={"detail": "\n".join(placement.problems)})
+            raise NotAllowedError(words, code=MillCode.TRAVEL, values={"detail": join("\n", placement.problems)})
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
         baseline |= {"started_s": round(self.context.wall_clock(), 3), "executed_line": 0}
@@ -132,9 +133,9 @@ class RunStarter:
             raise OrderRefusedError(Refusal.PLAN, "recover: the plan is another by now; read it again")
         confirmation.demand(RECOVER_CHECKS, "recover")
         if plan.refusals:
-            raise NotAllowedError(f"recover: {'; '.join(plan.refusals)}")
+            raise NotAllowedError(Phrase("recover: {words}", words=join("; ", plan.refusals)))
         if plan.needs:
-            raise NotAllowedError(f"recover: {'; '.join(need.words for need in plan.needs)}")
+            raise NotAllowedError(Phrase("recover: {words}", words=join("; ", (need.words for need in plan.needs))))
         driver = self._ready_driver("recover")
         _, reader = run.load()
         self._vouch(driver)
@@ -149,7 +150,10 @@ class RunStarter:
             words = f"{doing}: run {live.id} is {live.state.value}; one run at a time"
             raise NotAllowedError(words, code=MillCode.RUN_LIVE)
         if self.context.link.latched:
-            raise NotAllowedError(f"{doing}: {self.context.link.latched} waits for the link to come back")
+            words = Phrase(
+                "{doing}: {latched} waits for the link to come back", doing=doing, latched=self.context.link.latched
+            )
+            raise NotAllowedError(words)
         driver, state = self.context.link.driver, self.context.link.status.state
         if driver is None or state is not MillState.IDLE:
             why = self.context.link.problem or self.context.link.status.detail
@@ -163,7 +167,9 @@ class RunStarter:
             try:
                 driver.command(TrustPosition())
             except NotAllowedError as error:
-                self.context.log.say("notice", f"the position could not be confirmed: {error}")
+                self.context.log.say(
+                    "notice", Phrase("the position could not be confirmed: {error}", error=error.words)
+                )
 
     def _baseline(
         self, run: Run, confirmation: Confirmation, answer: dict[str, Any] | None, placement: Placement
@@ -172,7 +178,10 @@ class RunStarter:
         status = self.context.link.status
         known = answer or {}
         if placement.problems:
-            self.context.log.say("notice", f"not certain that the program fits: {'; '.join(placement.problems)}")
+            self.context.log.say(
+                "notice",
+                Phrase("not certain that the program fits: {problems}", problems=join("; ", placement.problems)),
+            )
         warnings = [*run.lasting_warnings, *placement.problems]
         return {
             "operator": confirmation.operator, "checks": sorted(confirmation.checks), "offsets": known.get("offsets"),
@@ -208,4 +217,4 @@ class RunStarter:
         try:
             self.context.runs.note_touch_off()
         except JournalError as error:
-            self.context.log.say("journal", str(error))
+            self.context.log.say("journal", error.words)

@@ -19,6 +19,7 @@ from machines.recovery.needs import position_doubt
 from machines.recovery.plan_model import Present
 from machines.recovery.planner import GRBL_DIALECTS
 from machines.recovery.standing import LINES_AFTER_LAST_MARK, count_executed_at_rest, tolerance_at_rest_mm
+from phrases.phrase import Phrase
 
 STILL_S = 0.5  # two status reports at the same place
 
@@ -57,7 +58,7 @@ class UnattendedRuns:
             try:
                 self._book_place(run, driver, place_mm)
             except MachineError as error:  # the program is gone, or the disk refuses: what was known stays
-                self.context.log.say("journal", f"{run.view.name}: {error}")
+                self.context.log.say("journal", Phrase("{run}: {error}", run=run.view.name, error=error.words))
                 run.record["adrift"] = ""
 
     def note_touch(self, but: Run | None = None) -> None:
@@ -75,7 +76,9 @@ class UnattendedRuns:
         line = _proven_line(run, reader, driver, place_mm)
         booked: dict[str, Any] = {}
         if line is not None and line > run.executed_line:
-            words = f"{run.view.name}: the mill went on to the end of line {line} before it stood still"
+            words = Phrase(
+                "{run}: the mill went on to the end of line {line} before it stood still", run=run.view.name, line=line
+            )
             self.context.log.say("run", words)
             booked = {"executed_line": line, "stood_mm": place_mm}
         run.write("ashore", adrift="", **booked)

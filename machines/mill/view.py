@@ -6,7 +6,7 @@ import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, overload
 
 from machines.driver import DriverFacts, MillState, MillStatus, StreamProgress
 from machines.grbl.settings import ControllerSettings
@@ -14,6 +14,7 @@ from machines.mill.link import MillLink, get_settings
 from machines.mill.orders import NOBODY, Caller, Lease, OrderGate
 from machines.mill.run_store import RunStore
 from machines.runs import RunView
+from phrases.phrase import NO_WORDS, Phrase, phrases_in
 
 LOG_ENTRIES = 200
 SHOWN_RUNS = 100
@@ -38,7 +39,8 @@ class LogEntry:
         said = {
             "code": self.code, "values": self.values, "answer": self.answer, "by": self.by, "from": self.origin,
         }  # fmt: skip
-        return plain | {name: value for name, value in said.items() if value}
+        told = plain | {name: value for name, value in said.items() if value}
+        return told | ({"phrases": phrases} if (phrases := phrases_in(told)) else {})
 
 
 class MillLog:
@@ -49,6 +51,23 @@ class MillLog:
         self._entries: deque[LogEntry] = deque(maxlen=LOG_ENTRIES)
         self.count = 0
 
+    @overload
+    def say(self, kind: Literal["state"], words: str) -> None: ...
+    @overload
+    def say(
+        self, kind: str, words: Phrase, answer: Mapping[str, object] | None = None, caller: Caller = NOBODY
+    ) -> None: ...
+    @overload
+    def say(
+        self,
+        kind: str,
+        words: str,
+        answer: Mapping[str, object] | None = None,
+        caller: Caller = NOBODY,
+        *,
+        code: str,
+        values: Mapping[str, object] | None = None,
+    ) -> None: ...
     def say(
         self,
         kind: str,
@@ -59,6 +78,7 @@ class MillLog:
         code: str = "",
         values: Mapping[str, object] | None = None,
     ) -> None:
+        """Add an entry. The page has words of its own for states and codes; anything else is a phrase."""
         self.count += 1
         entry = LogEntry(
             number=self.count,
@@ -122,8 +142,8 @@ class MillSnapshot:
     run: RunView | None = None
     runs: tuple[RunView, ...] = ()
     latched: str = ""
-    problem: str = ""
-    needs: tuple[str, ...] = ()
+    problem: Phrase = NO_WORDS
+    needs: tuple[Phrase, ...] = ()
     zeroed: str = ""
     zeroed_anew: str = ""
     homed: bool = False
@@ -137,7 +157,7 @@ class MillSnapshot:
         return self.status.state not in (MillState.DISCONNECTED, MillState.CONNECTING)
 
     def as_dict(self) -> dict[str, Any]:
-        return {
+        told = {
             "version": self.version,
             "name": self.name,
             "connected": self.connected,
@@ -145,7 +165,6 @@ class MillSnapshot:
             "progress": _plain(self.progress),
             "protections": list(self.protections),
             "facts": _plain(self.facts) if self.facts is not None else None,
-            "run": self.run.as_dict() if self.run is not None else None,
             "latched": self.latched,
             "problem": self.problem,
             "needs": list(self.needs),
@@ -155,6 +174,10 @@ class MillSnapshot:
             "setup": self.setup,
             "stops": self.stops,
             "control": None if self.lease is None else self.lease.as_dict(),
+        }
+        return told | {
+            "phrases": phrases_in(told),
+            "run": self.run.as_dict() if self.run is not None else None,
             "events": [entry.as_dict() for entry in self.events],
         }
 

@@ -10,6 +10,7 @@ from machines.driver import Triple
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
+from phrases.phrase import Phrase
 
 AT_PRESENT_ZERO = "at the present work zero"
 """So begins a warning that holds until the work zero is set again."""
@@ -67,6 +68,11 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
     )
 
 
+def word_at_present_zero(problem: Phrase) -> Phrase:
+    """Return the warning that begins with AT_PRESENT_ZERO."""
+    return Phrase("at the present work zero {problem}", problem=problem)
+
+
 def _usable(triple: Triple | None) -> Triple | None:
     return triple if triple is not None and min(triple) > 0 else None
 
@@ -85,7 +91,7 @@ def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
     return None if settings is None or settings.reach_mm is None else settings.reach_mm[2][1]
 
 
-def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
+def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[Phrase, ...]:
     """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 
     To be asked right before a start: offsets change when the work is zeroed. Empty also where nothing can be said:
@@ -107,7 +113,15 @@ def placement_problems(program: Preflight, settings: ControllerSettings) -> tupl
             low, high = reach_mm[axis]
             if least + shift < low - 1e-6 or most + shift > high + 1e-6:
                 problems.append(
-                    f"{name} would go from {least + shift:.3f} to {most + shift:.3f} mm in machine coordinates "
-                    f"({frame}); the machine reaches {low:g} to {high:g}"
+                    Phrase(
+                        "{axis} would go from {least_mm:.3f} to {most_mm:.3f} mm in machine coordinates ({frame}); "
+                        "the machine reaches {low_mm:g} to {high_mm:g}",
+                        axis=name,
+                        least_mm=least + shift,
+                        most_mm=most + shift,
+                        frame=frame,
+                        low_mm=low,
+                        high_mm=high,
+                    )
                 )
     return tuple(problems)

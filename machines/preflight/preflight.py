@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from machines.gcode.program import ProgramIndex
+from phrases.phrase import Phrase, phrases_in, restore
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class Preflight:
     ends: bool
     mist_line: int = 0
     assumed: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Phrase, ...] = ()
     index: ProgramIndex
 
     def to_json(self) -> str:
@@ -59,12 +60,14 @@ class Preflight:
             "bounds_mm": _bounds_to_plain(self.bounds_mm),
             "bounds_by_frame": {name: _bounds_to_plain(box) for name, box in self.bounds_by_frame.items()},
             "index": self.index.to_dict(),
+            "phrases": phrases_in(self.warnings),
         }
         return json.dumps(plain, separators=(",", ":"), allow_nan=False)
 
     @staticmethod
     def from_json(text: str) -> Preflight:
         values = json.loads(text)
+        values["warnings"] = restore(values["warnings"], values.pop("phrases", {}))
         feeds, spindle = values["feeds_mm_per_min"], values["spindle_rpm"]
         frames = values["bounds_by_frame"].items()
         values |= {

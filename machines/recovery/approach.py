@@ -12,6 +12,7 @@ from machines.preflight.limits import work_zero_mm
 from machines.preflight.preflight import Preflight
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Present, Reentry
+from phrases.phrase import Phrase
 
 
 def height_mm(present: Present, wcs: str) -> float | None:
@@ -69,12 +70,12 @@ def _mm(value: float) -> str:
     return f"{value:.5f}".rstrip("0").rstrip(".") if abs(value) >= 5e-6 else "0"
 
 
-def find_unreadable(blocks: Sequence[str]) -> Iterator[str]:
+def find_unreadable(blocks: Sequence[str]) -> Iterator[Phrase]:
     """Read our own blocks as a program is read: what it refuses is never sent."""
     interpreter = Interpreter(ModalState())
     for block in blocks:
         try:
             interpreter.take(block.encode("ascii"))
         except MachineError as error:
-            yield f"re-entry block '{block}': {error}"
+            yield Phrase("re-entry block '{block}': {error}", block=block, error=str(error))
             return

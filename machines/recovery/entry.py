@@ -10,6 +10,7 @@ from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
+from phrases.phrase import Phrase
 
 _MOTION_WORD = re.compile(rb"G(?:0*[0123]|38\.[2-5]|80)(?![0-9.])")
 _MOTIONS = ("G0", "G1", "G2", "G3")
@@ -17,6 +18,9 @@ _MOTIONS = ("G0", "G1", "G2", "G3")
 
 class NoEntryError(MachineError):
     """The program cannot be entered there; the text says why and what else can be done."""
+
+    def __init__(self, line: int, why: Phrase) -> None:
+        super().__init__(Phrase("line {line} cannot be entered: {why}", line=line, why=why))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +35,7 @@ class EntryPoint:
     state: ModalState
     position_mm: Triple | None
     motion: str = ""
-    why: str = ""
+    why: Phrase | None = None
 
 
 def find_entry(reader: ProgramReader, executed_line: int) -> EntryPoint:
@@ -49,14 +53,14 @@ def find_entry(reader: ProgramReader, executed_line: int) -> EntryPoint:
 
 def _last_move(
     reader: ProgramReader, from_line: int, state: ModalState, executed_line: int
-) -> tuple[int, bytes, str] | None:
+) -> tuple[int, bytes, Phrase | None] | None:
     """Return the last executed move whose start is known, in the piece from `from_line`; after a tool change, the first
     there.
 
     A tool change (T, M0, M1) is never stepped back over: the overlap would be cut with another tool.
     """
     interpreter = Interpreter(state, dialect=reader.index.dialect)
-    best: tuple[int, bytes, str] | None = None
+    best: tuple[int, bytes, Phrase | None] | None = None
     stop = 0  # the stop after which no move has been seen yet
     begun = None not in state.position_mm  # before the first known place there is nothing to join
     for line in reader.lines(from_line):
@@ -65,40 +69,39 @@ def _last_move(
             return best
         step = interpreter.take(line.text)
         if step.moves and not step.probes and None not in step.start_mm:
-            why = f"no overlap: line {stop} is a stop or a tool change" if stop else ""
+            why = Phrase("no overlap: line {line} is a stop or a tool change", line=stop) if stop else None
             best, stop, begun = (line.number, line.text, why), 0, True
             if after:
                 return best
         elif after and step.moves:
-            raise NoEntryError(
-                f"line {line.number} cannot be entered: the program does not tell where the tool is before it"
-            )
+            raise NoEntryError(line.number, Phrase("the program does not tell where the tool is before it"))
         if (step.withholds_ok or b"T" in line.text) and begun and not after:
             stop = line.number
     if stop:
-        raise NoEntryError(f"nothing is left to cut after line {stop}, which was executed: the program is done")
+        raise MachineError(
+            Phrase("nothing is left to cut after line {line}, which was executed: the program is done", line=stop)
+        )
     return best
 
 
-def _entry(reader: ProgramReader, line: int, text: bytes, why: str) -> EntryPoint:
+def _entry(reader: ProgramReader, line: int, text: bytes, why: Phrase | None) -> EntryPoint:
     state = reader.state_before(line)
-    at = f"line {line} cannot be entered"
     if state.distance != "G90":
-        raise NoEntryError(
-            f"{at}: the program is in G91 (incremental) there; start it from its top, or from a G90 version"
-        )
+        words = Phrase("the program is in G91 (incremental) there; start it from its top, or from a G90 version")
+        raise NoEntryError(line, words)
     if state.shifted:
-        raise NoEntryError(
-            f"{at}: the program has moved its own frame (G10, G92 or G43.1) before it; start it from its top"
-        )
+        words = Phrase("the program has moved its own frame (G10, G92 or G43.1) before it; start it from its top")
+        raise NoEntryError(line, words)
     if state.ended:
-        raise NoEntryError(f"{at}: the program has ended (M2, M30) before it")
+        raise NoEntryError(line, Phrase("the program has ended (M2, M30) before it"))
     x, y, z = state.position_mm
     if x is None or y is None or z is None:
-        raise NoEntryError(f"{at}: the program does not tell where the tool is before it; start it from its top")
+        words = Phrase("the program does not tell where the tool is before it; start it from its top")
+        raise NoEntryError(line, words)
     motion = ""
     if not _MOTION_WORD.search(text):
         if state.motion not in _MOTIONS:
-            raise NoEntryError(f"{at}: the motion mode there is {state.motion}, which cannot be set up again")
+            words = Phrase("the motion mode there is {mode}, which cannot be set up again", mode=state.motion)
+            raise NoEntryError(line, words)
         motion = state.motion
     return EntryPoint(line=line, state=state, position_mm=(x, y, z), motion=motion, why=why)

@@ -9,15 +9,16 @@ from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Need, Present
+from phrases.phrase import Phrase
 
 _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 
 
 DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
-    "restarted": "the controller has restarted since the run stopped, its position is lost",
-    "unconfirmed": "nobody had confirmed the position when the run stopped",
-    "unseen": "nothing shows that the controller went on without a restart while it was out of sight",
+    "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
+    "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
+    "unseen": Phrase("nothing shows that the controller went on without a restart while it was out of sight"),
 }
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
@@ -27,19 +28,28 @@ def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
     state = status.state
     values = {"state": state.value}
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
-        yield Need(MillCode.CONNECT, f"the mill is {state.value}: connect it; it does not move by that", values)
+        yield Need(
+            MillCode.CONNECT,
+            Phrase("the mill is {state}: connect it; it does not move by that", state=state.words),
+            values,
+        )
     elif state is MillState.ALARM:
         yield Need(
             MillCode.UNLOCK,
-            f"the mill is locked ({status.detail or 'alarm'}): home it, which finds its position, or unlock it",
+            Phrase(
+                "the mill is locked ({detail}): home it, which finds its position, or unlock it",
+                detail=status.detail or Phrase("alarm"),
+            ),
             {"alarm": status.alarm},
         )
     elif state in _MOVES:
-        yield Need(MillCode.WAIT, f"the mill is {state.value}: wait until it has carried that out, or hold it", values)
+        words = Phrase("the mill is {state}: wait until it has carried that out, or hold it", state=state.words)
+        yield Need(MillCode.WAIT, words, values)
     elif state is not MillState.IDLE:
-        words = (
-            f"the mill is {state.value} and may hold unfinished blocks: reset it, "
-            "which clears them and, from standstill, keeps the position"
+        words = Phrase(
+            "the mill is {state} and may hold unfinished blocks: reset it, which clears them and, from standstill, "
+            "keeps the position",
+            state=state.words,
         )
         yield Need(MillCode.STAND_STILL, words, values)
 
@@ -50,12 +60,13 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
         return
     if status.state is MillState.IDLE and status.work_mm is None:
-        words = "the mill has not reported its position yet: wait a second"
+        words = Phrase("the mill has not reported its position yet: wait a second")
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
     if (doubt := position_doubt(record, present)) != "":
-        words = (
-            f"{DOUBTS[doubt]}: home the mill, or touch off again at the same points of the part (zero of "
-            "X, Y, Z), or, if you know that it is right, say so (trust position)"
+        words = Phrase(
+            "{doubt}: home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you "
+            "know that it is right, say so (trust position)",
+            doubt=DOUBTS[doubt],
         )
         yield Need(MillCode.POSITION, words, {"doubt": doubt})
 
@@ -94,7 +105,7 @@ def _number(text: str) -> float:
 
 def compare_offsets(
     record: Mapping[str, Any], present: Present, entry: EntryPoint | None
-) -> tuple[tuple[str, ...], tuple[Need, ...]]:
+) -> tuple[tuple[Phrase, ...], tuple[Need, ...]]:
     """Return offsets then and now: each difference in words, and whether one of them moves this program."""
     then: Mapping[str, Sequence[float]] = record.get("offsets") or {}
     if not then or present.offsets is None:
@@ -104,21 +115,26 @@ def compare_offsets(
     for name in sorted(then):
         was, now = then[name], present.offsets.get(name)
         if now is None:
-            words.append(f"{name} was {axes_words(was)}, the controller does not name it now")
+            words.append(
+                Phrase("{name} was {was_mm}, the controller does not name it now", name=name, was_mm=axes_words(was))
+            )
             axes = "XYZ"
         else:
             pairs = zip("XYZ", was, now, strict=False)
             axes = "".join(axis for axis, a, b in pairs if abs(a - b) > OFFSET_TOLERANCE_MM)
             if not axes:
                 continue
-            words.append(f"{name} was {axes_words(was)}, is {axes_words(now)}")
+            words.append(
+                Phrase("{name} was {was_mm}, is {now_mm}", name=name, was_mm=axes_words(was), now_mm=axes_words(now))
+            )
         if name in used and set(axes) - set(present.vouched_axes):
             moving.append(name)
     if not moving:
         return tuple(words), ()
-    need = (
-        f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
-        "G43.1), or touch off again at the same points of the part"
+    need = Phrase(
+        "{names} differs from when the program was cut: restore it (G10 L2, G92, G43.1), or touch off again at the "
+        "same points of the part",
+        names=", ".join(moving),
     )
     return tuple(words), (Need(MillCode.ZERO, need),)
 

@@ -11,12 +11,18 @@ from typing import Any
 from machines.codes import MillCode
 from machines.driver import MillStatus, ProgramLine, Triple
 from machines.gcode.program import ProgramReader
+from phrases.phrase import Phrase, phrases_in
 
-_NOT_THERE = (
+_NOT_THERE = Phrase(
     "The part was begun within the travel, so its position or its work zero is not what it was: home the mill and put "
     "the same zero back. Where only the height at which the tool travels is too high, lower safe_z_mm in the profile. "
     "Do not move the work zero: the rest would be cut beside what is cut already"
 )
+
+
+def word_refused(refusal: Phrase) -> Phrase:
+    """Return a refusal among the words of a plan."""
+    return Phrase("REFUSED: {refusal}", refusal=refusal)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +44,7 @@ class Need:
     """What must be done first. `code`: CONNECT, WAIT, STAND_STILL, UNLOCK, POSITION or ZERO."""
 
     code: MillCode
-    words: str
+    words: Phrase
     values: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -78,10 +84,10 @@ class RecoveryPlan:
     overlap_line: int
     position_mm: Triple | None
     blocks: tuple[str, ...]
-    refusals: tuple[str, ...] = ()
+    refusals: tuple[Phrase, ...] = ()
     needs: tuple[Need, ...] = ()
-    differences: tuple[str, ...] = ()
-    words: tuple[str, ...] = ()
+    differences: tuple[Phrase, ...] = ()
+    words: tuple[Phrase, ...] = ()
     zero_back: str = ""
     motion: str = ""  # motion word put before the first line, which relies on an earlier one
 
@@ -99,7 +105,8 @@ class RecoveryPlan:
         return hashlib.sha256(json.dumps(self._members(), sort_keys=True).encode()).hexdigest()[:16]
 
     def as_dict(self) -> dict[str, Any]:
-        return self._members() | {"plan": self.digest}
+        members = self._members()
+        return members | {"plan": self.digest, "phrases": phrases_in(members)}
 
     def _members(self) -> dict[str, Any]:
         return {
@@ -118,7 +125,7 @@ class RecoveryPlan:
             "words": list(self.words),
         }
 
-    def with_place(self, problems: tuple[str, ...], *, refused: bool) -> RecoveryPlan:
+    def with_place(self, problems: tuple[Phrase, ...], *, refused: bool) -> RecoveryPlan:
         """Return the plan with what leaves the travel: refused where machine coordinates are certain, else told.
 
         They are not certain while anything has to be done first: a mill that must be homed counts from anywhere.
@@ -126,10 +133,13 @@ class RecoveryPlan:
         if not problems:
             return self
         if refused and not self.needs:
-            refusals = tuple(f"{problem}. {_NOT_THERE}" for problem in problems)
-            words = tuple(f"REFUSED: {refusal}" for refusal in refusals)
+            refusals = tuple(Phrase("{problem}. {why}", problem=problem, why=_NOT_THERE) for problem in problems)
+            words = tuple(map(word_refused, refusals))
             return replace(self, refusals=(*self.refusals, *refusals), words=(*self.words, *words))
-        words = tuple(f"by the position it counts from now, which is not certain: {problem}" for problem in problems)
+        words = tuple(
+            Phrase("by the position it counts from now, which is not certain: {problem}", problem=problem)
+            for problem in problems
+        )
         return replace(self, words=(*self.words, *words))
 
     def lines(self, reader: ProgramReader) -> Iterator[ProgramLine]:

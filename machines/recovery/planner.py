@@ -20,7 +20,8 @@ from machines.preflight.preflight import Preflight
 from machines.recovery.approach import find_unreadable, height_mm, plan_lead_in, travel_height_mm
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, compare_offsets, find_needs, position_doubt, zero_back
-from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
+from machines.recovery.plan_model import Present, RecoveryPlan, Reentry, word_refused
+from phrases.phrase import Phrase
 
 GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
 _SEQUENCE = re.compile(rb"^/?N0*([0-9]+)")
@@ -32,15 +33,20 @@ def plan_recovery(
 ) -> RecoveryPlan:
     """Plan from a run's journal (`record`), its program and the mill as it is now. Raises nothing but bugs."""
     executed = int(record.get("executed_line", 0))
-    refusals: list[str] = []
+    refusals: list[Phrase] = []
     entry: EntryPoint | None = None
     if record.get("sha256") != facts.sha256:
-        refusals.append(f"the program is not the one of this run: sha256 {facts.sha256[:12]}, the journal says "
-                        f"{str(record.get('sha256'))[:12]}")  # fmt: skip
+        refusals.append(
+            Phrase(
+                "the program is not the one of this run: sha256 {sha256}, the journal says {known}",
+                sha256=facts.sha256[:12],
+                known=str(record.get("sha256"))[:12],
+            )
+        )
     try:
         entry = find_entry(reader, executed)
     except MachineError as error:
-        refusals.append(str(error))
+        refusals.append(error.words)
     tells = facts.dialect in GRBL_DIALECTS
     if not tells:
         refusals.append(by_sequence_number(record, facts, reader))
@@ -70,58 +76,84 @@ def plan_recovery(
 def _with_words(
     plan: RecoveryPlan, record: Mapping[str, Any], present: Present, entry: EntryPoint | None
 ) -> RecoveryPlan:
-    words = [f"lines up to {plan.executed_line} are cut for certain; line {plan.resume_line} is the next one"]
+    words = [
+        Phrase(
+            "lines up to {executed_line} are cut for certain; line {resume_line} is the next one",
+            executed_line=plan.executed_line,
+            resume_line=plan.resume_line,
+        )
+    ]
     if entry is not None:
         if entry.position_mm is None:
-            words.append("nothing was cut that has to be joined: the program starts from its top")
+            words.append(Phrase("nothing was cut that has to be joined: the program starts from its top"))
         else:
             words.append(
-                f"the tool is put down at {axes_words(entry.position_mm)} (work), line {plan.overlap_line} is cut "
-                f"again as overlap ({plan.recut_lines} line(s) are sent a second time)"
+                Phrase(
+                    "the tool is put down at {position_mm} (work), line {overlap_line} is cut again as overlap "
+                    "({recut_lines} line(s) are sent a second time)",
+                    position_mm=axes_words(entry.position_mm),
+                    overlap_line=plan.overlap_line,
+                    recut_lines=plan.recut_lines,
+                )
             )
-        if entry.why:
+        if entry.why is not None:
             words.append(entry.why)
         if entry.state.tool is not None:
-            words.append(f"tool T{entry.state.tool} must be in the spindle")
+            words.append(Phrase("tool T{tool} must be in the spindle", tool=entry.state.tool))
     status = present.status
     if status.spindle_on:
-        words.append("the spindle is ON now")
+        words.append(Phrase("the spindle is ON now"))
     if status.work_mm is not None:
-        words.append(f"the tool is at {axes_words(status.work_mm)} (work) now")
+        words.append(Phrase("the tool is at {work_mm} (work) now", work_mm=axes_words(status.work_mm)))
     last = record.get("work_mm")
     if last:
         words.append(
-            f"the last position in the journal is {axes_words(last)} (work); the mill may have gone on from there"
+            Phrase(
+                "the last position in the journal is {work_mm} (work); the mill may have gone on from there",
+                work_mm=axes_words(last),
+            )
         )
     if entry is not None and not status.position_trusted and position_doubt(record, present) == "":
-        words.append("the controller never restarted (its feed or spindle is still set): its position is what it was")
+        words.append(
+            Phrase("the controller never restarted (its feed or spindle is still set): its position is what it was")
+        )
     overrides = record.get("overrides")
     if overrides and list(overrides) != [100, 100, 100]:
-        words.append(f"overrides then were feed {overrides[0]} %, rapid {overrides[1]} %, spindle {overrides[2]} %")
-    words += [f"offset {difference}" for difference in plan.differences]
+        feed, rapid, spindle = overrides
+        words.append(
+            Phrase(
+                "overrides then were feed {feed_percent} %, rapid {rapid_percent} %, spindle {spindle_percent} %",
+                feed_percent=feed,
+                rapid_percent=rapid,
+                spindle_percent=spindle,
+            )
+        )
+    words += [Phrase("offset {difference}", difference=difference) for difference in plan.differences]
     if present.offsets is None:
-        words.append("offsets cannot be compared: the link does not tell them at present")
+        words.append(Phrase("offsets cannot be compared: the link does not tell them at present"))
     if record.get("torn"):
-        words.append(f"the end of the journal was torn: {record['torn']}")
-    words += [f"REFUSED: {refusal}" for refusal in plan.refusals]
-    words += [f"first: {need.words}" for need in plan.needs]
+        words.append(Phrase("the end of the journal was torn: {torn}", torn=record["torn"]))
+    words += map(word_refused, plan.refusals)
+    words += [Phrase("first: {need}", need=need.words) for need in plan.needs]
     fields = {name: getattr(plan, name) for name in plan.__slots__}
     return RecoveryPlan(**fields | {"words": tuple(words)})
 
 
-def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: ProgramReader) -> str:
+def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: ProgramReader) -> Phrase:
     """Return why there is no recovery by position, and how a person restarts at the control's own panel."""
     executed, sent = int(record.get("executed_line") or 0), int(record.get("sent_line") or 0)
-    return (
-        f"dialect {facts.dialect}: this link does not tell where the control stopped, so there is no recovery by "
-        f"position. It was given lines up to {_name_line(reader, sent)} and has executed at least those up to "
-        f"{_name_line(reader, executed)}. Read the sequence number on its screen, bring the tool to a safe height, "
-        "check the zero, and restart at its panel from the last tool entry at or before that number, or park a program "
-        "of the rest"
+    return Phrase(
+        "dialect {dialect}: this link does not tell where the control stopped, so there is no recovery by position. It "
+        "was given lines up to {sent} and has executed at least those up to {executed}. Read the sequence number on "
+        "its screen, bring the tool to a safe height, check the zero, and restart at its panel from the last tool "
+        "entry at or before that number, or park a program of the rest",
+        dialect=facts.dialect,
+        sent=_name_line(reader, sent),
+        executed=_name_line(reader, executed),
     )
 
 
-def _name_line(reader: ProgramReader, line: int) -> str:
+def _name_line(reader: ProgramReader, line: int) -> Phrase:
     """Return a line with the sequence number that holds there."""
     number = None
     try:
@@ -132,4 +164,6 @@ def _name_line(reader: ProgramReader, line: int) -> str:
                 number = found[1].decode()
     except MachineError:
         number = None  # the file is refused elsewhere
-    return f"line {line} (N{number})" if number is not None else f"line {line}"
+    if number is None:
+        return Phrase("line {line}", line=line)
+    return Phrase("line {line} (N{number})", line=line, number=number)

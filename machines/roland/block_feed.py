@@ -12,6 +12,7 @@ from machines.errors import MachineError, PortError
 from machines.roland.following import Follower, Travel, nc_reader, rml_reader
 from machines.roland.mdx40a import COUNTER_MODULUS, Mdx40aDevice
 from machines.roland.rml_commands import RmlFault
+from phrases.phrase import Phrase
 
 MOST_BLOCK_BYTES = 512  # one line; writes of 32 KB hang the mill
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.001, 0.02
@@ -21,8 +22,9 @@ _MOVES_FRAME = re.compile(rb"G(5[5-9]|92|10|52|43|68)(?!\d)")  # G54 is read bef
 class FeedFault(Exception):
     """Why no further block may go."""
 
-    def __init__(self, cause: FaultCause, words: str, line: int) -> None:
+    def __init__(self, cause: FaultCause, words: Phrase, line: int) -> None:
         super().__init__(words)
+        self.words = words
         self.cause = cause
         self.line = line
 
@@ -78,12 +80,18 @@ class BlockFeed:
             except PortError:
                 raise
             except (MachineError, RmlFault, OSError) as error:
-                raise FeedFault(FaultCause.PROGRAM_CHANGED, str(error), self.sent_line) from error
+                raise FeedFault(
+                    FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), self.sent_line
+                ) from error
 
     def _count(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
         counter, now_s = device.read_counter(), device.clock()
         if (block.counter_after - counter) % COUNTER_MODULUS > len(block.data):
-            words = f"the byte counter is {counter}, at most {block.counter_after} can be right: blocks do not match"
+            words = Phrase(
+                "the byte counter is {counter}, at most {most} can be right: blocks do not match",
+                counter=counter,
+                most=block.counter_after,
+            )
             raise FeedFault(FaultCause.REPLY_COUNT, words, block.line.number)
         if counter != self._counter:
             self._counter, self.changed_s = counter, now_s
@@ -106,7 +114,14 @@ class BlockFeed:
             return
         data = line.text + self._line_end
         if len(data) > MOST_BLOCK_BYTES:
-            raise MachineError(f"line {line.number} has {len(data)} bytes; the mill is fed at most {MOST_BLOCK_BYTES}")
+            raise MachineError(
+                Phrase(
+                    "line {line} has {count} bytes; the mill is fed at most {most}",
+                    line=line.number,
+                    count=len(data),
+                    most=MOST_BLOCK_BYTES,
+                )
+            )
         travel = self._read(line.text)
         if self.origin_mm is not None and not self._is_rml and _MOVES_FRAME.search(line.text):
             self.origin_mm, self.follower.lost, self.frame_left_at = None, True, line.number
@@ -128,8 +143,13 @@ class BlockFeed:
         machine_z_mm = travel.highest_z_mm + self.origin_mm[2]
         if machine_z_mm > 0:
             raise MachineError(
-                f"line {line.number}: '{line.text.decode('latin-1')}' lifts to machine Z {machine_z_mm:.3f} mm, above "
-                "the top (0): the mill would run all that follows as rapids; lower the safe Z or the stock"
+                Phrase(
+                    "line {line}: '{text}' lifts to machine Z {machine_z_mm:.3f} mm, above the top (0): the mill "
+                    "would run all that follows as rapids; lower the safe Z or the stock",
+                    line=line.number,
+                    text=line.text.decode("latin-1"),
+                    machine_z_mm=machine_z_mm,
+                )
             )
 
     def _begin_program(self, first: ProgramLine) -> tuple[ProgramLine, ...]:

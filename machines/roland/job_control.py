@@ -19,11 +19,12 @@ from machines.driver import (
 )
 from machines.roland.block_feed import BlockFeed, FeedFault
 from machines.roland.mdx40a import DeviceState, Mdx40aDevice, read_work_origin_mm, to_work_mm
+from phrases.phrase import NO_WORDS, Phrase, join
 
 _STILL_S = 0.6  # three reports without motion
 _STALL_S = 60.0  # neither counter nor position moves, nobody paused it
-_PAUSED = "the mill waits (VIEW lamp): hold its VIEW button for 3 s to go on"
-_DRAINS = (
+_PAUSED = Phrase("the mill waits (VIEW lamp): hold its VIEW button for 3 s to go on")
+_DRAINS = Phrase(
     "no more blocks are fed; the mill finishes the few it holds. At once: VIEW button (pause) or cover (emergency)"
 )
 
@@ -58,10 +59,10 @@ class JobControl:
         self._held = self._aborting = False
         self.note_change(device.clock())
         if origin_mm is None:
-            words = "the work origin cannot be read: lines count as executed only at the end"
+            words = Phrase("the work origin cannot be read: lines count as executed only at the end")
             self._channel.events.append(Notice(words))
         self.count()
-        self._channel.enter(MillState.RUN, "")
+        self._channel.enter(MillState.RUN, NO_WORDS)
 
     def hold(self, now_s: float) -> None:
         if self.feed is None or self._held:
@@ -77,7 +78,7 @@ class JobControl:
             return False
         self._held = False
         self._changed_s = now_s
-        self._channel.enter(MillState.RUN, "")
+        self._channel.enter(MillState.RUN, NO_WORDS)
         return True
 
     def abort(self, device: Mdx40aDevice) -> None:
@@ -85,7 +86,7 @@ class JobControl:
         self._channel.end_stream()
         device.stop_motion()
         self._still_since_s = device.clock()
-        self._channel.enter(MillState.HOLDING, "stopping")
+        self._channel.enter(MillState.HOLDING, Phrase("stopping"))
 
     def drop(self) -> None:
         """Forget the program: the link is gone."""
@@ -103,10 +104,12 @@ class JobControl:
         try:
             feed.turn(device, may_send=not self._held)
         except FeedFault as fault:
-            self._stop_by_fault(device, fault.cause, str(fault), device.clock())
+            self._stop_by_fault(device, fault.cause, fault.words, device.clock())
             return
         if feed.frame_left_at != left_at:
-            words = f"line {feed.frame_left_at} changes the work frame: lines count as executed only at the end"
+            words = Phrase(
+                "line {line} changes the work frame: lines count as executed only at the end", line=feed.frame_left_at
+            )
             self._channel.events.append(Notice(words))
         if feed.ended and not ended:
             self._still_since_s = device.clock()  # what it still holds may not have begun to move
@@ -121,7 +124,7 @@ class JobControl:
             if still:
                 self._end(device)
                 self._channel.events.append(Stopped(position_kept=True))
-                self._channel.enter(MillState.IDLE, "")
+                self._channel.enter(MillState.IDLE, NO_WORDS)
         elif feed is not None:
             self._settle(device, feed, state, now_s, still=still)
         else:
@@ -134,50 +137,57 @@ class JobControl:
             self._changed_s = now_s
             channel.enter(MillState.HELD, _PAUSED)
         elif self._held and still:
-            channel.enter(MillState.HELD, "held; feeding stopped")
+            channel.enter(MillState.HELD, Phrase("held; feeding stopped"))
         elif self._held:
             channel.enter(MillState.HOLDING, _DRAINS)
         elif feed.ended and still and state.phase == "idle":
             feed.follower.finish()
             self._end(device)
             channel.events.append(ProgramDone())
-            channel.enter(MillState.IDLE, "")
+            channel.enter(MillState.IDLE, NO_WORDS)
         elif now_s - max(self._changed_s, feed.changed_s) > _STALL_S:
-            words = f"neither the byte counter nor the position has moved for {_STALL_S:g} s"
+            words = Phrase("neither the byte counter nor the position has moved for {seconds:g} s", seconds=_STALL_S)
             self._stop_by_fault(device, FaultCause.STALL, words, now_s)
         else:
-            channel.enter(MillState.RUN, "")
+            channel.enter(MillState.RUN, NO_WORDS)
 
     def _show_idle(self, device: Mdx40aDevice, state: DeviceState, *, failed: bool) -> None:
         channel = self._channel
         if failed:
             if channel.status.state is not MillState.ALARM:
-                channel.enter(MillState.ALARM, f"{device.error_words()}; switch the mill off and on to clear it")
+                channel.enter(
+                    MillState.ALARM,
+                    Phrase("{error}; switch the mill off and on to clear it", error=device.error_words()),
+                )
         elif state.door_open:
-            channel.enter(MillState.DOOR, "the cover is open")
+            channel.enter(MillState.DOOR, Phrase("the cover is open"))
         elif state.phase in ("homing", "starting"):
-            channel.enter(MillState.HOMING, "the mill is starting up")
+            channel.enter(MillState.HOMING, Phrase("the mill is starting up"))
         elif state.moves:
-            channel.enter(MillState.RUN, "moved from its panel")
+            channel.enter(MillState.RUN, Phrase("moved from its panel"))
         else:
-            channel.enter(MillState.IDLE, "")
+            channel.enter(MillState.IDLE, NO_WORDS)
 
     def _end_by_device_fault(
         self, device: Mdx40aDevice, feed: BlockFeed, state: DeviceState, now_s: float, *, failed: bool
     ) -> None:
-        words = ["the cover was opened: the mill has made an emergency stop"] if state.door_open else []
+        causes = [Phrase("the cover was opened: the mill has made an emergency stop")] if state.door_open else []
         if failed:
-            at = f"; it has not taken '{feed.block.line.text[:40].decode('latin-1')}'" if feed.block else ""
-            words += [
-                f"the mill reports: {device.error_words()}{at}",
-                "if it refuses every block, its command set (RML-1 or NC) is wrong; switch it off and on to clear",
-            ]
-        self._stop_by_fault(device, FaultCause.DEVICE, "; ".join(words), now_s)
+            report = Phrase("the mill reports: {error}", error=device.error_words())
+            if feed.block:
+                text = feed.block.line.text[:40].decode("latin-1")
+                report = Phrase("{report}; it has not taken '{text}'", report=report, text=text)
+            command_set = Phrase(
+                "if it refuses every block, its command set (RML-1 or NC) is wrong; switch it off and on to clear"
+            )
+            causes += [report, command_set]
+        words = join("; ", causes)
+        self._stop_by_fault(device, FaultCause.DEVICE, words, now_s)
         self._channel.update(position_trusted=False)
         if state.door_open and not failed:
-            self._channel.enter(MillState.DOOR, "; ".join(words))
+            self._channel.enter(MillState.DOOR, words)
 
-    def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: str, now_s: float) -> None:
+    def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: Phrase, now_s: float) -> None:
         """End the stream, and tell the mill to stop in the one way that is known."""
         feed = self.feed
         line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from machines.driver import Triple
 from machines.errors import NotAllowedError
+from phrases.phrase import Phrase
 
 STATE_BYTES = 32
 DOOR, SPINDLE, COMMANDED, VIEW_LAMP = 0x1000_0000, 0x0800_0000, 0x0400_0000, 0x4000_0000
@@ -106,8 +107,12 @@ def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
     if found is not None and found == (1 if is_rml else 0):
         wanted = "RML-1" if is_rml else "NC code"
         raise NotAllowedError(
-            f"the mill's command set is {COMMAND_SETS[found]}, the program is {wanted}: "
-            "set it to 'selected automatically' in the mill's setup"
+            Phrase(
+                "the mill's command set is {found}, the program is {wanted}: set it to 'selected automatically' "
+                "in the mill's setup",
+                found=COMMAND_SETS[found],
+                wanted=wanted,
+            )
         )
 
 

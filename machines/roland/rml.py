@@ -19,6 +19,7 @@ from machines.gcode.step import Step
 from machines.gcode.words import shown, strip_ends
 from machines.profile import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, NO_HEIGHT, UNIT_MM, Command, RmlFault, parse, spindle_rpm
+from phrases.phrase import Phrase
 
 _ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)
 _RELATIVE_XY = {"I": True, "R": False}
@@ -87,17 +88,19 @@ class RmlInterpreter:
         if not relative:
             return value_mm
         if before is None:
-            raise RmlFault("moves relative to a position that no command before it has given")
+            raise RmlFault(Phrase("moves relative to a position that no command before it has given"))
         return before + value_mm
 
     def _move(self, end_mm: Position) -> Step:
         if self.feed_mm_per_s is None:
-            raise RmlFault("moves before any speed was set (V)")
+            raise RmlFault(Phrase("moves before any speed was set (V)"))
         start_mm, self.position_mm = self.position_mm, end_mm
         z, before = end_mm[2], start_mm[2]
         lifts = before is not None and z is not None and z > before and end_mm[:2] == start_mm[:2]
         if z is not None and z < 0 and not lifts and not self.spindle_on:
-            raise RmlFault(f"goes to Z {z:g} mm, below the user origin, with the spindle off (!MC1 first)")
+            raise RmlFault(
+                Phrase("goes to Z {z_mm:g} mm, below the user origin, with the spindle off (!MC1 first)", z_mm=z)
+            )
         known = [(a, b) for a, b in zip(start_mm, end_mm, strict=True) if a is not None and b is not None]
         length_mm = dist([a for a, _ in known], [b for _, b in known])
         return Step("feed", start_mm, end_mm, self.feed_mm_per_s * 60, length_mm)
@@ -120,7 +123,7 @@ class RmlFacts:
     feeds_mm_per_min: tuple[float, float] | None
     spindle_rpm: tuple[float, float] | None
     ends: bool
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Phrase, ...] = ()
 
 
 @dataclass(slots=True)
@@ -144,10 +147,10 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
             if command is not None:
                 _count_command(command, mill, tally, profile)
         except RmlFault as fault:
-            where = f"{fault} (command {tally.commands} of the program)"
+            where = Phrase("{fault} (command {count} of the program)", fault=str(fault), count=tally.commands)
             raise ProgramRefusedError(line, shown(text.lstrip().split(b"\n")[0][:60]), where) from None
     if not tally.commands:
-        raise ProgramRefusedError(0, "", "the file holds no RML-1 command")
+        raise ProgramRefusedError(0, "", Phrase("the file holds no RML-1 command"))
     moved = all(value < inf for value in tally.low)
     return RmlFacts(
         bounds_mm=((tally.low[0], tally.low[1], tally.low[2]), (tally.high[0], tally.high[1], tally.high[2]))
@@ -161,7 +164,7 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
         feeds_mm_per_min=tally.feeds,
         spindle_rpm=tally.speeds,
         ends=not mill.spindle_on,
-        warnings=("the program leaves the spindle on",) if mill.spindle_on else (),
+        warnings=(Phrase("the program leaves the spindle on"),) if mill.spindle_on else (),
     )
 
 
@@ -170,7 +173,14 @@ def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profil
         slowest, fastest = profile.spindle_rpm
         speed = spindle_rpm(command.numbers[0], slowest, fastest)
         if not slowest <= speed <= fastest:
-            raise RmlFault(f"{speed:g} rpm is outside the spindle's {slowest:g}..{fastest:g} (or a code 0..15)")
+            raise RmlFault(
+                Phrase(
+                    "{speed_rpm:g} rpm is outside the spindle's {slowest_rpm:g}..{fastest_rpm:g} (or a code 0..15)",
+                    speed_rpm=speed,
+                    slowest_rpm=slowest,
+                    fastest_rpm=fastest,
+                )
+            )
         tally.speeds = _widen(tally.speeds, speed)
     for move in mill.take(command):
         feed = move.feed_mm_per_min
@@ -186,8 +196,14 @@ def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profil
             extent = tally.high[axis] - tally.low[axis]
             if extent > profile.travel_mm[axis]:
                 raise RmlFault(
-                    f"the program now spans {extent:.2f} mm in {'XYZ'[axis]}, "
-                    f"the travel of {profile.name} is {profile.travel_mm[axis]:g} mm"
+                    Phrase(
+                        "the program now spans {extent_mm:.2f} mm in {axis}, "
+                        "the travel of {machine} is {travel_mm:g} mm",
+                        extent_mm=extent,
+                        axis="XYZ"[axis],
+                        machine=profile.name,
+                        travel_mm=profile.travel_mm[axis],
+                    )
                 )
     if command.name in ("W", "!DW"):
         tally.time_s += command.numbers[0] / 1000
@@ -219,7 +235,6 @@ def _commands(chunks: Iterable[bytes]) -> Iterator[tuple[int, bytes, int]]:
     end = strip_ends(rest)
     if end:
         line += rest[: rest.find(end)].count(b"\n")
-        raise ProgramRefusedError(
-            line, shown(end.split(b"\n")[0][:60]), "the last command has no ';': is the file cut off, or not RML-1?"
-        )
+        reason = Phrase("the last command has no ';': is the file cut off, or not RML-1?")
+        raise ProgramRefusedError(line, shown(end.split(b"\n")[0][:60]), reason)
     yield line + max(rest.count(b"\n") - 1, 0), b"", size

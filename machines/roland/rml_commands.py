@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass
 
 from machines.gcode.words import shown
+from phrases.phrase import Phrase
 
 UNIT_MM = 0.01
 NO_HEIGHT = 10_500  # in units, and above: the mill stops at its top [src: posts lift by it, and go across at it]
@@ -50,13 +51,17 @@ SHAPES = {
     "!MC": Shape(0, 1, 0, 1), "!RC": Shape(1, 1, 0, 100000),
     "DF": Shape(0, 0), "IN": Shape(0, 0), "H": Shape(0, 0), "!NR": Shape(0, 0),
 }  # fmt: skip
+_NO_COMMAND = Phrase("is not an RML-1 command")
 REFUSED = {
-    "!ZO": "moves the zero of Z in the middle of a job: set the zero at the mill",
+    "!ZO": Phrase("moves the zero of Z in the middle of a job: set the zero at the mill"),
 }
 
 
 class RmlFault(ValueError):
     """What is wrong with one command, in words."""
+
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,23 +79,30 @@ def parse(text: bytes) -> Command | None:
     if not body:
         return None
     if len(body) > MOST_COMMAND_BYTES:
-        raise RmlFault(f"{len(body)} bytes without ';' are not an RML-1 command (at most {MOST_COMMAND_BYTES})")
+        raise RmlFault(
+            Phrase(
+                "{count} bytes without ';' are not an RML-1 command (at most {most})",
+                count=len(body),
+                most=MOST_COMMAND_BYTES,
+            )
+        )
     found = _NAME.match(body)
     if not found:
-        nc = '; NC code needs a machine with dialect = "roland-nc"' if _LOOKS_LIKE_NC.match(body) else ""
-        raise RmlFault(f"is not an RML-1 command{nc}")
+        if _LOOKS_LIKE_NC.match(body):
+            raise RmlFault(Phrase('is not an RML-1 command; NC code needs a machine with dialect = "roland-nc"'))
+        raise RmlFault(_NO_COMMAND)
     if b"\n" in body:  # a line is what the mill is fed with and what recovery counts by
-        raise RmlFault("goes on in the next line; end each command with ';' on its own line")
+        raise RmlFault(Phrase("goes on in the next line; end each command with ';' on its own line"))
     name = found[1].decode("ascii")
     rest = body[found.end() :].strip()
     if name in REFUSED:
         raise RmlFault(REFUSED[name])
     if name == "!ZE":
         if not _ORIGIN_WORDS.match(rest):
-            raise RmlFault("!ZE takes axis words such as X0Y0")
+            raise RmlFault(Phrase("!ZE takes axis words such as X0Y0"))
         return Command(name, (), rest)
     if name not in SHAPES:
-        raise RmlFault("is not an RML-1 command")
+        raise RmlFault(_NO_COMMAND)
     shape = SHAPES[name]
     numbers = tuple(_number(part, shape) for part in re.split(rb"[,\s]+", rest)) if rest else ()
     _count(name, numbers, shape)
@@ -104,12 +116,16 @@ def spindle_rpm(code: float, slowest: float, fastest: float) -> float:
 
 def _number(part: bytes, shape: Shape) -> float:
     if not _NUMBER.match(part):
-        raise RmlFault(f"'{shown(part)}' is not a number")
+        raise RmlFault(Phrase("'{text}' is not a number", text=shown(part)))
     if shape.whole and b"." in part:
-        raise RmlFault(f"{part.decode()} must be a whole number (coordinates are hundredths of a millimetre)")
+        raise RmlFault(
+            Phrase("{text} must be a whole number (coordinates are hundredths of a millimetre)", text=part.decode())
+        )
     value = float(part)
     if not shape.low <= value <= shape.high:
-        raise RmlFault(f"{part.decode()} is outside {shape.low:g}..{shape.high:g}")
+        raise RmlFault(
+            Phrase("{text} is outside {low:g}..{high:g}", text=part.decode(), low=shape.low, high=shape.high)
+        )
     return value
 
 
@@ -117,5 +133,13 @@ def _count(name: str, numbers: tuple[float, ...], shape: Shape) -> None:
     n = len(numbers)
     ok = n % shape.most == 0 and n >= shape.least if shape.repeats else shape.least <= n <= shape.most
     if not ok:
-        wanted = f"{shape.least}" if shape.least == shape.most else f"{shape.least} to {shape.most}"
-        raise RmlFault(f"{name} takes {wanted} numbers{' (or sets of them)' if shape.repeats else ''}, not {n}")
+        wanted = str(shape.least)
+        if shape.least != shape.most:
+            wanted = Phrase("{least} to {most}", least=shape.least, most=shape.most)
+        if shape.repeats:
+            raise RmlFault(
+                Phrase(
+                    "{name} takes {wanted} numbers (or sets of them), not {count}", name=name, wanted=wanted, count=n
+                )
+            )
+        raise RmlFault(Phrase("{name} takes {wanted} numbers, not {count}", name=name, wanted=wanted, count=n))

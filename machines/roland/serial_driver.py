@@ -15,6 +15,7 @@ from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
 from machines.driver import DriverFacts, FaultCause, Faulted, MillState, ProgramLine
 from machines.errors import ProgramRefusedError
+from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
     from machines.port import Port
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
 ESC_FREE, ESC_ERROR, ESC_ABORT = b"\x1b.B", b"\x1b.E", b"\x1b.K"
 ERRORS = {
-    15: "framing or parity error: check baud, bytesize, parity",
-    16: "its buffer has overflowed: check the handshake",
+    15: Phrase("framing or parity error: check baud, bytesize, parity"),
+    16: Phrase("its buffer has overflowed: check the handshake"),
 }
 OS_QUEUE_BYTES = 4096  # what a tty may hold beside what we know of, where the port cannot tell
 _QUEUED = 64
@@ -82,7 +83,7 @@ class RolandSerialDriver(OneWayDriver):
         bad = next((byte for byte in line.text if byte >= 0x7F or (byte < 0x20 and byte not in b"\t\x03")), None)
         if bad is not None:
             raise ProgramRefusedError(
-                line.number, line.text.decode("latin-1"), f"byte 0x{bad:02x} is not printable text"
+                line.number, line.text.decode("latin-1"), Phrase("byte 0x{byte:02x} is not printable text", byte=bad)
             )
         return line.text + self._line_end
 
@@ -118,12 +119,16 @@ class RolandSerialDriver(OneWayDriver):
                 continue
             value = int(reply)
             if self._asked.popleft() == ESC_FREE:
-                self._channel.update(detail=f"the mill says {value} bytes of its buffer are free")
+                self._channel.update(detail=Phrase("the mill says {count} bytes of its buffer are free", count=value))
             elif value:
-                self._end_by_fault(f"the mill reports error {value}: {ERRORS.get(value, 'see its manual')}", now_s)
+                meaning = ERRORS.get(value, Phrase("see its manual"))
+                words = Phrase("the mill reports error {number}: {meaning}", number=value, meaning=meaning)
+                self._end_by_fault(words, now_s)
 
-    def _end_by_fault(self, words: str, now_s: float) -> None:
+    def _end_by_fault(self, words: Phrase, now_s: float) -> None:
         line = self.progress.sent_line if self._feed is not None else 0
         self._end_stream()
-        self._channel.enter(MillState.ALARM, f"{words}; the mill still executes {self._word_held()}")
+        self._channel.enter(
+            MillState.ALARM, Phrase("{words}; the mill still executes {held}", words=words, held=self._word_held())
+        )
         self._channel.events.append(Faulted(FaultCause.DEVICE, words, line, now_s))

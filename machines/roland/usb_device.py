@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 from machines.driver import Triple
 from machines.errors import NotAControllerError, PortError, PortLostError
 from machines.roland.mdx40a import STATE_BYTES, DeviceState, decode_state
+from phrases.phrase import Phrase
 
 URL = "usb:mdx-40a"
 _PING, _STATE, _COUNTER, _KEEPALIVE, _BRACKET, _STOP = 0x0001, 0x0100, 0x0200, 0x03F5, 0x1109, 0x03F3
@@ -79,7 +80,10 @@ class RollingmillDevice:
     def write_block(self, block: bytes) -> None:
         written = self._do(lambda: self._link.bulk_write(block))
         if written != len(block):
-            raise PortLostError(self.url, f"the mill took {written} of {len(block)} bytes of a block")
+            raise PortLostError(
+                self.url,
+                Phrase("the mill took {written} of {count} bytes of a block", written=written, count=len(block)),
+            )
 
     def stop_motion(self) -> None:
         self._do(lambda: self._link.vend_set(_STOP))
@@ -115,7 +119,15 @@ class RollingmillDevice:
             data = self._do(lambda: self._link.vend_get(register, length))
             if len(data) >= length:
                 return data
-        raise PortLostError(self.url, f"register 0x{register:04x} answers {len(data)} of {length} bytes")
+        raise PortLostError(
+            self.url,
+            Phrase(
+                "register 0x{register:04x} answers {count} of {wanted} bytes",
+                register=register,
+                count=len(data),
+                wanted=length,
+            ),
+        )
 
     def _do(self, transfer: Callable[[], T]) -> T:
         try:
@@ -131,23 +143,27 @@ class RollingmillDevice:
 def open_mdx40a(url: str | None = None) -> RollingmillDevice:
     """Find and open the mill on the USB bus. `url`, if given, must be "usb:mdx-40a": there is one mill per host."""
     if url not in (None, "", URL, "usb:"):
-        raise PortError(url, f"the MDX-40A is found by its USB identity: leave the port out or say {URL}")
+        raise PortError(
+            url, Phrase("the MDX-40A is found by its USB identity: leave the port out or say {url}", url=URL)
+        )
     try:
         import usb.core  # type: ignore[import-untyped]
         from rollingmill.machine import MDX40A  # type: ignore[import-untyped]
         from rollingmill.usb import MdxUSB  # type: ignore[import-untyped]
     except ImportError as error:
-        raise PortError(URL, "the USB library is not installed: pip install causticmill[roland]") from error
+        raise PortError(URL, Phrase("the USB library is not installed: pip install causticmill[roland]")) from error
     try:
         link = MdxUSB.discover()
     except usb.core.NoBackendError as error:
-        raise PortError(URL, "no libusb on this computer: install the system package libusb-1.0") from error
+        raise PortError(URL, Phrase("no libusb on this computer: install the system package libusb-1.0")) from error
     except usb.core.USBError as error:
-        raise PortError(URL, f"{error}: busy with another program, or no right to use it (udev rule)") from error
+        raise PortError(
+            URL, Phrase("{error}: busy with another program, or no right to use it (udev rule)", error=error)
+        ) from error
     except RuntimeError as error:
-        raise PortError(URL, f"no MDX-40A on USB: switched on, cable in? ({error})") from error
+        raise PortError(URL, Phrase("no MDX-40A on USB: switched on, cable in? ({error})", error=error)) from error
     try:
         return RollingmillDevice(link, MDX40A(link), link_errors=(usb.core.USBError,))
     except (RuntimeError, ValueError, usb.core.USBError) as error:
         link.release()
-        raise NotAControllerError(URL, f"does not answer as an MDX-40A does: {error}") from error
+        raise NotAControllerError(URL, Phrase("does not answer as an MDX-40A does: {error}", error=error)) from error

@@ -28,6 +28,7 @@ from machines.driver import (
 from machines.errors import NotAllowedError, PortError
 from machines.roland.job_control import JobControl
 from machines.roland.mdx40a import PING_ERROR, Mdx40aDevice, check_command_set, to_work_mm
+from phrases.phrase import Phrase
 
 FACTS = DriverFacts(
     kind="Roland MDX-40A, USB",
@@ -68,8 +69,8 @@ class RolandUsbDriver:
     def connect(self) -> None:
         device = self._device
         if device is None:
-            raise NotAllowedError("the link was lost: open the mill anew")
-        self._channel.enter(MillState.CONNECTING, "asking the mill for its state")
+            raise NotAllowedError(Phrase("the link was lost: open the mill anew"))
+        self._channel.enter(MillState.CONNECTING, Phrase("asking the mill for its state"))
         try:
             model = device.model()
         except PortError as error:
@@ -113,7 +114,9 @@ class RolandUsbDriver:
     def start(self, lines: Iterator[ProgramLine]) -> None:
         device, state = self._device, self.status.state
         if device is None or state is not MillState.IDLE:
-            raise NotAllowedError(f"a program can start only when the mill is idle, it is {state.value}")
+            raise NotAllowedError(
+                Phrase("a program can start only when the mill is idle, it is {state}", state=state.words)
+            )
         try:
             check_command_set(device, self._dialect)
             self._job.start(device, lines)
@@ -126,12 +129,14 @@ class RolandUsbDriver:
 
     def resume(self) -> None:
         if self._device is None or not self._job.resume(self._device.clock()):
-            raise NotAllowedError(f"there is nothing to resume: the mill is {self.status.state.value}")
+            raise NotAllowedError(
+                Phrase("there is nothing to resume: the mill is {state}", state=self.status.state.words)
+            )
 
     def abort(self) -> None:
         device = self._device
         if device is None:
-            raise NotAllowedError("the link is lost: press VIEW or open the cover to stop the mill")
+            raise NotAllowedError(Phrase("the link is lost: press VIEW or open the cover to stop the mill"))
         try:
             self._job.abort(device)
         except PortError as error:
@@ -140,14 +145,22 @@ class RolandUsbDriver:
     def command(self, command: Command) -> None:
         device = self._device
         if device is None:
-            raise NotAllowedError("the mill is not connected")
+            raise NotAllowedError(Phrase("the mill is not connected"))
         match command:
             case TrustPosition():
                 self._channel.update(position_trusted=True)
             case Override("feed" | "spindle" as what, percent):
                 low, high = OVERRIDE_PERCENT
                 if not low <= percent <= high:
-                    raise NotAllowedError(f"{what} override {percent} %: allowed: {low}..{high}")
+                    raise NotAllowedError(
+                        Phrase(
+                            "{what} override {percent} %: allowed: {low}..{high}",
+                            what=what,
+                            percent=percent,
+                            low=low,
+                            high=high,
+                        )
+                    )
                 feed, rapid, spindle = self.status.overrides
                 if what == "feed":
                     device.set_feed_override(percent)
@@ -157,7 +170,12 @@ class RolandUsbDriver:
                     spindle = percent
                 self._channel.update(overrides=(feed, rapid, spindle))
             case _:
-                raise NotAllowedError(f"{type(command).__name__} is not offered on this link: use the mill's own panel")
+                raise NotAllowedError(
+                    Phrase(
+                        "{command} is not offered on this link: use the mill's own panel",
+                        command=type(command).__name__,
+                    )
+                )
         self._channel.events.append(CommandDone(command))
 
     def close(self) -> None:
@@ -202,6 +220,6 @@ class RolandUsbDriver:
         if device is not None:
             device.close()  # lets go of the interface, so that the mill can be opened anew
         self._channel.update(position_trusted=False)
-        self._channel.enter(MillState.DISCONNECTED, str(error))
-        words = f"{error}; the mill finishes the few blocks it holds, the spindle may stay on"
+        self._channel.enter(MillState.DISCONNECTED, error.words)
+        words = Phrase("{error}; the mill finishes the few blocks it holds, the spindle may stay on", error=error.words)
         self._channel.events.append(Faulted(FaultCause.PORT_LOST, words, line, now_s))

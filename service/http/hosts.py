@@ -9,6 +9,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 
+from phrases.phrase import Phrase
 from service.errors import InputError
 
 
@@ -27,7 +28,13 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
     vouched : somebody has said that there is TLS, or no way on which others are; allowed: how that can be
     """
     if not (vouched or is_loopback(host)):
-        raise InputError(f"{where}, and tokens and orders would go over the wire in the clear; allowed: {allowed}")
+        raise InputError(
+            Phrase(
+                "{where}, and tokens and orders would go over the wire in the clear; allowed: {allowed}",
+                where=where,
+                allowed=allowed,
+            )
+        )
 
 
 def own_names() -> frozenset[str]:

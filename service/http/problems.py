@@ -203,7 +203,7 @@ def problem_body(problem: Problem) -> dict[str, object]:
         "detail": problem.detail,
     }
     told: dict[str, object] = {"code": problem.code, "values": problem.values} if problem.code else {}
-    told |= {"phrases": phrases} if (phrases := phrases_in((problem.detail, problem.more))) else {}
+    told |= {"phrases": phrases} if (phrases := phrases_in((problem.detail, problem.values, problem.more))) else {}
     return body | ({"field": problem.field} if problem.field else {}) | told | problem.more
 
 

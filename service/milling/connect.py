@@ -9,6 +9,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.port import stable_name
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile, load_profile
+from phrases.phrase import Phrase
 from service.errors import InputError
 
 _FIND_THEMSELVES = ("roland-usb", "none")  # "none" says itself that it cannot be driven
@@ -31,7 +32,11 @@ def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, st
 def demand_blocks(facts: Preflight, name: str) -> None:
     """Refuse an empty file, or one of comments only: it would be `finished` at once, which was never meant."""
     if facts.blocks == 0:
-        raise ProgramRefusedError(0, "", f"{name}: {facts.lines} lines and not one block in them; allowed: a program")
+        raise ProgramRefusedError(
+            0,
+            "",
+            Phrase("{name}: {lines} lines and not one block in them; allowed: a program", name=name, lines=facts.lines),
+        )
 
 
 class Connector:

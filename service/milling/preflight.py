@@ -21,9 +21,10 @@ from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placement_problems
+from machines.preflight.limits import MillLimits, limits_of, placement_problems, word_at_present_zero
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
+from phrases.phrase import Phrase, restore
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
 from service.processes.source_tree import hash_files, python_path
@@ -62,7 +63,7 @@ def run_preflight(
         make_private(folder)
         stat = path.stat()
         if not path.is_file():
-            raise PreflightError(f"{path}: not a file")
+            raise PreflightError(Phrase("{path}: not a file", path=path))
         quick = folder / f"quick-{_digest([stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns])}.txt"
         held_against = _digest([limits.to_dict(), _sources()])
         found = _load_kept(folder, held_against, _read_note(quick))
@@ -73,9 +74,10 @@ def run_preflight(
             _forget_oldest(folder)
         _note(quick, f"{found.bytes}-{found.sha256}")
     except OSError as error:
-        raise PreflightError(sentence_of_os_error(error, doing="pre-flight")) from None
+        words = Phrase("{reason}", reason=sentence_of_os_error(error, doing="pre-flight"))
+        raise PreflightError(words) from None
     problems = placement_problems(found, settings) if settings else ()
-    return replace(found, warnings=(*found.warnings, *(f"{AT_PRESENT_ZERO} {words}" for words in problems)))
+    return replace(found, warnings=(*found.warnings, *map(word_at_present_zero, problems)))
 
 
 def _compute(
@@ -95,9 +97,15 @@ def _compute(
     try:
         answer = _exchange(child, request, on_progress)
         if refused := answer.get("refused"):
-            raise ProgramRefusedError(refused["line"], refused["text"], refused["reason"])
+            raise ProgramRefusedError(**restore(refused, refused["phrases"]))
         if "done" not in answer:
-            raise PreflightError(f"pre-flight of {path}: {answer.get('failed') or 'the reading process ended early'}")
+            raise PreflightError(
+                Phrase(
+                    "pre-flight of {path}: {reason}",
+                    path=path,
+                    reason=answer.get("failed") or "the reading process ended early",
+                )
+            )
         text = staging.read_text(encoding="utf-8")
         found = Preflight.from_json(text)
         staging.replace(folder / f"{held_against}-{found.bytes}-{found.sha256}.json")

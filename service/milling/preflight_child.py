@@ -15,6 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from phrases.phrase import phrases_in
 from service.processes.kernel_cache import use_current_kernels
 from service.processes.priority import give_way
 
@@ -39,7 +40,8 @@ def main() -> int:
         _write(Path(request["result"]), found)
         _answer({"done": True})
     except ProgramRefusedError as error:
-        _answer({"refused": {"line": error.line, "text": error.text, "reason": error.reason}})
+        told = {"line": error.line, "text": error.text, "reason": error.reason}
+        _answer({"refused": told | {"phrases": phrases_in(error.reason)}})
     except OSError as error:
         _answer({"failed": f"{error.filename or request['path']}: {error.strerror}"})
     return 0

@@ -11,6 +11,7 @@ from typing import Any
 from playwright.sync_api import Page, Route, expect
 
 from machines.grbl.codes import alarm_words
+from phrases.phrase import Phrase, phrases_in
 from tests.page import canned_job
 from tests.page.browser import open_blank
 
@@ -65,6 +66,31 @@ MACHINE: dict[str, Any] = {
     "control": None,
     "links": {},
 }
+_SENTENCES = {
+    "warnings": [
+        Phrase(
+            "{axis} would go from {least_mm:.3f} to {most_mm:.3f} mm in machine coordinates ({frame}); "
+            "the machine reaches {low_mm:g} to {high_mm:g}",
+            axis="X",
+            least_mm=-152,
+            most_mm=-36,
+            frame="G54",
+            low_mm=-100,
+            high_mm=0,
+        )
+    ],
+    "zero": Phrase(
+        "X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}",
+        margin_mm=8,
+        top=Phrase("the block's top"),
+    ),
+    "change": Phrase(
+        "change the tool from {old} to {new}, set Z zero again; X and Y zero stay",
+        old="R 3 (Ø 6 mm)",
+        new="R 0.5 (Ø 1 mm)",
+    ),
+    "shape": Phrase("ball end mill"),
+}
 RUN: dict[str, Any] = {
     "id": RUN_ID,
     "machine": NAME,
@@ -83,16 +109,16 @@ RUN: dict[str, Any] = {
     "time_left_s": 5400.0,
     "operator": "",
     "recoveries": 0,
-    "warnings": ["X would go from -152.000 to -36.000 mm in machine coordinates (G54); the machine reaches -100 to 0"],
+    "warnings": _SENTENCES["warnings"],
     "travel_in_doubt": True,
     "setup": {
         "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
         "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
-        "zero": "X0 Y0: front left corner of the lens, 8 mm from the block's left and front edges; Z0: the block's top",
+        "zero": _SENTENCES["zero"],
         "change": {
             "from_radius_mm": 3.0,
             "to_radius_mm": 0.5,
-            "words": "change the tool from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm), set Z zero again; X and Y zero stay",
+            "words": _SENTENCES["change"],
         },
     },
     "required_checks": _CHECKS,
@@ -105,6 +131,7 @@ RUN: dict[str, Any] = {
     "started_at": None,
     "ended_at": None,
     "links": {},
+    "phrases": phrases_in(_SENTENCES),
 }
 _OF_OPEN = {
     *("id", "state", "job", "program", "words", "code", "values", "operator"),

@@ -52,7 +52,7 @@ const load = window.fetch;
 window.fetch = async (path, ...how) => {
     const answer = await load(path, ...how);
     if (!String(path).endsWith("languages/de.json")) return answer;
-    const mark = (key) => `\\u200b${key.replaceAll(/\\{\\d\\}/g, "\\u00ad$&\\u200b")}\\u00ad`;
+    const mark = (key) => `\\u200b${key.replaceAll(/\\{\\w+\\}/g, "\\u00ad$&\\u200b")}\\u00ad`;
     return Response.json(Object.fromEntries(Object.keys(await answer.json()).map((key) => [key, mark(key)])));
 };
 """
@@ -83,6 +83,7 @@ TOLD = """async () => {
 # What is the same in every language.
 SAME = re.compile(
     r"causticmill|grbl|CSV|G-code|XXXX-XXXX-XXXX|G0 X0 Y0|\b[XYZR]\d*\b|\b[XY]0\b|[←→] [XY]|[↑↓] [XYZ]|\bG0[58](?:\.1)?"
+    r"|\bG5[4-9]\b"
     r"|(?<![a-z])(?:mm/s²|rad/mm|cm³/min|W|mm|µm|min|rpm|dB|kB|MB|nm|ms|B|h|s)(?![a-z])"  # units
     r"|[\w.-]*\.(?:nc|png|toml|zip|html|obj|stl|step|json|bin|path|npz|pdf)\b|\bpass-\d\b"  # files
     r"|\b(?:Ada|Grace|anonymous|astronaut|shop|simulated|portrait|logo|picture-\d+|finish|PMMA|abc|two)\b"

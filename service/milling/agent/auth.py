@@ -10,6 +10,7 @@ from pathlib import Path
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.http.hosts import is_own_host, own_names
 from service.http.problems import Problem, problem_response
@@ -28,11 +29,15 @@ def read_token(path: Path) -> str:
     except OSError as error:
         raise InputError(sentence_of_os_error(error, doing="--token-file: cannot read")) from None
     except UnicodeDecodeError:
-        raise InputError(f"--token-file: {path} is not plain text; allowed: one line of ASCII") from None
+        raise InputError(
+            Phrase("--token-file: {path} is not plain text; allowed: one line of ASCII", path=path)
+        ) from None
     if others:
-        raise InputError(f"--token-file: {path} can be read by others; say: chmod 600 {path}")
+        raise InputError(Phrase("--token-file: {path} can be read by others; say: chmod 600 {path}", path=path))
     if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
-        raise InputError(f"--token-file: {path} must hold one word of at least {_SHORTEST} characters")
+        raise InputError(
+            Phrase("--token-file: {path} must hold one word of at least {least} characters", path=path, least=_SHORTEST)
+        )
     return token
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 from starlette.types import Receive, Scope, Send
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem, problem_response
 from service.http.streaming import PING, begin_events, compact_json, event_bytes, send_piece, write_while_connected
 
@@ -64,7 +65,14 @@ class Hub:
     def join(self, last_id: str) -> tuple[Reader, list[HubMessage]]:
         """Add a reader, and return it with what it is to be sent first."""
         if self._closed or len(self._readers) >= self._most:
-            raise Problem(503, f"{len(self._readers)} readers already; allowed: {self._most}. Close one and try again")
+            raise Problem(
+                503,
+                Phrase(
+                    "{count} readers already; allowed: {most}. Close one and try again",
+                    count=len(self._readers),
+                    most=self._most,
+                ),
+            )
         reader = Reader()
         self._readers.add(reader)
         return reader, self._list_missed(last_id) + ([self._status] if self._status else [])
@@ -86,10 +94,10 @@ class Hub:
         if not last_id:
             return []
         if life != self.life or not number.isdigit():
-            return [_gap("the agent was started anew"), *self._ring]
+            return [_gap(Phrase("the agent was started anew")), *self._ring]
         seen = int(number)
         missed = [message for message in self._ring if message.number > seen]
-        return [_gap("older events are no longer kept"), *missed] if self._forgotten > seen else missed
+        return [_gap(Phrase("older events are no longer kept")), *missed] if self._forgotten > seen else missed
 
     def _make_message(self, kind: str, data: dict[str, object]) -> HubMessage:
         self._number += 1

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import urlsplit
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 
 _PIECE_BYTES = 1 << 20
@@ -40,7 +41,9 @@ class StoredProgram:
 
 def valid_sha256(text: str) -> str:
     if not _SHA256.fullmatch(text):
-        raise Problem(422, f"'{text[:80]}' is not a SHA-256; allowed: 64 digits 0-9a-f", field="sha256")
+        raise Problem(
+            422, Phrase("'{text}' is not a SHA-256; allowed: 64 digits 0-9a-f", text=text[:80]), field="sha256"
+        )
     return text
 
 
@@ -64,7 +67,9 @@ class ProgramStore:
             facts = self._path(valid_sha256(sha256)).stat()
         except FileNotFoundError:
             raise Problem(
-                404, f"no program {sha256} here; PUT /v1/programs/{sha256} brings it", field="program"
+                404,
+                Phrase("no program {sha256} here; PUT /v1/programs/{sha256} brings it", sha256=sha256),
+                field="program",
             ) from None
         return StoredProgram(sha256, facts.st_size, round(facts.st_mtime, 3))
 
@@ -91,7 +96,13 @@ class ProgramStore:
             with await asyncio.to_thread(hidden.open, "wb") as file:
                 found = await self._write(file, pieces)
                 if found != sha256:
-                    raise Problem(422, f"what came has SHA-256 {found}, not {sha256}; nothing is kept", field="sha256")
+                    raise Problem(
+                        422,
+                        Phrase(
+                            "what came has SHA-256 {found}, not {sha256}; nothing is kept", found=found, sha256=sha256
+                        ),
+                        field="sha256",
+                    )
                 await asyncio.to_thread(_sync, file)
             await asyncio.to_thread(self._publish, hidden, sha256)
         finally:
@@ -108,7 +119,11 @@ class ProgramStore:
         async for piece in pieces:
             size += len(piece)
             if size > self._max_bytes:
-                raise Problem(413, f"the program is longer than {self._max_bytes} bytes", field="program")
+                raise Problem(
+                    413,
+                    Phrase("the program is longer than {most_bytes} bytes", most_bytes=self._max_bytes),
+                    field="program",
+                )
             waiting += piece
             if len(waiting) >= _PIECE_BYTES:
                 await asyncio.to_thread(store, bytes(waiting))
@@ -121,14 +136,25 @@ class ProgramStore:
             return
         if announced_bytes > self._max_bytes:
             raise Problem(
-                413, f"the program has {announced_bytes} bytes; allowed: up to {self._max_bytes}", field="program"
+                413,
+                Phrase(
+                    "the program has {announced_bytes} bytes; allowed: up to {most_bytes}",
+                    announced_bytes=announced_bytes,
+                    most_bytes=self._max_bytes,
+                ),
+                field="program",
             )
         free = shutil.disk_usage(self._folder).free
         if announced_bytes + _SPARE_BYTES > free:
             raise Problem(
                 507,
-                f"the program has {announced_bytes} bytes and the disk {free} free; "
-                f"{_SPARE_BYTES} stay reserved for the journal",
+                Phrase(
+                    "the program has {announced_bytes} bytes and the disk {free} free; {spare_bytes} stay reserved "
+                    "for the journal",
+                    announced_bytes=announced_bytes,
+                    free=free,
+                    spare_bytes=_SPARE_BYTES,
+                ),
                 field="program",
             )
 
@@ -154,7 +180,7 @@ async def fetch_program(store: ProgramStore, url: str, sha256: str, *, token: st
     import httpx  # costs memory and is seldom needed
 
     if urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).hostname:
-        raise Problem(422, f"url is '{url[:100]}'; allowed: http:// or https:// addresses", field="url")
+        raise Problem(422, Phrase("url is '{url}'; allowed: http:// or https:// addresses", url=url[:100]), field="url")
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     client = httpx.AsyncClient(
         timeout=_WAIT_S,
@@ -166,13 +192,13 @@ async def fetch_program(store: ProgramStore, url: str, sha256: str, *, token: st
     try:
         async with client, client.stream("GET", url, headers=headers) as response:
             if response.status_code != 200:
-                raise Problem(502, f"{url} answered {response.status_code}", field="url")
+                raise Problem(502, Phrase("{url} answered {status}", url=url, status=response.status_code), field="url")
             announced = response.headers.get("content-length", "")
             encoded = "content-encoding" in response.headers
             size = int(announced) if announced.isdigit() and not encoded else None
             return await store.receive(sha256, response.aiter_bytes(), announced_bytes=size)
     except httpx.InvalidURL as error:
-        raise Problem(422, f"url is '{url[:100]}': {error}", field="url") from None
+        raise Problem(422, Phrase("url is '{url}': {error}", url=url[:100], error=error), field="url") from None
     except httpx.HTTPError as error:
         reason = str(error) or type(error).__name__
-        raise Problem(502, f"cannot fetch {url}: {reason}", field="url") from None
+        raise Problem(502, Phrase("cannot fetch {url}: {reason}", url=url, reason=reason), field="url") from None

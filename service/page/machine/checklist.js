@@ -6,17 +6,6 @@ import { t } from "../lib/language.js";
 import { ball, thousands } from "../lib/words.js";
 import { enable } from "./refusal_line.js";
 
-const SHAPES = { "ball end mill": t("ball end mill"), "flat end mill": t("flat end mill"), "bull-nose end mill": t("bull-nose end mill") };
-/**
- * What the server says of tool and zero, in words of the page.
- * @type {[RegExp, (...found: string[]) => string][]}
- */
-const TOLD = [
-  [/^change the tool from (.*) to (.*), set Z zero again; X and Y zero stay$/, (old, one) => t`change the tool from ${old} to ${one}, set Z zero again; X and Y zero stay`],
-  [/^the same tool as before, (.*): it stays in, and all zeros as they are$/, (one) => t`the same tool as before, ${one}: it stays in, and all zeros as they are`],
-  [/^X0 Y0: front left corner of the lens, (.*) mm from the block's left and front edges; Z0: the block's top$/, (margin) => t`X0 Y0: front left corner of the lens, ${margin} mm from the block's left and front edges; Z0: the block's top`],
-];
-
 /**
  * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it what
  * the mill answered (`words`), so that nothing above the button ever moves. act({operator, checks}) gives the order.
@@ -74,11 +63,6 @@ function line(check, box, run) {
   return h("label", { class: "tick" }, box, h("span", {}, words, more && h("small", {}, more)));
 }
 
-function told(words = "") {
-  for (const [form, say] of TOLD) if (form.test(words)) return say(...form.exec(words).slice(1));
-  return words;
-}
-
 /** Every program switches it on; what has a switch of its own does not hear that. */
 function spindleWords(rpm) {
   return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
@@ -89,9 +73,9 @@ function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {
     case "tool":
-      return [t("The tool is in and tight"), [tool && `${SHAPES[tool.shape] ?? tool.shape}, ${ball(tool.radius_mm)}`, told(change?.words)].filter(Boolean).join("; ")];
+      return [t("The tool is in and tight"), [tool && `${tool.shape}, ${ball(tool.radius_mm)}`, change?.words].filter(Boolean).join("; ")];
     case "zero":
-      return [t("The work zero is set for this tool"), told(zero)];
+      return [t("The work zero is set for this tool"), zero ?? ""];
     case "stock":
       return [t("The block is clamped"), stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
     case "clear":

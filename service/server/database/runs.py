@@ -14,8 +14,8 @@ from uuid import uuid4
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, OperationalError
 
-from machines.runs import LIVE
-from phrases.phrase import Phrase
+from machines.runs import LIVE, RunState
+from phrases.phrase import Phrase, phrases_in
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
@@ -225,6 +225,8 @@ class RunBook:
         """Close a run: never handed over, taken back, or given up. An ended run stays what it is."""
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
+            phrases = phrases_in((words, reason))
+            reason = (reason or {}) | {"phrases": phrases} if phrases else reason
             values = {"open": False, "state": state, "words": words[:_WORDS], "reason": reason}
             values["ended_at"] = clock(connection)
             closed = connection.execute(runs.update().where(mine).values(**values)).rowcount
@@ -244,7 +246,7 @@ class RunBook:
 
     def _open_id(self, machine: str) -> str:
         other = self.open_on(machine)
-        return other.id if other is not None else "which has just ended"
+        return other.id if other is not None else Phrase("which has just ended")
 
 
 def _get(connection: sa.Connection, run_id: str) -> RunRow:
@@ -262,6 +264,12 @@ def _first_row(new: NewRun, run_id: str, at: float) -> Json:
 def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
     row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": new.request_sha256}
     return row | {"resource_id": run_id, "created_at": at}
+
+
+def word_state(state: str) -> str:
+    """Return a run's state as a sentence has it."""
+    own = {PREPARING: Phrase("preparing"), REFUSED: Phrase("refused"), LOST: Phrase("lost")}
+    return own[state] if state in own else RunState(state).words
 
 
 def read_reason(view: Json) -> Json:

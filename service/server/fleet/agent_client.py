@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import httpx
 
 from machines.mill.orders import Stop
+from phrases.phrase import Phrase, restore
 from service.errors import InputError
 from service.http.problems import Problem, ServerCode
 from service.milling.agent.auth import read_token
@@ -23,10 +24,12 @@ from service.milling.agent.card import read_card
 from service.server.fleet.agent_feed import AgentFeed
 from service.server.fleet.agent_replies import (
     MOST_BYTES,
+    cut_text,
     json_object,
     list_values,
     make_wrong_problem,
     parse_holder,
+    phrases_of,
     table,
 )
 from service.server.fleet.registry import KnownMachine
@@ -239,18 +242,19 @@ class AgentLink:
     def _refusal(self, status: int, content: bytes) -> Problem:
         """Return the agent's own refusal; what is between it and us only is not the caller's fault."""
         try:
-            told = json_object(content, self.machine.name)
+            said = json_object(content, self.machine.name)
         except Problem:
-            told = {}
-        detail, field = str(told.get("detail", ""))[:2000], str(told.get("field", ""))[:200]
+            said = {}
+        told: Json = restore(said, phrases_of(said) or {})
+        detail, field = cut_text(told.get("detail", "")), str(told.get("field", ""))[:200]
         if status in (401, 403):
             words = f"the agent of '{self.machine.name}' does not take the token we have for it"
             return Problem(502, words, code=ServerCode.AGENT_KEY_REFUSED)
         if not detail or status not in (404, 409, 413, 422, 428, 503, 507):
-            reason = detail or "no reason given"
+            reason = detail or Phrase("no reason given")
             words, values = f"the agent of '{self.machine.name}' answered {status}: {reason}", {"status": status}
             return Problem(502, words, code=ServerCode.AGENT_FAULT, values=values | {"reason": reason})
-        more: Json = {"effect": told["effect"][:2000]} if isinstance(told.get("effect"), str) else {}
+        more: Json = {"effect": cut_text(told["effect"])} if isinstance(told.get("effect"), str) else {}
         if "control" in told:
             more["control"] = parse_holder(table(told, "control")).model_dump(mode="json") if told["control"] else None
         code = told["code"][:100] if isinstance(told.get("code"), str) else ""

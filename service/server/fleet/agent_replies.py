@@ -10,14 +10,15 @@ import json
 from math import isfinite
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from machines.runs import RunState
 from service.http.problems import Problem, ServerCode
-from service.server.schemas.base import Body
+from service.server.schemas.base import Body, PhraseView
 from service.server.schemas.runs import Holder
 
 MOST_BYTES = 4_000_000
+_MOST_LETTERS = 2000
 _STATES = frozenset(state.value for state in RunState)
 _LATEST_S = 4e9  # year 2096: what is later is no time
 _NUMBERS = {  # least, most; whole where the least is an int; None is allowed where a run has none of it yet
@@ -35,6 +36,8 @@ _NEVER_NONE = ("share", "executed_line", "recoveries")
 
 Json = dict[str, Any]
 Reply = TypeVar("Reply", bound=Body)
+
+_PHRASES = TypeAdapter(dict[str, PhraseView])
 
 
 def json_object(content: bytes, machine: str) -> Json:
@@ -57,6 +60,7 @@ def run_view(values: Json, machine: str) -> Json:
     if not isinstance(warnings, list) or not all(isinstance(one, str) for one in warnings):
         wrong.append("warnings")
     wrong += [] if isinstance(values.get("values", {}), dict) else ["values"]
+    wrong += [] if phrases_of(values) is not None else ["phrases"]
     wrong += [] if isinstance(values.get("travel_in_doubt", False), bool) else ["travel_in_doubt"]
     if not isinstance(values.get("id"), str) or not 1 <= len(values["id"]) <= 100 or "/" in values["id"]:
         wrong.append("id")
@@ -96,12 +100,26 @@ def table(values: Json, name: str) -> Json:
     return found if isinstance(found, dict) else {}
 
 
+def phrases_of(values: Json) -> Json | None:
+    """Return the table of phrases of an answer; None where it is none."""
+    try:
+        return _PHRASES.dump_python(_PHRASES.validate_python(values.get("phrases", {})))
+    except ValidationError:
+        return None
+
+
+def cut_text(text: object) -> str:
+    """Return a text of a bounded size; a phrase, where it is not too long."""
+    words = str(text)
+    return words if len(words) <= _MOST_LETTERS else words[:_MOST_LETTERS]
+
+
 def list_values(values: Json) -> Json:
     """Return `values` of a refusal: numbers, flags and texts, each of a bounded size."""
     plain = {
         name[:100]: value for name, value in table(values, "values").items() if isinstance(value, str | int | float)
     }
-    return {name: value[:2000] if isinstance(value, str) else value for name, value in list(plain.items())[:20]}
+    return {name: cut_text(value) if isinstance(value, str) else value for name, value in list(plain.items())[:20]}
 
 
 def _is_number(values: Json, name: str, least: float, most: float) -> bool:

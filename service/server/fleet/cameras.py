@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import httpx
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 
 FRESH_S = 0.5
@@ -56,7 +57,7 @@ class Cameras:
         try:
             async with asyncio.timeout(_WAIT_S), self._client().stream("GET", url, timeout=_WAIT_S) as answer:
                 if answer.status_code != 200:
-                    raise Problem(502, f"the camera answers with status {answer.status_code}")
+                    raise Problem(502, Phrase("the camera answers with status {status}", status=answer.status_code))
                 kind, _, rest = answer.headers.get("content-type", "").partition(";")
                 chunks = answer.aiter_raw()
                 if kind.strip().lower().startswith("multipart/"):
@@ -64,11 +65,15 @@ class Cameras:
                 else:
                     picture = await _read(chunks)
         except TimeoutError:
-            raise Problem(504, f"the camera sends no whole picture within {_WAIT_S:g} s") from None
+            raise Problem(
+                504, Phrase("the camera sends no whole picture within {seconds:g} s", seconds=_WAIT_S)
+            ) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
-            raise Problem(502, f"the camera does not answer: {error or type(error).__name__}") from None
+            raise Problem(
+                502, Phrase("the camera does not answer: {reason}", reason=error or type(error).__name__)
+            ) from None
         if not picture.startswith(_JPEG):
-            raise Problem(502, "what the camera sends is no JPEG")
+            raise Problem(502, Phrase("what the camera sends is no JPEG"))
         return picture
 
 
@@ -94,7 +99,7 @@ async def _read_part(chunks: AsyncIterator[bytes], boundary: str) -> bytes:
         end = data.find(b"\r\n" + mark, start) if length is None else start + length
         if 0 <= end <= len(data):
             return bytes(data[start:end])
-    raise Problem(502, "the camera sends no whole picture")
+    raise Problem(502, Phrase("the camera sends no whole picture"))
 
 
 def _read_length(head: bytearray) -> int | None:
@@ -107,5 +112,5 @@ def _read_length(head: bytearray) -> int | None:
 
 def _add_chunk(data: bytearray, chunk: bytes) -> None:
     if len(data) + len(chunk) > MOST_BYTES:
-        raise Problem(502, f"the camera sends more than {MOST_BYTES / 1e6:g} MB for a picture")
+        raise Problem(502, Phrase("the camera sends more than {most_mb:g} MB for a picture", most_mb=MOST_BYTES / 1e6))
     data.extend(chunk)

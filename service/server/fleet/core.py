@@ -12,9 +12,19 @@ from typing import Any, TypeVar
 import httpx
 import sqlalchemy as sa
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
 from service.server.database.jobs import JobBook
-from service.server.database.runs import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError, make_reason
+from service.server.database.runs import (
+    FINISHED,
+    LIVE_WORDS,
+    LOST,
+    RunBook,
+    RunRow,
+    UnknownRunError,
+    make_reason,
+    word_state,
+)
 from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.registry import KnownMachine, read_machines
@@ -36,11 +46,13 @@ class Seen:
 
 def no_machine(name: str, known: Iterable[str]) -> Problem:
     words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
-    return Problem(404, f"no machine '{name}'; known: {words}", field="machine")
+    return Problem(404, Phrase("no machine '{name}'; known: {known}", name=name, known=words), field="machine")
 
 
 def not_handed_over(run: RunRow) -> Problem:
-    words = f"the run is {run.state}: its program has not been handed over, nothing moves"
+    words = Phrase(
+        "the run is {state}: its program has not been handed over, nothing moves", state=word_state(run.state)
+    )
     return Problem(409, words, field="run")
 
 
@@ -136,7 +148,7 @@ class FleetCore:
         except Problem as problem:
             if problem.status != 404:
                 return Seen(run, problem)
-            words = "its agent no longer knows this run"
+            words = Phrase("its agent no longer knows this run")
             await self.do(self.runs.close, run.id, LOST, words, make_reason(ServerCode.RUN_LOST))
             return Seen(await self.do(self.runs.get, run.id))
         return Seen(await self.do(self.runs.record_report, run, view))

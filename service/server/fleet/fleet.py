@@ -10,6 +10,7 @@ import sqlalchemy as sa
 import structlog
 
 from machines.mill.orders import Stop
+from phrases.phrase import Phrase
 from service.errors import printable
 from service.http.problems import Problem
 from service.server.database.jobs import JobBook
@@ -29,6 +30,7 @@ from service.server.fleet.representation import Surroundings, make_machine_view,
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
+from service.server.schemas.base import phrase_views
 from service.server.schemas.runs import MachineList, MachineView, PastOrders, RecoveryView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store
@@ -82,7 +84,7 @@ class Fleet:
     async def list_machines(self) -> MachineList:
         known, problems = await self._core.list_machines()
         rows = await asyncio.gather(*(self._describe_machine(machine) for machine in known.values()))
-        return MachineList(machines=rows, problems=problems)
+        return MachineList(machines=rows, problems=problems, phrases=phrase_views(problems))
 
     async def get_machine(self, name: str) -> MachineView:
         return await self._describe_machine(await self._core.find_machine(name))
@@ -91,7 +93,10 @@ class Fleet:
         """Return a JPEG of the camera beside that mill."""
         machine = await self._core.find_machine(name)
         if not machine.camera:
-            raise Problem(404, f"there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are")
+            raise Problem(
+                404,
+                Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are", name=name),
+            )
         return await self._cameras.take_picture(machine.camera)
 
     async def _describe_machine(self, machine: KnownMachine) -> MachineView:
@@ -178,7 +183,7 @@ class Fleet:
 
     def _follow(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
         if self._followers >= _MOST_FOLLOWERS:
-            raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
+            raise Problem(503, Phrase("too many followers already; ask again later"), headers={"Retry-After": "5"})
         return self._count(stream)
 
     async def _count(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:

@@ -10,6 +10,7 @@ import asyncio
 import hashlib
 from collections.abc import AsyncIterator, Iterator
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.database.records import ClientKey, Job, UnknownJobError
 from service.server.database.runs import (
@@ -126,7 +127,13 @@ class Handovers:
                 return program
         allowed = ", ".join(f"{one.number} ({one.name})" for one in programs) or "none"
         raise Problem(
-            422, f"program {str(wanted)[:100]!r} is not one of this job's; allowed: {allowed}", field="program"
+            422,
+            Phrase(
+                "program {wanted} is not one of this job's; allowed: {allowed}",
+                wanted=repr(str(wanted)[:100]),
+                allowed=allowed,
+            ),
+            field="program",
         )
 
     async def _hand_over(self, run: RunRow, machine: KnownMachine) -> None:
@@ -168,7 +175,9 @@ class Handovers:
             size = (await self._core.do(store.head, run.sha256)).bytes
             pieces = await self._core.do(store.open_range, run.sha256)
         except MissingObjectError as error:
-            raise Problem(409, f"the program is no longer there: {error}", field="program") from None
+            raise Problem(
+                409, Phrase("the program is no longer there: {error}", error=error), field="program"
+            ) from None
         await link.put(f"/v1/programs/{run.sha256}", self._stream(pieces), size)
 
     async def _stream(self, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
@@ -182,13 +191,16 @@ def _next(programs: list[Program], finished: frozenset[str], machine: str) -> Pr
         if program.sha256 not in finished:
             return program
     if not programs:
-        raise Problem(409, "the job has no programs", field="job")
-    words = f"machine '{machine}' has finished every program of this job; name one in `program` to run it again"
+        raise Problem(409, Phrase("the job has no programs"), field="job")
+    words = Phrase(
+        "machine '{machine}' has finished every program of this job; name one in `program` to run it again",
+        machine=machine,
+    )
     raise Problem(409, words, field="program")
 
 
 def _no_job(job_id: str) -> Problem:
-    return Problem(422, f"there is no job {job_id[:80]!r}", field="job")
+    return Problem(422, Phrase("there is no job {job}", job=repr(job_id[:80])), field="job")
 
 
 def _look_at(task: asyncio.Task[None]) -> None:

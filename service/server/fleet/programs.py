@@ -6,11 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from phrases.phrase import Phrase
 from service.job.files import is_program, program_order
 from service.server.database.records import Artifact, Job
-from service.wording import cutter, shape_of
+from service.wording import ball, shape_of
 
 Json = dict[str, Any]
+
+_SHAPES = {
+    "ball": Phrase("ball end mill"),
+    "flat": Phrase("flat end mill"),
+    "bull-nose": Phrase("bull-nose end mill"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +70,14 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
         "margin_mm": margin_mm,
         "material": stock.get("material"),
     }
-    top = "the block's top" if number else f"{row.get('above_mm') or 0:g} mm below the raw top"
-    zero = f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}"
+    top = Phrase("the block's top")
+    if not number:
+        top = Phrase("{above_mm:g} mm below the raw top", above_mm=row.get("above_mm") or 0)
+    zero = Phrase(
+        "X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}",
+        margin_mm=margin_mm,
+        top=top,
+    )
     change = _same_pass(row) if part > 1 else _change(row, before) if before or number > 1 else None
     return {"tool": tool, "stock": block, "zero": zero, "change": change}
 
@@ -72,7 +85,9 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
 def _same_pass(row: Mapping[str, Any]) -> Json:
     """Return no change between two parts of one pass: a mark would show where one goes on from the other."""
     radius = row.get("radius_mm")
-    words = f"the same tool as before, {_tool(row)}, and all zeros as they are: the pass goes on where it ended"
+    words = Phrase(
+        "the same tool as before, {tool}, and all zeros as they are: the pass goes on where it ended", tool=_tool(row)
+    )
     return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
 
 
@@ -80,9 +95,13 @@ def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
     """Return what to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
     if old is not None and old == new and _shape(row) == _shape(before):
-        words = f"the same tool as before, {_tool(row)}: it stays in, and all zeros as they are"
+        words = Phrase("the same tool as before, {tool}: it stays in, and all zeros as they are", tool=_tool(row))
     else:
-        words = f"change the tool from {_tool(before)} to {_tool(row)}, set Z zero again; X and Y zero stay"
+        words = Phrase(
+            "change the tool from {old} to {new}, set Z zero again; X and Y zero stay",
+            old=_tool(before),
+            new=_tool(row),
+        )
     return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
 
 
@@ -107,11 +126,16 @@ def _pass(job: Job, number: int) -> Mapping[str, Any]:
 
 
 def _shape(row: Mapping[str, Any]) -> str:
-    return f"{shape_of(row)} end mill"
+    shape = shape_of(row)
+    return _SHAPES.get(shape, f"{shape} end mill")
 
 
 def _tool(row: Mapping[str, Any]) -> str:
-    return cutter(row).removeprefix("ball ")
+    """Return size and, where it is no ball, shape."""
+    shape, size = shape_of(row), "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
+    if shape == "bull-nose":
+        return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
+    return size if shape == "ball" else Phrase("flat {size}", size=size) if shape == "flat" else f"{shape} {size}"
 
 
 def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from machines.profile import (
     find_own_profiles,
     load_profile,
 )
+from phrases.phrase import Phrase
 from service.errors import InputError, printable, sentence_of_os_error
 from service.http.hosts import require_unread
 from service.milling.agent.settings import state_home
@@ -60,7 +61,9 @@ def read_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], li
     problems: list[str] = []
     if settings.simulated_mill:
         if SIMULATED in found:
-            problems.append(f"there is a mill of the name '{SIMULATED}', so no simulated one is offered")
+            problems.append(
+                Phrase("there is a mill of the name '{name}', so no simulated one is offered", name=SIMULATED)
+            )
         else:
             found[SIMULATED] = _describe_simulated(settings)
     try:
@@ -69,7 +72,11 @@ def read_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], li
         remote, problems = [], [str(error)]
     for machine in remote:
         if machine.name in found:
-            problems.append(f"machine '{machine.name}' of the agents file is a machine of this computer, too")
+            problems.append(
+                Phrase(
+                    "machine '{machine}' of the agents file is a machine of this computer, too", machine=machine.name
+                )
+            )
         else:
             found[machine.name] = machine
     found |= {name: replace(found[name], camera=url) for name, url in settings.cameras.items() if name in found}
@@ -118,40 +125,60 @@ def remote_machines(path: Path) -> list[KnownMachine]:
     except OSError as error:
         raise InputError(sentence_of_os_error(error, doing="agents file: cannot read")) from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"agents file {path}: not TOML: {error}") from None
+        raise InputError(Phrase("agents file {path}: not TOML: {error}", path=path, error=error)) from None
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise InputError(f"agents file {path}: allowed: [[agents]] tables with machine, url and token_file")
+        raise InputError(
+            Phrase("agents file {path}: allowed: [[agents]] tables with machine, url and token_file", path=path)
+        )
     machines = [_remote(path, number, row) for number, row in enumerate(rows, start=1)]
     names = [machine.name for machine in machines]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"agents file {path}: machine '{twice}' is there twice")
+        raise InputError(Phrase("agents file {path}: machine '{twice}' is there twice", path=path, twice=twice))
     return machines
 
 
 def _remote(path: Path, number: int, row: dict[str, Any]) -> KnownMachine:
-    where = f"agents file {path}, agent {number}"
+    where = Phrase("agents file {path}, agent {number}", path=path, number=number)
     texts = {key: value for key, value in row.items() if key != "private_network"}
     private = row.get("private_network", False)
     if set(texts) != _TEXTS or not all(isinstance(value, str) for value in texts.values()):
-        raise InputError(f"{where}: allowed: machine, url and token_file, each a text, and private_network")
+        raise InputError(
+            Phrase("{where}: allowed: machine, url and token_file, each a text, and private_network", where=where)
+        )
     if not isinstance(private, bool):
-        raise InputError(f"{where}: private_network = {str(private)[:40]!r}; allowed: true or false")
+        raise InputError(
+            Phrase(
+                "{where}: private_network = {value}; allowed: true or false", where=where, value=repr(str(private)[:40])
+            )
+        )
     try:
         parts = urlsplit(row["url"])
         good = parts.scheme in ("http", "https") and bool(parts.hostname) and not parts.query and parts.port != 0
     except ValueError:
         good = False
     if not good:
-        raise InputError(f"{where}: url = '{row['url'][:200]}'; allowed: https://..., or http://127.0.0.1:port")
+        raise InputError(
+            Phrase(
+                "{where}: url = '{url}'; allowed: https://..., or http://127.0.0.1:port",
+                where=where,
+                url=row["url"][:200],
+            )
+        )
     if parts.scheme == "http":
         require_unread(
             str(parts.hostname),
-            f"{where}: url = '{row['url'][:200]}' is on another computer",
+            Phrase("{where}: url = '{url}' is on another computer", where=where, url=row["url"][:200]),
             vouched=private,
-            allowed="https://... of a proxy with TLS in front of the agent, http://127.0.0.1:port, or "
-            "private_network = true where nobody else is on the network between them",
+            allowed=Phrase(
+                "https://... of a proxy with TLS in front of the agent, http://127.0.0.1:port, or "
+                "private_network = true where nobody else is on the network between them"
+            ),
         )
     if not row["machine"] or "/" in row["machine"]:
-        raise InputError(f"{where}: machine = '{row['machine'][:80]}'; allowed: a name without /")
+        raise InputError(
+            Phrase(
+                "{where}: machine = '{machine}'; allowed: a name without /", where=where, machine=row["machine"][:80]
+            )
+        )
     token_file = path.parent / Path(row["token_file"]).expanduser()
     return KnownMachine(name=row["machine"], url=row["url"].rstrip("/"), token_file=token_file)

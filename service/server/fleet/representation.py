@@ -11,10 +11,11 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
 from service.server.database.records import Job
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
-from service.server.fleet.agent_replies import Json, parse_holder, table
+from service.server.fleet.agent_replies import Json, parse_holder, phrases_of, table
 from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
+from service.server.schemas.base import phrase_views
 from service.server.schemas.control import OrderView
 from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
@@ -57,13 +58,13 @@ def has_started(run: RunRow) -> bool:
 def make_run_view(seen: Seen, around: Surroundings) -> RunView:
     """Make a whole run."""
     run = seen.run
-    following = around.following(run.number)
+    following, live, setup = around.following(run.number), dict(make_live_run(seen)), _set_up(around, run)
     return RunView(
-        **dict(make_live_run(seen)),
+        **live | {"phrases": live["phrases"] | phrase_views(setup)},
         job=run.job_id,
         job_name=around.job.name if around.job else "",
         program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
-        setup=_set_up(around, run),
+        setup=setup,
         required_checks=list_required_checks(run, around),
         left_out=[ProgramOfRun.model_validate(one) for one in around.left_out(run.number)],
         next=None if following is None else ProgramOfRun.model_validate(following),
@@ -104,6 +105,7 @@ def make_live_run(seen: Seen) -> LiveRun:
         travel_in_doubt=view.get("travel_in_doubt", False),
         started_at=view.get("started_s"),
         ended_at=run.ended_at,
+        phrases=_phrases(run) | phrase_views(seen.away and seen.away.detail),
         **_why(run),
         **_how_far(view),
     )
@@ -112,6 +114,11 @@ def make_live_run(seen: Seen) -> LiveRun:
 def _why(run: RunRow) -> Json:
     reason = run.reason or {}
     return {"words": run.words or "", "code": reason.get("code", ""), "values": reason.get("values", {})}
+
+
+def _phrases(run: RunRow) -> Json:
+    """Return what the agent says of the run's sentences, and what we do."""
+    return (phrases_of(run.view or {}) or {}) | (phrases_of(run.reason or {}) or {})
 
 
 def _how_far(view: Json) -> Json:
@@ -123,8 +130,9 @@ def _how_far(view: Json) -> Json:
 def _agent(status: Json | None, away: Problem | None) -> AgentView:
     reachable = status is not None
     if away is None:
-        return AgentView(reachable=reachable, words="", code="", values={})
-    return AgentView(reachable=reachable, words=away.detail, code=away.code, values=away.values)
+        return AgentView(reachable=reachable, words="", code="", values={}, phrases={})
+    phrases = phrase_views((away.detail, away.values))
+    return AgentView(reachable=reachable, words=away.detail, code=away.code, values=away.values, phrases=phrases)
 
 
 def make_machine_view(
@@ -136,12 +144,14 @@ def make_machine_view(
     profile = machine.profile
     name = quote(machine.name, safe="")
     here = f"/v1/machines/{name}"
+    shown = None if profile is None else _profile(profile)
     return MachineView(
         name=machine.name,
         remote=machine.remote,
         simulated=machine.simulated,
         problem=machine.problem,
-        profile=None if profile is None else _profile(profile),
+        profile=shown,
+        phrases=phrase_views((machine.problem, shown)),
         agent=_agent(status, away),
         mill=None if status is None else _mill(status),
         run=None if run is None else _open_run(run),
@@ -182,6 +192,7 @@ def _open_run(run: RunRow) -> OpenRun:
         state=run.state,
         job=run.job_id,
         program=run.program,
+        phrases=_phrases(run),
         **_why(run),
         **_how_far(run.view or {}),
     )
@@ -220,6 +231,7 @@ def _mill(status: Json) -> Json:
         "zeroed_anew": status.get("zeroed_anew", ""),
         "stops": status.get("stops", 0),
         "setup": str(status.get("setup", ""))[:100],
+        "phrases": phrases_of(status) or {},
     }
 
 

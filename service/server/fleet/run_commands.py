@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from machines.mill.orders import Refusal
+from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
-from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow
+from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow, word_state
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import parse_reply, run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
@@ -56,13 +57,22 @@ class Controls:
         context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
-            raise Problem(409, f"the run is {run.state} and closed; load the program again", field="run")
+            raise Problem(
+                409,
+                Phrase("the run is {state} and closed; load the program again", state=word_state(run.state)),
+                field="run",
+            )
         needed = list_required_checks(run, around)
         if ORDER in needed and ORDER not in said.checks:
             names = ", ".join(one.name for one in around.left_out(run.number))
             raise Problem(
                 409,
-                f"start needs the operator's confirmation of: {ORDER} (this mill has not finished {names} of this job)",
+                Phrase(
+                    "start needs the operator's confirmation of: {check} (this mill has not finished {names} of "
+                    "this job)",
+                    check=ORDER,
+                    names=names,
+                ),
                 field="checks",
             )
         body: Json = {"operator": said.operator, "checks": sorted(said.checks - {ORDER})}

@@ -12,6 +12,7 @@ import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import ENDED, RunRow, read_reason
@@ -91,7 +92,7 @@ class RunEvents:
 async def _follow_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
     """Yield the messages of the agent's stream."""
     if run.agent_run is None:
-        raise AgentAwayError("the run is being prepared")
+        raise AgentAwayError(Phrase("the run is being prepared"))
     link = await core.find_link(run)
     async with contextlib.aclosing(link.feed.follow(last_id)) as messages:
         async for message in messages:

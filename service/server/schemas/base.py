@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer
 
+from phrases.phrase import phrases_in
+
 
 class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", from_attributes=True)
@@ -30,6 +32,11 @@ class PhraseView(Body):
 
     template: str
     values: dict[str, str | PhraseView]
+
+
+def phrase_views(document: Any) -> dict[str, PhraseView]:
+    """Return the phrases in what an answer holds."""
+    return {text: PhraseView.model_validate(plain) for text, plain in phrases_in(document).items()}
 
 
 Phrases = Annotated[

@@ -48,6 +48,7 @@ RUN_EXAMPLE: dict[str, Any] = {
     "started_at": None,
     "ended_at": None,
     "links": {"self": f"/v1/runs/{_RUN_ID}", "start": f"/v1/runs/{_RUN_ID}:start"},
+    "phrases": {},
 }
 RUN_EVENTS_EXAMPLE = (
     'event: run\ndata: {"id":"' + _RUN_ID + '","state":"running","share":0.21,"executed_line":8654}\n\n'
@@ -78,6 +79,7 @@ RECOVERY_EXAMPLE: dict[str, Any] = {
     ],
     "differences": [],
     "words": [],
+    "phrases": {},
 }
 MACHINE_EXAMPLE: dict[str, Any] = {
     "name": "shop-mill",
@@ -95,7 +97,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "homing": True,
         "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["...", "..."]},
     },
-    "agent": {"reachable": True, "words": "", "code": "", "values": {}},
+    "agent": {"reachable": True, "words": "", "code": "", "values": {}, "phrases": {}},
     "mill": {
         "state": "idle",
         "detail": "",
@@ -118,6 +120,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "zeroed": "XYZ",
         "zeroed_anew": "Z",
         "setup": "9a0b4cf07d1e2c33",
+        "phrases": {},
     },
     "run": {
         "id": _RUN_ID,
@@ -133,6 +136,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "time_s": 5400.0,
         "time_left_s": 5400.0,
         "operator": "",
+        "phrases": {},
     },
     "control": {"operator": "Ada", "since": "2026-11-21T08:00:00.000Z"},
     "links": {
@@ -141,8 +145,9 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "control": "/v1/machines/shop-mill/control",
         "runs": "/v1/runs?machine=shop-mill",
     },
+    "phrases": {},
 }
-MACHINES_EXAMPLE: dict[str, Any] = {"machines": [MACHINE_EXAMPLE], "problems": []}
+MACHINES_EXAMPLE: dict[str, Any] = {"machines": [MACHINE_EXAMPLE], "problems": [], "phrases": {}}
 ORDERS_EXAMPLE: dict[str, Any] = {
     "orders": [
         {

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 
 from machines.runs import RunState
 from service.server.database.runs import LOST, PREPARING, REFUSED
-from service.server.schemas.base import Body, Sha256, Time, one_of
+from service.server.schemas.base import Body, Phrases, Sha256, Time, one_of
 
 RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]
 Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
@@ -65,6 +65,7 @@ class PastOrder(Body):
     values: Values | None = None
     answer: dict[str, Any] | None = None
     by: str | None = None
+    phrases: Phrases
     from_: Annotated[str | None, Field(alias="from")] = None
 
 
@@ -102,6 +103,7 @@ class LiveRun(Body):
     travel_in_doubt: Annotated[bool, Field(description="one of the warnings: it may not fit the travel")]
     started_at: Time | None
     ended_at: Time | None
+    phrases: Phrases
 
 
 class RunView(LiveRun):
@@ -143,6 +145,7 @@ class RecoveryView(Body):
     differences: list[str]
     zero_back: Annotated[str, Field(description="a block that sets the work zero the run was cut at; or empty")] = ""
     words: list[str]
+    phrases: Phrases
 
 
 class AgentView(Body):
@@ -150,6 +153,7 @@ class AgentView(Body):
     words: Annotated[str, Field(description="why it cannot be reached")]
     code: Code
     values: Values
+    phrases: Phrases
 
 
 class OpenRun(Body):
@@ -168,6 +172,7 @@ class OpenRun(Body):
     time_s: float | None
     time_left_s: float | None
     operator: str
+    phrases: Phrases
 
 
 class Holder(Body):
@@ -186,11 +191,13 @@ class MachineView(Body):
     run: Annotated[OpenRun | None, Field(description="the run that has this mill")]
     control: Annotated[Holder | None, Field(description="who may give orders to it at present; null: nobody")]
     links: dict[str, str]
+    phrases: Phrases
 
 
 class MachineList(Body):
     machines: list[MachineView]
     problems: Annotated[list[str], Field(description="what is wrong with the list of agents elsewhere")]
+    phrases: Phrases
 
 
 class NewTokenBody(Body):

@@ -145,12 +145,10 @@ def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
 
 
 def test_no_sentence_names_a_value_that_is_not_filled_in() -> None:
-
     for dialect in DIALECTS.values():
-        for code in refusals.REASONS:
+        for code in refusals.CODES:
             words = dialect.reason_for(code)
             assert "{" not in words and "\n" not in words
-    assert sorted(refusals.REASONS) == list(range(1, len(refusals.REASONS) + 1))
 
 
 @pytest.mark.parametrize(("dialect", "limit"), [("grbl", 79), ("grblhal", 255), ("okuma", 157)])

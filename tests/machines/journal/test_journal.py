@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from machines.errors import JournalError
 from machines.journal.disk import RealDisk, RealFile, ThreadSyncer
 from machines.journal.journal import Journal, decode, encode, read_journal, records_in
+from phrases.phrase import Phrase
 from tests.machines.inline_syncer import InlineSyncer
 
 
@@ -110,6 +111,17 @@ def test_rotation_keeps_the_state_and_few_files(tmp_path: Path) -> None:
     content = read_journal(tmp_path)
     assert content is not None and content.torn == ""
     assert content.state == {"line": 499, "key0": 495, "key1": 496, "key2": 497, "key3": 498, "key4": 499}
+
+
+def test_a_phrase_is_one_again_after_a_restart_and_a_rotation(tmp_path: Path) -> None:
+    why = Phrase("line {line}: {words}", line=3, words=Phrase("cuts with the spindle off or at S0"))
+    filled(tmp_path, 1).append("parked", warnings=[why], words="plain")
+    for _ in range(2):
+        Journal(tmp_path, syncer=InlineSyncer(Clock())).append("mark", line=1)
+    content = read_journal(tmp_path)
+    assert content is not None and content.torn == "" and content.state["words"] == "plain"
+    (back,) = content.state["warnings"]
+    assert isinstance(back, Phrase) and back.plain() == why.plain()
 
 
 def test_reopened_after_a_tear_it_goes_on_in_a_new_file(tmp_path: Path) -> None:

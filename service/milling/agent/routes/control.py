@@ -38,6 +38,7 @@ from machines.driver import (
 from machines.mill.commands import describe_effect
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
+from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
@@ -120,10 +121,10 @@ def _override(fields: Fields) -> Command:
 def _block(fields: Fields) -> Command:
     text = fields.text("text", longest=255)
     if not text.isascii() or not text.isprintable() or any(character in text for character in "?!~"):
-        raise Problem(422, "text must be one line of plain G-code, without ? ! ~", field="text")
+        raise Problem(422, Phrase("text must be one line of plain G-code, without ? ! ~"), field="text")
     if not fields.flag("confirm", False) and (effect := describe_effect(text)):
-        effect = f"'{text.strip()}' {effect}"
-        words = f'{effect}. To send it all the same, send it again with "confirm": true'
+        effect = Phrase("'{text}' {effect}", text=text.strip(), effect=effect)
+        words = Phrase('{effect}. To send it all the same, send it again with "confirm": true', effect=effect)
         raise Problem(409, words, field="confirm", code=ServerCode.CONFIRM, more={"effect": effect})
     return SendBlock(text)
 

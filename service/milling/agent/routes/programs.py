@@ -10,6 +10,7 @@ from starlette.routing import Route
 
 from machines.mill.mill import Mill
 from machines.runs import RunState
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.programs import StoredProgram, fetch_program, valid_sha256
@@ -49,7 +50,11 @@ class ProgramRoutes:
             needed = [run for run in mill.runs if run.program == sha256 and run.state is not RunState.FINISHED]
             if needed:
                 words = ", ".join(f"{run.id} ({run.state.value})" for run in needed[:3])
-                raise Problem(409, f"program {sha256[:12]} is needed by run {words}", field="program")
+                raise Problem(
+                    409,
+                    Phrase("program {sha256} is needed by run {runs}", sha256=sha256[:12], runs=words),
+                    field="program",
+                )
             self._agent.store.remove(sha256)
 
         await self._agent.access.call(remove)
@@ -68,7 +73,9 @@ async def _body(request: Request) -> AsyncIterator[bytes]:
         async for piece in request.stream():
             yield piece
     except ClientDisconnect:
-        raise Problem(400, "the connection ended before the program did; nothing is kept", field="program") from None
+        raise Problem(
+            400, Phrase("the connection ended before the program did; nothing is kept"), field="program"
+        ) from None
 
 
 def _program_response(entry: StoredProgram, new: bool) -> Response:

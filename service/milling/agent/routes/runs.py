@@ -15,6 +15,7 @@ from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from machines.preflight.preflight import Preflight
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
@@ -72,7 +73,11 @@ class RunRoutes:
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
         if run is not None and run.program != program:
-            raise Problem(409, f"key '{key}' has parked run {run.id} of another program; take a new key", field="key")
+            raise Problem(
+                409,
+                Phrase("key '{key}' has parked run {run} of another program; take a new key", key=key, run=run.id),
+                field="key",
+            )
         return run
 
     async def start(self, request: Request) -> Response:
@@ -145,7 +150,7 @@ class RunRoutes:
         for run in self._runs():
             if run.id == own:
                 return run
-        raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
+        raise Problem(404, Phrase("no run '{wanted}' here; GET /v1/runs lists them", wanted=wanted), field="run")
 
 
 def _run_response(run: RunView, *, status: int) -> Response:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import concurrent.futures
+import json
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,6 +47,46 @@ def test_a_mill_has_one_run_and_is_free_again_when_it_is_over(floor: Shop) -> No
     assert (gone["state"], gone["open"]) == ("aborted", False)
     assert floor.park(job)["state"] == "parked"
     assert floor.bench.cut == []
+
+
+def test_each_sentence_without_a_code_can_be_said_in_another_language(floor: Shop) -> None:
+    """On its way from preflight, journal and agent over the database it keeps its template and values."""
+    job = floor.job((600,))
+    floor.server.put_artifact(job, "pass-2-odd.nc", b"G21 G90\nG0 X1 Y1 Z1\nM3 S99999\nG1 X2 F100\n")
+    floor.server.put_artifact(job, "pass-3-bad.nc", b"G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
+    answers = [floor.park(job, 422, program=3), floor.park(job, 422, program=9), odd := floor.park(job, program=2)]
+    assert len(odd["warnings"]) == 2
+    answers += [floor.park(job, 409), floor.post(f"/v1/runs/{odd['id']}:abort", 202)]
+    run = floor.park(job, program=1)
+    answers.append(floor.start(run, 409, checks=["tool"]))
+    floor.start(run)
+    floor.until_cut(8)
+    floor.post(f"/v1/runs/{run['id']}:abort", 202)
+    floor.until_state(run, "aborted")
+    floor.until_idle()
+    answers += [floor.get(f"/v1/runs/{run['id']}/recovery"), floor.get("/v1/runs"), floor.get("/v1/machines")]
+    answers.append(floor.get(f"/v1/machines/{MACHINE}/orders"))
+    assert [list(list_untold(answer)) for answer in answers] == [[]] * len(answers)
+    told = json.dumps(answers)
+    assert all(words in told for words in ("no end (M2", "line 3: 'T1", "are cut for certain", "in a hold"))
+
+
+SENTENCES = {"detail", "words", "warnings", "refusals", "differences", "needs", "problem", "problems", "zero", "effect"}
+
+
+def list_untold(answer: Any, known: frozenset[str] = frozenset()) -> Iterator[str]:
+    """Yield the sentences of an answer that its phrases do not tell."""
+    if isinstance(answer, dict):
+        known |= answer.get("phrases", {}).keys()
+        for name, value in answer.items():
+            texts = value if isinstance(value, list) else [value]
+            if name in SENTENCES and not answer.get("code"):
+                yield from (one for one in texts if isinstance(one, str) and one and one not in known)
+            if name != "phrases":
+                yield from list_untold(value, known)
+    elif isinstance(answer, list):
+        for one in answer:
+            yield from list_untold(one, known)
 
 
 @pytest.mark.thorough
