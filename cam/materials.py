@@ -53,7 +53,7 @@ class Material:
 
     name: str
     label: str
-    block: str
+    block: Phrase
     refractive_index: float
     advice: str
     sources: tuple[str, ...]
@@ -106,7 +106,7 @@ def _between(low: CuttingData, high: CuttingData, radius_mm: float) -> CuttingDa
 PMMA = Material(
     name="pmma",
     label="acrylic (PMMA)",
-    block="clear cast acrylic (PMMA), annealed",
+    block=Phrase("clear cast acrylic (PMMA), annealed"),
     refractive_index=1.49,
     advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
     sources=(

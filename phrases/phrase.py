@@ -114,17 +114,18 @@ def _find(document: Any) -> Iterator[Phrase]:
 
 
 def translate(document: Any, phrases: Mapping[str, Mapping[str, Any]], table: Mapping[str, str]) -> Any:
-    """Return a document with its phrases in the language of a table; what the table has not stays English."""
-    if isinstance(document, str):
-        return _say(phrases[document], table) if document in phrases else document
+    """Return a document that was read from JSON in the language of a table; what the table has not stays English."""
+    return say(restore(document, phrases), table)
+
+
+def say(document: Any, table: Mapping[str, str]) -> Any:
+    """Return a document whose phrases are still in it in the language of a table; other texts stay as they are."""
+    if isinstance(document, Phrase):
+        values = {name: say(value, table) for name, value in document.values.items()}
+        template = table.get(document.template, document.template)
+        return _PLACE.sub(lambda place: values.get(place[1], place[0]), template)
     if isinstance(document, Mapping):
-        return {key: translate(value, phrases, table) for key, value in document.items() if key != "phrases"}
+        return {key: say(value, table) for key, value in document.items()}
     if isinstance(document, list | tuple):
-        return [translate(value, phrases, table) for value in document]
+        return [say(value, table) for value in document]
     return document
-
-
-def _say(phrase: Mapping[str, Any], table: Mapping[str, str]) -> str:
-    template = phrase["template"]
-    values = {name: one if isinstance(one, str) else _say(one, table) for name, one in phrase["values"].items()}
-    return _PLACE.sub(lambda place: values.get(place[1], place[0]), table.get(template, template))

@@ -67,7 +67,8 @@ def cutter(row: Mapping[str, Any]) -> Phrase:
     size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
     if (shape := shape_of(row)) == "bull-nose":
         return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
-    return Phrase("flat {size}", size=size) if shape == "flat" else Phrase("ball {size}", size=size)
+    named = {"flat": Phrase("flat {size}", size=size), "ball": Phrase("ball {size}", size=size)}
+    return named.get(shape, Phrase("{shape} {size}", shape=shape, size=size))
 
 
 def size(count: Any) -> str:
@@ -86,24 +87,24 @@ RECOGNISABLE_DB = 21.0
 """Below, a picture is hard to recognise."""
 
 
-def psnr_in_words(psnr_db: float) -> str:
+def psnr_in_words(psnr_db: float) -> Phrase:
     """Return what a PSNR in dB over the target's peak means to an eye."""
     for at_least, words in (
-        (60.0, "no eye can tell it from the target"),
-        (40.0, "very close to the target"),
-        (33.0, "small differences, seen only side by side"),
-        (27.0, "plainly the picture; fine detail or tones are off"),
-        (RECOGNISABLE_DB, "recognisable, visibly soft or uneven"),
+        (60.0, Phrase("no eye can tell it from the target")),
+        (40.0, Phrase("very close to the target")),
+        (33.0, Phrase("small differences, seen only side by side")),
+        (27.0, Phrase("plainly the picture; fine detail or tones are off")),
+        (RECOGNISABLE_DB, Phrase("recognisable, visibly soft or uneven")),
     ):
         if psnr_db >= at_least:
             return words
-    return "hard to recognise"
+    return Phrase("hard to recognise")
 
 
-def word_misplaced(share: float) -> str:
+def word_misplaced(share: float) -> Phrase:
     """Return a share of the light that falls on the wrong place, as one part in so many."""
     if share < 1e-4:
-        return "all light falls where it should"
+        return Phrase("all light falls where it should")
     if share > 1 / 3:
-        return "a third of the light or more falls where it should not"
-    return f"about 1 part in {1 / share:.0f} of the light falls where it should not"
+        return Phrase("a third of the light or more falls where it should not")
+    return Phrase("about 1 part in {parts:.0f} of the light falls where it should not", parts=1 / share)

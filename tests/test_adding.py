@@ -20,7 +20,7 @@ def choices(section, key):
 ICE = """ICE = Material(
     name="ice",
     label="ice",
-    block="clear ice, frozen slowly",
+    block=Phrase("clear ice, frozen slowly"),
     refractive_index=1.31,
     advice="Cold.",
     sources=("a test",),

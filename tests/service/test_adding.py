@@ -87,7 +87,7 @@ _PICTURE = {
     "service/job/report/pictures.py": (
         "PICTURES = (\n",
         "PICTURES = (\n"
-        f'    ReportPicture(name="{_TONES}", part="lens", title="Tones", caption="Its tones.", shown="page"),\n',
+        f'    ReportPicture(name="{_TONES}", part="lens", title="T", caption=Phrase("Its tones."), shown="page"),\n',
     ),
     "service/job/report/figures/tones.py": _DRAWING,
     "service/job/stages/lens.py": (
@@ -156,7 +156,7 @@ def test_a_picture_of_the_report_is_in_the_folder_on_the_sheet_and_on_the_page(t
     told = run(copy_tree(tmp_path / "copy", _PICTURE), _A_JOB, _TONES)
     assert told["file"] == "PNG" and told["known"]
     assert f'<img src="{_TONES}"' in told["sheet"] and "Its tones." in told["sheet"]
-    assert [(row["title"], row["caption"], row["shown"]) for row in told["page"]] == [("Tones", "Its tones.", "page")]
+    assert [(row["title"], row["caption"], row["shown"]) for row in told["page"]] == [("T", "Its tones.", "page")]
 
 
 def test_a_field_of_the_spec_brings_its_words_to_the_page(tmp_path: Path) -> None:

@@ -7,13 +7,19 @@ from typing import Any
 
 from cam.posts.dialects import POSTS
 from cam.posts.setup import HIGH_PRECISION_WORDS
+from phrases.phrase import Phrase
 from service.job.finite_json import table
 from service.wording import duration, number
 
-_COOLANTS = {"air": "air blast", "mist": "mist", "flood": "coolant"}
+_COOLANTS = {"air": Phrase("air blast"), "mist": Phrase("mist"), "flood": Phrase("coolant")}
+_END_MILLS = {
+    "flat": Phrase("a flat end mill"),
+    "ball": Phrase("a ball end mill"),
+    "bull-nose": Phrase("a bull-nose end mill"),
+}
 
 
-def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[str]:
+def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[Phrase]:
     """Return one sentence each, in the order in which it happens; none for a job without all that.
 
     spec : with the whole figures of the mill under `machine`
@@ -28,78 +34,98 @@ def around_sentences(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list
     ]
 
 
-def explain_zero_before_facing(spec: Mapping[str, Any]) -> str | None:
+def explain_zero_before_facing(spec: Mapping[str, Any]) -> Phrase | None:
     """Return how Z0 is found while the raw top still stands above it; None where nothing is faced."""
     above_mm = table(table(spec.get("stock")).get("face")).get("above_mm")
     if above_mm is None:
         return None
-    return (
-        f"Before the facing, touch the raw top and set Z to {number(above_mm, 3)} there, not to 0: Z0 lies that far "
-        "below. After it, set Z0 on the faced top with each new tool."
+    return Phrase(
+        "Before the facing, touch the raw top and set Z to {above_mm} there, not to 0: Z0 lies that far below. After "
+        "it, set Z0 on the faced top with each new tool.",
+        above_mm=number(above_mm, 3),
     )
 
 
-def _of_facing(face: Mapping[str, Any]) -> Iterator[str]:
+def _of_facing(face: Mapping[str, Any]) -> Iterator[Phrase]:
     if face:
-        yield (
-            f"The first program faces the whole top with a {face.get('tool', 'flat')} end mill and takes up to "
-            f"{number(face.get('above_mm'), 3)} mm off. It comes down and turns beside the block, down to Z0: nothing "
-            "may stand there higher than 1 mm below Z0, and no clamp may lie on the top."
+        shape = str(face.get("tool", "flat"))
+        yield Phrase(
+            "The first program faces the whole top with {tool} and takes up to {above_mm} mm off. It comes down and "
+            "turns beside the block, down to Z0: nothing may stand there higher than 1 mm below Z0, and no clamp may "
+            "lie on the top.",
+            tool=_END_MILLS.get(shape, Phrase("a {shape} end mill", shape=shape)),
+            above_mm=number(face.get("above_mm"), 3),
         )
 
 
-def _of_begin(machine: Mapping[str, Any]) -> Iterator[str]:
+def _of_begin(machine: Mapping[str, Any]) -> Iterator[Phrase]:
     if machine.get("trace_outline"):
         post = POSTS.get(str(machine.get("dialect")))
         turning = post is not None and post.traces_with_spindle_on
-        yield (
-            f"Before its first cut the first program goes once around the block and once around the lens at "
-            f"Z {number(machine.get('safe_z_mm'))} mm, {'the spindle turning' if turning else 'the spindle off'}: look "
-            "whether the block lies under it, and stop it if not."
+        yield Phrase(
+            "Before its first cut the first program goes once around the block and once around the lens at Z "
+            "{safe_z_mm} mm, {spindle}: look whether the block lies under it, and stop it if not.",
+            safe_z_mm=number(machine.get("safe_z_mm")),
+            spindle=Phrase("the spindle turning") if turning else Phrase("the spindle off"),
         )
     if machine.get("warm_up_s"):
-        yield (
-            f"Then the spindle warms up in four steps of speed within {duration(machine['warm_up_s'])}, in the first "
-            "program only."
+        yield Phrase(
+            "Then the spindle warms up in four steps of speed within {duration}, in the first program only.",
+            duration=duration(machine["warm_up_s"]),
         )
 
 
-def _of_every_program(machine: Mapping[str, Any]) -> Iterator[str]:
+def _of_every_program(machine: Mapping[str, Any]) -> Iterator[Phrase]:
     coolant, post = machine.get("coolant", "none"), POSTS.get(str(machine.get("dialect")))
     if (offset := machine.get("work_offset", 1)) != 1:
         name = f"G15 H{offset}" if machine.get("dialect") == "okuma" else f"G{53 + offset}"
-        yield f"Every program works in offset {name}: set X0 Y0 and Z0 there, not in the first one."
+        yield Phrase("Every program works in offset {name}: set X0 Y0 and Z0 there, not in the first one.", name=name)
     word = post.coolant.get(str(coolant)) if post else None
     if word:
-        yield (
-            f"Every program switches the {_COOLANTS[str(coolant)]} on by {word} before its first cut and off by M9 "
-            "after its last: connect it to that output, and try it from the console."
+        yield Phrase(
+            "Every program switches the {coolant} on by {word} before its first cut and off by M9 after its last: "
+            "connect it to that output, and try it from the console.",
+            coolant=_COOLANTS[str(coolant)],
+            word=word,
         )
-    if machine.get("blend_tolerance_mm") is not None:
-        tolerance_mm = machine["blend_tolerance_mm"]
-        yield (
-            f"Corners are rounded by the control within {number(tolerance_mm, 4)} mm (G64)."
-            if tolerance_mm
-            else "The control stops exactly at every point (G61.1): slow, and with marks where it stands."
-        )
+    if tolerance_mm := machine.get("blend_tolerance_mm"):
+        within_mm = number(tolerance_mm, 4)
+        yield Phrase("Corners are rounded by the control within {within_mm} mm (G64).", within_mm=within_mm)
+    elif tolerance_mm is not None:
+        yield Phrase("The control stops exactly at every point (G61.1): slow, and with marks where it stands.")
     if (mode := machine.get("high_precision", "none")) in HIGH_PRECISION_WORDS:
         on, off = HIGH_PRECISION_WORDS[str(mode)]
-        yield f"Programs run in the control's high-precision mode: {on} at their begin, {off} at their end."
+        yield Phrase(
+            "Programs run in the control's high-precision mode: {on} at their begin, {off} at their end.",
+            on=on,
+            off=off,
+        )
 
 
-def _of_cut_out(cut_out: Mapping[str, Any], stock: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[str]:
+def _of_cut_out(cut_out: Mapping[str, Any], stock: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Phrase]:
     if not cut_out:
         return
-    through_mm, tabs = cut_out.get("through_mm") or 0.0, cut_out.get("tabs") or 0
-    board = f", {number(through_mm, 2)} mm into what lies below it: put a board there" if through_mm else ""
-    held = (
-        f"{tabs} tabs {number(cut_out.get('tab_height_mm'), 2)} mm high hold it: saw them through and file them flush"
-        if tabs
-        else "no tab holds it: it must be held from below"
+    cut = Phrase(
+        "The last program cuts the lens out along its outline with a flat end mill {diameter_mm:g} mm in diameter",
+        diameter_mm=2 * cut_out["radius_mm"],
     )
-    clear_um = made.get("clear_um")
-    kept = f", {number(clear_um, 0)} µm clear of it" if clear_um is not None else ""
-    yield (
-        f"The last program cuts the lens out along its outline with a flat end mill {2 * cut_out['radius_mm']:g} mm in "
-        f"diameter{kept}, through the block of {number(stock.get('thickness_mm'))} mm{board}; {held}."
+    if (clear_um := made.get("clear_um")) is not None:
+        cut = Phrase("{cut}, {clear_um} µm clear of it", cut=cut, clear_um=number(clear_um, 0))
+    cut = Phrase(
+        "{cut}, through the block of {thickness_mm} mm", cut=cut, thickness_mm=number(stock.get("thickness_mm"))
+    )
+    if through_mm := cut_out.get("through_mm"):
+        cut = Phrase(
+            "{cut}, {through_mm} mm into what lies below it: put a board there",
+            cut=cut,
+            through_mm=number(through_mm, 2),
+        )
+    if not (tabs := cut_out.get("tabs")):
+        yield Phrase("{cut}; no tab holds it: it must be held from below.", cut=cut)
+        return
+    yield Phrase(
+        "{cut}; {count} tabs {height_mm} mm high hold it: saw them through and file them flush.",
+        cut=cut,
+        count=tabs,
+        height_mm=number(cut_out.get("tab_height_mm"), 2),
     )

@@ -7,10 +7,11 @@ from math import ceil
 from typing import Any
 
 from cam.rows.entries import RAMP_DEG
+from phrases.phrase import Phrase, join
 from service.wording import MISSING, number, whole
 
 Row = Mapping[str, Any]
-Cells = tuple[str, str, list[str]]
+Cells = tuple[Phrase, str, list[str]]
 
 _SCRATCH_MM = 0.5  # shorter slots are not worth a word
 
@@ -19,28 +20,44 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
     """Return (what was verified, what is allowed, one cell per pass); rows that no pass has an answer to are left
     out.
     """
-    asked: tuple[tuple[str, str, Callable[[Row], str | None]], ...] = (
-        ("Program read back and cut in simulation", "every move", lambda p: _unit(p, "moves", whole, "moves")),
-        ("Cut below the lens", "1 µm, or 1.5 steps of the heights written", lambda p: _number(p, "gouge_um", 2, "µm")),
-        ("Deepest bite", "the step-down and the cusps before", _bite),
-        ("Rapid moves in stock, or across below the safe height", "none", _none),
-        ("Straight down into stock; spindle off in stock", "none", _none),
-        ("Widest gap between tracks", "1.5 row distances, 1.02 for contour", _gap),
-        ("Stock left above what the pass leaves, where the ball reaches", "cusps, 5 µm and a quarter of it", _excess),
-        ("Shank and end of flutes against stock that stands", "no contact", _shank),
-        ("Extent within the mill's travel", "travel of each axis", _extent),
-        (f"Entries, on ramps of {RAMP_DEG:g}° or in air", "", lambda p: _unit(p, "entries", whole, "")),
-        ("Cut climbing, by volume", "", lambda p: _percent(p, "climb_share")),
-        ("Cut at the ball's full width", "deep ones at half the feed", _slots),
-        ("Along the contour lines (within 15°)", "", lambda p: _percent(_part(p, "contour"), "aligned_share")),
-        ("Places gone over, of a rest pass", "", _rest),
+    asked: tuple[tuple[Phrase, str, Callable[[Row], str | None]], ...] = (
+        (Phrase("Program read back and cut in simulation"), Phrase("every move"), _moves),
         (
-            "Left above Z0 by the facing, or in the slot of the cut-out",
-            "cusps",
+            Phrase("Cut below the lens"),
+            Phrase("1 µm, or 1.5 steps of the heights written"),
+            lambda p: _number(p, "gouge_um", 2, "µm"),
+        ),
+        (Phrase("Deepest bite"), Phrase("the step-down and the cusps before"), _bite),
+        (Phrase("Rapid moves in stock, or across below the safe height"), Phrase("none"), _none),
+        (Phrase("Straight down into stock; spindle off in stock"), Phrase("none"), _none),
+        (Phrase("Widest gap between tracks"), Phrase("1.5 row distances, 1.02 for contour"), _gap),
+        (
+            Phrase("Stock left above what the pass leaves, where the ball reaches"),
+            Phrase("cusps, 5 µm and a quarter of it"),
+            lambda p: _number(p, "excess_um", 1, "µm"),
+        ),
+        (Phrase("Shank and end of flutes against stock that stands"), Phrase("no contact"), _shank),
+        (Phrase("Extent within the mill's travel"), Phrase("travel of each axis"), _extent),
+        (Phrase("Entries, on ramps of {ramp_deg:g}° or in air", ramp_deg=RAMP_DEG), "", _entries),
+        (Phrase("Cut climbing, by volume"), "", lambda p: _percent(p, "climb_share")),
+        (Phrase("Cut at the ball's full width"), Phrase("deep ones at half the feed"), _slots),
+        (
+            Phrase("Along the contour lines (within 15°)"),
+            "",
+            lambda p: _percent(_part(p, "contour"), "aligned_share"),
+        ),
+        (Phrase("Places gone over, of a rest pass"), "", _rest),
+        (
+            Phrase("Left above Z0 by the facing, or in the slot of the cut-out"),
+            Phrase("cusps"),
             lambda p: _number(p, "left_um", 1, "µm"),
         ),
-        ("Between the cutter and the lens, cutting it out", "0", lambda p: _number(p, "clear_um", 1, "µm")),
-        ("Tabs that hold the lens", "as asked", _tabs),
+        (
+            Phrase("Between the cutter and the lens, cutting it out"),
+            "0",
+            lambda p: _number(p, "clear_um", 1, "µm"),
+        ),
+        (Phrase("Tabs that hold the lens"), Phrase("as asked"), _tabs),
     )
     rows = []
     for what, allowed, answer in asked:
@@ -55,21 +72,26 @@ def flutes_in_words(row: Row) -> str:
     need_mm, have_mm = row.get("flute_need_mm"), row.get("flute_length_mm")
     if need_mm is None:
         return MISSING
-    at_least = f"{ceil(10 * need_mm) / 10:g} mm"
-    return at_least if have_mm is None else f"{at_least} (has {have_mm:g})"
+    at_least_mm = ceil(10 * need_mm) / 10
+    if have_mm is None:
+        return f"{at_least_mm:g} mm"
+    return Phrase("{at_least_mm:g} mm (has {length_mm:g})", at_least_mm=at_least_mm, length_mm=have_mm)
 
 
 def order_in_words(row: Row) -> str:
     """Return how the tool goes over the lens in a pass."""
     if row.get("is_around"):
-        return "rows along X over the whole top" if "above_mm" in row else "around the lens, layer by layer"
+        whole_top = "above_mm" in row
+        return Phrase("rows along X over the whole top") if whole_top else Phrase("around the lens, layer by layer")
     if row.get("strategy") == "contour":
-        return "one path along the contour lines"
+        return Phrase("one path along the contour lines")
     if row.get("pitch_mm") is None:
         return ""
-    rows = f"rows along {str(row.get('direction', 'x')).upper()}"
-    rows += ", one way" if row.get("link") == "retract" else ", there and back"
-    return f"{rows}, only where the ball before left stock" if row.get("where") == "rest" else rows
+    parts = [Phrase("rows along {axis}", axis=str(row.get("direction", "x")).upper())]
+    parts.append(Phrase("one way") if row.get("link") == "retract" else Phrase("there and back"))
+    if row.get("where") == "rest":
+        parts.append(Phrase("only where the ball before left stock"))
+    return join(", ", parts)
 
 
 def _part(row: Row, key: str) -> Row:
@@ -81,8 +103,12 @@ def _number(row: Row, key: str, digits: int, unit: str) -> str | None:
     return None if row.get(key) is None else number(row[key], digits, unit)
 
 
-def _unit(row: Row, key: str, words: Callable[[Any], str], unit: str) -> str | None:
-    return None if row.get(key) is None else f"{words(row[key])} {unit}".rstrip()
+def _moves(row: Row) -> str | None:
+    return None if row.get("moves") is None else Phrase("{count} moves", count=whole(row["moves"]))
+
+
+def _entries(row: Row) -> str | None:
+    return None if row.get("entries") is None else whole(row["entries"])
 
 
 def _percent(row: Row, key: str) -> str | None:
@@ -90,31 +116,31 @@ def _percent(row: Row, key: str) -> str | None:
 
 
 def _none(row: Row) -> str | None:
-    return "none" if row.get("checked") == "passed" else None
+    return Phrase("none") if row.get("checked") == "passed" else None
 
 
 def _bite(row: Row) -> str | None:
     if row.get("max_engagement_mm") is None:
         return None
     bite = number(row["max_engagement_mm"], 3)
-    return f"{bite} of {number(row['step_down_mm'], 3)} mm" if row.get("step_down_mm") else f"{bite} mm"
+    if not row.get("step_down_mm"):
+        return f"{bite} mm"
+    return Phrase("{bite_mm} of {step_down_mm} mm", bite_mm=bite, step_down_mm=number(row["step_down_mm"], 3))
 
 
 def _gap(row: Row) -> str | None:
     if row.get("max_gap_mm") is None:
         return None
     gap = number(row["max_gap_mm"], 4)
-    return f"{gap} at {number(row['pitch_mm'], 4)} mm" if row.get("pitch_mm") else f"{gap} mm"
-
-
-def _excess(row: Row) -> str | None:
-    return _number(row, "excess_um", 1, "µm")
+    if not row.get("pitch_mm"):
+        return f"{gap} mm"
+    return Phrase("{gap_mm} at {pitch_mm} mm", gap_mm=gap, pitch_mm=number(row["pitch_mm"], 4))
 
 
 def _shank(row: Row) -> str | None:
     if row.get("checked") != "passed":
         return None
-    return "none" if row.get("flute_length_mm") else "not stated"
+    return Phrase("none") if row.get("flute_length_mm") else Phrase("not stated")
 
 
 def _extent(row: Row) -> str | None:
@@ -128,16 +154,19 @@ def _slots(row: Row) -> str | None:
     if row.get("slot_length_mm") is None:
         return None
     if row["slot_length_mm"] < _SCRATCH_MM:
-        return "nowhere"
-    return f"{number(row['slot_length_mm'], 0)} mm, {number(row.get('slot_depth_mm'), 2)} mm deep"
+        return Phrase("nowhere")
+    length_mm, depth_mm = number(row["slot_length_mm"], 0), number(row.get("slot_depth_mm"), 2)
+    return Phrase("{length_mm} mm, {depth_mm} mm deep", length_mm=length_mm, depth_mm=depth_mm)
 
 
 def _rest(row: Row) -> str | None:
     rest = _part(row, "rest")
     if not rest:
         return None
-    places = f"{rest.get('regions', 0):.0f} place{'' if rest.get('regions') == 1 else 's'}"
-    return f"{places}, {number(rest.get('area_mm2'), 1)} mm²"
+    count, area_mm2 = rest.get("regions", 0), number(rest.get("area_mm2"), 1)
+    if count == 1:
+        return Phrase("1 place, {area_mm2} mm²", area_mm2=area_mm2)
+    return Phrase("{count:.0f} places, {area_mm2} mm²", count=count, area_mm2=area_mm2)
 
 
 def _tabs(row: Row) -> str | None:
@@ -145,4 +174,9 @@ def _tabs(row: Row) -> str | None:
     if not isinstance(tabs, list):
         return None
     heights = [tab["height_mm"] for tab in tabs]
-    return f"{len(heights)}, {number(min(heights), 2)} to {number(max(heights), 2)} mm high"
+    return Phrase(
+        "{count}, {least_mm} to {most_mm} mm high",
+        count=len(heights),
+        least_mm=number(min(heights), 2),
+        most_mm=number(max(heights), 2),
+    )

@@ -1,19 +1,19 @@
 """The two line drawings of the setup sheet as inline SVG: the block from above, and the set-up from the side.
 
-Only numbers go into them, so they are safe to place in the page as they are. `setup_pdf` draws the same elements.
+Only numbers and our own words go into them, so they are safe to place in the page as they are. Each is one phrase, so
+that another language can say its words. `setup_pdf` draws the same elements.
 """
 
 from __future__ import annotations
 
-from markupsafe import Markup
-
+from phrases.phrase import Phrase, join
 from service.job.report.holding import BlockSizes
 
 _ROOM_FOR_WORDS = 110.0
 _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 
-def top_view(block: BlockSizes) -> Markup:
+def top_view(block: BlockSizes) -> Phrase:
     """Draw the block as the operator sees it from above, the front of the mill at the bottom."""
     block_w, block_h = block.width_mm + 2 * block.margin_mm, block.height_mm + 2 * block.margin_mm
     scale = 230.0 / max(block_w, block_h)
@@ -34,13 +34,15 @@ def top_view(block: BlockSizes) -> Markup:
         _text(zero_x + 6, zero_y - arrow + 4, "Y", colour=_ACCENT),
         _text(zero_x + 9, zero_y - 9, "X0 Y0", colour=_ACCENT),
         *_lens_size(block, left, top, w, h, m),
-        _dimension_across(left, left + w, top + h + 16, f"block {block_w:g} mm"),
+        _dimension_across(left, left + w, top + h + 16, Phrase("block {width_mm:g} mm", width_mm=block_w)),
         _dimension_up(left - 14, top, top + h, f"{block_h:g} mm"),
-        _text(left + w / 2, top + h + 48, "front of the mill (operator)", anchor="middle", colour="#66727f"),
+        _text(left + w / 2, top + h + 48, Phrase("front of the mill (operator)"), anchor="middle", colour="#66727f"),
     ]
     if block.margin_mm > 0:
-        parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {block.margin_mm:g}"))
-    return _svg(left + 340, top + h + 58, "The block from above", parts)
+        parts.append(
+            _text(left + w + 6, top + h - m / 2 + 4, Phrase("margin {margin_mm:g}", margin_mm=block.margin_mm))
+        )
+    return _svg(left + 340, top + h + 58, Phrase("The block from above"), parts)
 
 
 def _hatch_for_clamps(block: BlockSizes, left: float, top: float, w: float, h: float) -> list[str]:
@@ -48,13 +50,13 @@ def _hatch_for_clamps(block: BlockSizes, left: float, top: float, w: float, h: f
     if block.swept_mm is None:
         return []
     if not block.has_room_for_clamps:
-        return [_text(left + w + 6, top + h / 2, "no clamp on top", colour=_ACCENT)]
+        return [_text(left + w + 6, top + h / 2, Phrase("no clamp on top"), colour=_ACCENT)]
     pattern = (
         '<defs><pattern id="clamps" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
         '<line x1="0" y1="0" x2="0" y2="7" stroke="#5b6b7a" stroke-width="1.6"/></pattern></defs>'
     )
     hatched = f'<rect x="{left:.1f}" y="{top:.1f}" width="{w:.1f}" height="{h:.1f}" fill="url(#clamps)"/>'
-    return [pattern, hatched, _text(left + w + 6, top + h / 2, "clamps: hatched")]
+    return [pattern, hatched, _text(left + w + 6, top + h / 2, Phrase("clamps: hatched"))]
 
 
 def _swept(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
@@ -95,10 +97,10 @@ def _lens_size(block: BlockSizes, left: float, top: float, w: float, h: float, m
         x, y, anchor = left + w / 2, top + h / 2, "middle"
     else:
         x, y, anchor = left + w + 6, top + 30, "start"
-    return _text(x, y - 18, "lens", anchor=anchor), _text(x, y - 3, words, anchor=anchor)
+    return _text(x, y - 18, Phrase("lens"), anchor=anchor), _text(x, y - 3, words, anchor=anchor)
 
 
-def side_view(block: BlockSizes) -> Markup:
+def side_view(block: BlockSizes) -> Phrase:
     """Draw light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
     left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
     deepest = block.deepest_mm or 0.0
@@ -115,20 +117,20 @@ def side_view(block: BlockSizes) -> Markup:
         f'<path d="M{left} {zero} {curve} L{left + width} {zero} L{left + width} {back} L{left} {back} Z" '
         f'fill="{_BLOCK}" stroke="#5b6b7a"/>',
         f'<line x1="{left - 40}" y1="{wall}" x2="{left + width + 20}" y2="{wall}" stroke="#1f2933" stroke-width="4"/>',
-        _text(left + width / 2, wall - 9, "wall or screen, parallel to the back", anchor="middle"),
+        _text(left + width / 2, wall - 9, Phrase("wall or screen, parallel to the back"), anchor="middle"),
         f'<line x1="{left - 40}" y1="{zero}" x2="{left + width + 20}" y2="{zero}" stroke="{_ACCENT}" '
         f'stroke-dasharray="5 4"/>',
-        _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
-        _dimension_up(left - 24, wall + 2, zero, f"wall {block.throw_mm:g} mm"),
+        _text(left + width + 24, zero + 4, Phrase("Z0 = stock top"), colour=_ACCENT),
+        _dimension_up(left - 24, wall + 2, zero, Phrase("wall {throw_mm:g} mm", throw_mm=block.throw_mm)),
         _dimension_up(left - 24, zero, back, f"{block.thickness_mm:g} mm"),
-        _text(left + width + 24, back + 4, "flat back" if block.is_mirror else "flat, polished back"),
+        _text(left + width + 24, back + 4, Phrase("flat back") if block.is_mirror else Phrase("flat, polished back")),
         *_draw_light(block, left, width, zero, back),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
     ]
     if block.deepest_mm is not None:
         beside = min(max(low + 4, zero + 21), back - 14)  # clear of the labels of Z0 and of the back
-        parts.append(_text(left + width + 24, beside, f"deepest {deepest:.2f} mm"))
-    return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
+        parts.append(_text(left + width + 24, beside, Phrase("deepest {deepest_mm:.2f} mm", deepest_mm=deepest)))
+    return _svg(left + width + 150, back + 60, Phrase("The block, the light and the wall from the side"), parts)
 
 
 def _draw_light(block: BlockSizes, left: float, width: float, zero: float, back: float) -> list[str]:
@@ -137,21 +139,24 @@ def _draw_light(block: BlockSizes, left: float, width: float, zero: float, back:
     spread = 1.0 if block.lamp_mm is None else 0.35
     low, high = (zero - 62, zero - 8) if block.is_mirror else (back + 34, back + 6)
     arrows = [_arrow(middle + spread * off, low, middle + off, high, colour="#c77700") for off in (-65.0, 0.0, 65.0)]
-    source = "parallel light" if block.lamp_mm is None else f"lamp, {block.lamp_mm:g} mm away"
+    source = Phrase("parallel light")
+    if block.lamp_mm is not None:
+        source = Phrase("lamp, {distance_mm:g} mm away", distance_mm=block.lamp_mm)
     if block.is_mirror:
         beside, colour = left + width + 24, "#8a5200"
-        words = ((source, zero - 58), ("from the wall's side", zero - 42))
+        words = ((source, zero - 58), (Phrase("from the wall's side"), zero - 42))
         return [*arrows, *(_text(beside, y, line, colour=colour) for line, y in words)]
-    return [*arrows, _text(middle, back + 50, f"{source}, square to the back", anchor="middle", colour="#8a5200")]
+    square = Phrase("{light}, square to the back", light=source)
+    return [*arrows, _text(middle, back + 50, square, anchor="middle", colour="#8a5200")]
 
 
-def _svg(width: float, height: float, title: str, parts: list[str]) -> Markup:
-    head = f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{title}">'
+def _svg(width: float, height: float, title: Phrase, parts: list[str]) -> Phrase:
+    head = f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="'
     marker = (
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
         'orient="auto-start-reverse"><path d="M0 0.5 L8 4 L0 7.5 Z" fill="context-stroke"/></marker></defs>'
     )
-    return Markup(head + marker + "".join(parts) + "</svg>")
+    return join("", (head, title, '">', marker, *parts, "</svg>"))
 
 
 def _box(x: float, y: float, width: float, height: float, fill: str, stroke: str) -> str:
@@ -171,19 +176,20 @@ def _ray(x0: float, y0: float, x1: float, y1: float) -> str:
     return f'<line {ends} stroke="#e0a040" stroke-width="1.2"/>'
 
 
-def _text(x: float, y: float, words: str, *, anchor: str = "start", colour: str = "#1f2933") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}" font-size="12.5">{words}</text>'
+def _text(x: float, y: float, words: str, *, anchor: str = "start", colour: str = "#1f2933") -> Phrase:
+    look = f'text-anchor="{anchor}" fill="{colour}" font-size="12.5"'
+    return join("", (f'<text x="{x:.1f}" y="{y:.1f}" {look}>', words, "</text>"))
 
 
-def _dimension_across(x0: float, x1: float, y: float, words: str) -> str:
+def _dimension_across(x0: float, x1: float, y: float, words: str) -> Phrase:
     ends = f'x1="{x0:.1f}" y1="{y:.1f}" x2="{x1:.1f}" y2="{y:.1f}"'
     line = f'<line {ends} stroke="#66727f" marker-start="url(#tip)" marker-end="url(#tip)"/>'
-    return line + _text((x0 + x1) / 2, y + 14, words, anchor="middle")
+    return join("", (line, _text((x0 + x1) / 2, y + 14, words, anchor="middle")))
 
 
-def _dimension_up(x: float, y0: float, y1: float, words: str) -> str:
+def _dimension_up(x: float, y0: float, y1: float, words: str) -> Phrase:
     ends = f'x1="{x:.1f}" y1="{y0:.1f}" x2="{x:.1f}" y2="{y1:.1f}"'
     line = f'<line {ends} stroke="#66727f" marker-start="url(#tip)" marker-end="url(#tip)"/>'
     middle = (y0 + y1) / 2
-    label = _text(0, 0, words, anchor="middle")
-    return f'{line}<g transform="translate({x - 6:.1f} {middle:.1f}) rotate(-90)">{label}</g>'
+    turned = f'{line}<g transform="translate({x - 6:.1f} {middle:.1f}) rotate(-90)">'
+    return join("", (turned, _text(0, 0, words, anchor="middle"), "</g>"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from phrases.phrase import Phrase, join
 from service.job.finite_json import table
 from service.wording import duration, number, psnr_in_words
 
@@ -21,7 +22,7 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     if not told:
         return None
     return {
-        "title": str(told.get("title") or told.get("process") or "by hand"),
+        "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
         "rows": [*_work_rows(told), *_light_rows(report)],
         "warnings": list(_warnings(report, told)),
         **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},
@@ -29,51 +30,64 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     }
 
 
-def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
     if told.get("minutes") is not None:
-        yield "Time, the whole lens", duration(60 * told["minutes"])
-    depth_um = told.get("depth_um")
-    if depth_um:
-        yield ("Comes off", f"{number(depth_um, 1)} µm") if depth_um > 0 else ("Is added", f"{number(-depth_um, 1)} µm")
+        yield Phrase("Time, the whole lens"), duration(60 * told["minutes"])
+    if depth_um := told.get("depth_um"):
+        yield Phrase("Comes off") if depth_um > 0 else Phrase("Is added"), f"{number(abs(depth_um), 1)} µm"
     if told.get("removal"):
-        yield "What comes off", str(told["removal"])
+        yield Phrase("What comes off"), str(told["removal"])
     levelled_mm, kept_mm, pad_mm = (told.get(key) for key in ("levelled_mm", "kept_mm", "pad_mm"))
     if levelled_mm and kept_mm:
-        follows = pad_mm is not None and pad_mm < kept_mm
-        kept = f"{number(pad_mm, 1)} mm, the size of the tool that follows them" if follows else f"{_mm(kept_mm)}"
-        yield "Levels", f"waves under {_mm(levelled_mm)} to a tenth of their height; leaves those over {kept}"
-    if told.get("run_out_mm"):
-        yield (
-            "Rims",
-            f"mask them, or finish {_mm(told['run_out_mm'])} beyond the lens: edges are rounded as far as that",
+        kept: str = _mm(kept_mm)
+        if pad_mm is not None and pad_mm < kept_mm:
+            kept = Phrase("{pad_mm} mm, the size of the tool that follows them", pad_mm=number(pad_mm, 1))
+        levels = Phrase(
+            "waves under {levelled} to a tenth of their height; leaves those over {kept}",
+            levelled=_mm(levelled_mm),
+            kept=kept,
         )
+        yield Phrase("Levels"), levels
+    if told.get("run_out_mm"):
+        mask = Phrase(
+            "mask them, or finish {run_out} beyond the lens: edges are rounded as far as that",
+            run_out=_mm(told["run_out_mm"]),
+        )
+        yield Phrase("Rims"), mask
 
 
-def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for key, words in (("as_milled", "The wall as milled"), ("as_finished", "The wall as finished")):
+def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
+    rows = {"as_milled": Phrase("The wall as milled"), "as_finished": Phrase("The wall as finished")}
+    for key, what in rows.items():
         seen = table(report.get(key))
         likeness_db = table(seen.get("against_original")).get("psnr_db", seen.get("psnr_db"))
         if likeness_db is not None:
-            detail_mm = seen.get("smallest_detail_mm")
-            detail = f"; details from {_mm(detail_mm)} show" if detail_mm is not None else ""
-            yield words, f"{likeness_db:.1f} dB: {psnr_in_words(likeness_db)}{detail}"
+            parts = [Phrase("{psnr_db:.1f} dB: {seen}", psnr_db=likeness_db, seen=psnr_in_words(likeness_db))]
+            if (detail_mm := seen.get("smallest_detail_mm")) is not None:
+                parts.append(Phrase("details from {detail} show", detail=_mm(detail_mm)))
+            yield what, join("; ", parts)
 
 
-def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[str]:
-    milled, finished = (table(report.get(key)).get("psnr_db") for key in ("as_milled", "as_finished"))
-    if milled is not None and finished is not None and finished < milled - _WORTH_DB:
-        yield (
-            f"This finish makes the picture worse, {finished:.1f} dB instead of {milled:.1f} dB as milled: leave it "
-            "out, or finish for longer. Half-levelled rows merge into waves that bend the light further."
+def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Phrase]:
+    milled_db, finished_db = (table(report.get(key)).get("psnr_db") for key in ("as_milled", "as_finished"))
+    if milled_db is not None and finished_db is not None and finished_db < milled_db - _WORTH_DB:
+        yield Phrase(
+            "This finish makes the picture worse, {finished_db:.1f} dB instead of {milled_db:.1f} dB as milled: leave "
+            "it out, or finish for longer. Half-levelled rows merge into waves that bend the light further.",
+            finished_db=finished_db,
+            milled_db=milled_db,
         )
     minutes, least, most = (told.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
-        yield (
-            f"{duration(60 * minutes)} lies outside what this process is known for, {duration(60 * least)} to "
-            f"{duration(60 * most)} on a lens of this size: what is foretold may be wrong. A test piece tells."
+        yield Phrase(
+            "{duration} lies outside what this process is known for, {least} to {most} on a lens of this size: what is "
+            "foretold may be wrong. A test piece tells.",
+            duration=duration(60 * minutes),
+            least=duration(60 * least),
+            most=duration(60 * most),
         )
     if not told.get("steps"):
-        yield "This process is in no library: there are no instructions for it, its figures are your own."
+        yield Phrase("This process is in no library: there are no instructions for it, its figures are your own.")
 
 
 def _mm(length_mm: float) -> str:

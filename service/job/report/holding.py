@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from phrases.phrase import Phrase
 from service.wording import number
 
 CLAMP_MM = 8.0  # that a clamp needs to stand on
@@ -59,9 +60,9 @@ class Holding:
     highest          : nothing may stand higher than this: words
     """
 
-    sentences: tuple[str, ...]
+    sentences: tuple[Phrase, ...]
     clearance_mm: float
-    highest: str
+    highest: Phrase
 
 
 def plan_holding(
@@ -77,43 +78,62 @@ def plan_holding(
     clamped = block is not None and block.has_room_for_clamps
     clearance_mm = max(CLEARANCE_MM, under_rapids_mm) if clamped else CLEARANCE_MM
     highest_mm = min(clearance_mm, under_rapids_mm)
-    sentences: tuple[str, ...]
+    sentences: tuple[Phrase, ...]
     if block is None or block.swept_mm is None:
-        sentences = ("outside of what the cutters sweep.",)
+        sentences = (Phrase("outside of what the cutters sweep."),)
     else:
         sentences = (_word_sweep(block.swept_mm), *_word_holding(block, lows, highest_mm, faced))
-    highest = f"{number(highest_mm)} mm above the stock top" if not faced else "1 mm below the faced top"
+    highest = Phrase("{highest_mm} mm above the stock top", highest_mm=number(highest_mm))
+    if faced:
+        highest = Phrase("1 mm below the faced top")
     return Holding(sentences=sentences, clearance_mm=clearance_mm, highest=highest)
 
 
-def _word_sweep(swept_mm: tuple[float, float, float, float]) -> str:
+def _word_sweep(swept_mm: tuple[float, float, float, float]) -> Phrase:
     left, right, front, back = (number(one, 1) for one in swept_mm)
-    return f"the cutters sweep X {left} to {right}, Y {front} to {back} mm, flanks included (dashed in the drawing)."
+    return Phrase(
+        "the cutters sweep X {left_mm} to {right_mm}, Y {front_mm} to {back_mm} mm, flanks included (dashed in the "
+        "drawing).",
+        left_mm=left,
+        right_mm=right,
+        front_mm=front,
+        back_mm=back,
+    )
 
 
 def _word_holding(
     block: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
-) -> Iterator[str]:
+) -> Iterator[Phrase]:
     if block.clamps_mm:
-        yield "The clamps in the drawing are those of stock.clamps: every program was checked against them."
+        yield Phrase("The clamps in the drawing are those of stock.clamps: every program was checked against them.")
     if block.has_room_for_clamps:
-        yield (
-            f"Around it a ring {number(block.ring_mm, 1)} mm wide keeps the stock top: clamps stand there and nowhere "
-            f"else (hatched in the drawing), outside the dashed line and at most {number(highest_mm)} mm high. For "
-            "higher ones give a greater machine.safe_z_mm; the tools then stick out by as much more."
+        yield Phrase(
+            "Around it a ring {ring_mm} mm wide keeps the stock top: clamps stand there and nowhere else (hatched in "
+            "the drawing), outside the dashed line and at most {highest_mm} mm high. For higher ones give a greater "
+            "machine.safe_z_mm; the tools then stick out by as much more.",
+            ring_mm=number(block.ring_mm, 1),
+            highest_mm=number(highest_mm),
         )
         return
     narrow = block.ring_mm > 0
     lowest_mm = min([0.0, *(low_mm for ring_mm, low_mm in lows if narrow or ring_mm <= 0)])
     if narrow:
-        yield (
-            f"No clamp on top: the ring around it is only {number(block.ring_mm, 1)} mm wide, and the cutters pass it "
-            f"down to Z {number(lowest_mm, 1)} mm."
+        yield Phrase(
+            "No clamp on top: the ring around it is only {ring_mm} mm wide, and the cutters pass it down to Z "
+            "{lowest_mm} mm.",
+            ring_mm=number(block.ring_mm, 1),
+            lowest_mm=number(lowest_mm, 1),
         )
     else:
-        yield "That reaches the edge of the block: no clamp on top."
-    jaws = block.thickness_mm + lowest_mm - _UNDER_RAPIDS_MM >= _JAWS_MM
-    vice = f", or in a vice whose jaws stay below Z {number(lowest_mm - 1, 1)} mm" if jaws else ""
-    wide_mm = block.margin_mm + CLAMP_MM - block.ring_mm
-    wider = f"; stock.margin_mm = {number(wide_mm, 1)} leaves a ring that can be clamped"
-    yield f"Hold it from below (vacuum, wax or double-sided tape){vice}{'' if faced else wider}."
+        yield Phrase("That reaches the edge of the block: no clamp on top.")
+    held = Phrase("Hold it from below (vacuum, wax or double-sided tape)")
+    if block.thickness_mm + lowest_mm - _UNDER_RAPIDS_MM >= _JAWS_MM:
+        held = Phrase(
+            "Hold it from below (vacuum, wax or double-sided tape), or in a vice whose jaws stay below Z {jaws_mm} mm",
+            jaws_mm=number(lowest_mm - 1, 1),
+        )
+    wide_mm = number(block.margin_mm + CLAMP_MM - block.ring_mm, 1)
+    wider = Phrase(
+        "{held}; stock.margin_mm = {margin_mm} leaves a ring that can be clamped.", held=held, margin_mm=wide_mm
+    )
+    yield Phrase("{held}.", held=held) if faced else wider

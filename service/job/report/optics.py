@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phrases.phrase import Phrase, join
 from service.job.finite_json import table
 from service.job.spec.light import describe_light
 from service.wording import ball, number, psnr_in_words, word_misplaced
@@ -12,216 +13,280 @@ from service.wording import ball, number, psnr_in_words, word_misplaced
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
 _STRAIGHT_MM = 0.005
 _BLACK_WORTH_A_WORD = 0.002
-_MILLED_AWAY = (
-    "it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at 0.02 mm pitch nothing "
-    "of it is left, with scallops smoothed to a tenth about half"
-)
 
+_CURVATURES = {"half": "p50", "p90": "p90", "p999": "p99.9", "most": "p100"}  # as in report.json
 _PERCENT = 0.01
 _TILT_DEG = 0.5
 _NOTHING_DB = 0.1
 
 
-def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
     """Return (what, figure, in words), first for the perfect surface, then as milled and as finished."""
-    rows = []
-    for key, prefix in (("optics", "Lens itself"), ("as_milled", "As milled"), ("as_finished", "As finished")):
+    rows: list[tuple[Phrase, str, Phrase]] = []
+    parts = {
+        "optics": Phrase("Lens itself"),
+        "as_milled": Phrase("As milled"),
+        "as_finished": Phrase("As finished"),
+    }
+    for key, part in parts.items():
         scores = table(report.get(key))
         if (psnr_db := scores.get("psnr_db")) is not None:
-            rows.append((f"{prefix}: likeness (PSNR)", f"{psnr_db:.1f} dB", psnr_in_words(psnr_db)))
+            what = Phrase("{part}: likeness (PSNR)", part=part)
+            rows.append((what, f"{psnr_db:.1f} dB", psnr_in_words(psnr_db)))
         if scores.get("ssim") is not None:
-            words = "how alike small parts are; 1 is identical"
-            rows.append((f"{prefix}: structure (SSIM)", f"{scores['ssim']:.3f}", words))
+            words = Phrase("how alike small parts are; 1 is identical")
+            rows.append((Phrase("{part}: structure (SSIM)", part=part), f"{scores['ssim']:.3f}", words))
         if (share := scores.get("misplaced_light")) is not None:
-            rows.append((f"{prefix}: light in wrong places", f"{100 * share:.2f} %", word_misplaced(share)))
+            what = Phrase("{part}: light in wrong places", part=part)
+            rows.append((what, f"{100 * share:.2f} %", word_misplaced(share)))
         if leak := scores.get("dark_leak"):
-            rows.append((f"{prefix}: light where it is to be dark", f"{100 * leak:.2f} %", _leak_in_words(scores)))
+            what = Phrase("{part}: light where it is to be dark", part=part)
+            rows.append((what, f"{100 * leak:.2f} %", _leak_in_words(scores)))
     sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
     if sharp is not None:
-        rows.append(
-            (
-                "Likeness (PSNR) without the size of the source",
-                f"{sharp:.1f} dB",
-                "the lens is made for a source of this size, and best with it",
-            )
-        )
+        words = Phrase("the lens is made for a source of this size, and best with it")
+        rows.append((Phrase("Likeness (PSNR) without the size of the source"), f"{sharp:.1f} dB", words))
     return rows
 
 
-def _leak_in_words(scores: Mapping[str, Any]) -> str:
-    words = "of all light falls where the picture is black"
+def _leak_in_words(scores: Mapping[str, Any]) -> Phrase:
     if (estimate := scores.get("dark_leak_estimate")) is None:
-        return words
-    radius = scores.get("min_radius_mm") or 0.0
-    valleys = f"valleys that a ball {ball(radius)} cuts" if radius else "valleys as narrow as the grid allows"
-    return f"{words}; {valleys} let about {100 * estimate:.2f} % through"
+        return Phrase("of all light falls where the picture is black")
+    if radius_mm := scores.get("min_radius_mm"):
+        return Phrase(
+            "of all light falls where the picture is black; valleys that a ball {size} cuts let about "
+            "{share_percent:.2f} % through",
+            size=ball(radius_mm),
+            share_percent=100 * estimate,
+        )
+    return Phrase(
+        "of all light falls where the picture is black; valleys as narrow as the grid allows let about "
+        "{share_percent:.2f} % through",
+        share_percent=100 * estimate,
+    )
 
 
-def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
+def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
     """Return (what, figure) of the surface and how it came about."""
     optics, wanted = table(report.get("optics")), table(spec.get("optics"))
     rows = [*_surface_rows(optics), *_rows_of_closing(table(optics.get("closing"))), *_polish_rows(optics)]
     if wanted.get("surface") == "mirror":
-        rows.append(("Kind", "mirror: light comes from the wall's side and is reflected by the milled face"))
+        words = Phrase("mirror: light comes from the wall's side and is reflected by the milled face")
+        rows.append((Phrase("Kind"), words))
     elif wanted.get("refractive_index") is not None:
-        rows.append(("Refractive index", f"{wanted['refractive_index']:g}"))
-    if wanted.get("outline", "rectangle") != "rectangle":
-        outline = wanted["outline"]
-        rows.append(("Outline", outline if isinstance(outline, str) else f"{len(outline)} corners"))
+        rows.append((Phrase("Refractive index"), f"{wanted['refractive_index']:g}"))
+    if (outline := wanted.get("outline", "rectangle")) != "rectangle":
+        corners = outline if isinstance(outline, str) else Phrase("{count} corners", count=len(outline))
+        rows.append((Phrase("Outline"), Phrase("ellipse") if outline == "ellipse" else corners))
     if wanted.get("method"):
-        converged = {"True": ", converged", "False": ", NOT converged"}.get(str(optics.get("converged")), "")
-        crossing = ", rays cross before the screen" if optics.get("branch") == "inverted" else ""
-        rows.append(("Method", f"{wanted['method']}{crossing}{converged}"))
+        parts = [str(wanted["method"])]
+        if optics.get("branch") == "inverted":
+            parts.append(Phrase("rays cross before the screen"))
+        ends = {"True": Phrase("converged"), "False": Phrase("NOT converged")}
+        parts += filter(None, [ends.get(str(optics.get("converged")))])
+        rows.append((Phrase("Method"), join(", ", parts)))
     return rows
 
 
-def _surface_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    rows = []
+def _surface_rows(optics: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
+    rows: list[tuple[Phrase, str]] = []
     if optics.get("relief_mm") is not None:
-        rows.append(("Relief, highest to lowest point", f"{optics['relief_mm']:.2f} mm"))
+        rows.append((Phrase("Relief, highest to lowest point"), f"{optics['relief_mm']:.2f} mm"))
     if optics.get("max_slope_deg") is not None:
-        rows.append(("Steepest slope", f"{optics['max_slope_deg']:.1f}°"))
+        rows.append((Phrase("Steepest slope"), f"{optics['max_slope_deg']:.1f}°"))
     if optics.get("min_concave_radius_mm") is not None:
-        rows.append(("Largest ball that fits everywhere", ball(round(optics["min_concave_radius_mm"], 2))))
+        rows.append((Phrase("Largest ball that fits everywhere"), ball(round(optics["min_concave_radius_mm"], 2))))
     for share, key in (("99.9 %", "concave_radius_999_mm"), ("99 %", "concave_radius_99_mm")):
         if optics.get(key) is not None:
-            rows.append((f"{share} of the lens: a ball up to", f"{ball(round(optics[key], 2))} fits"))
-    curvature = table(optics.get("concave_curvature_per_mm"))
-    if curvature:
-        told = (("half of the area", "p50"), ("90 %", "p90"), ("99.9 %", "p99.9"))
-        words = ", ".join(f"{name} up to {number(curvature.get(key), 3)}" for name, key in told)
-        rows.append(("Hollow curvature, 1/mm", f"{words}, most {number(curvature.get('p100'), 3)}"))
+            fits = Phrase("{size} fits", size=ball(round(optics[key], 2)))
+            rows.append((Phrase("{share} of the lens: a ball up to", share=share), fits))
+    if curvature := table(optics.get("concave_curvature_per_mm")):
+        figures = {name: number(curvature.get(key), 3) for name, key in _CURVATURES.items()}
+        words = Phrase("half of the area up to {half}, 90 % up to {p90}, 99.9 % up to {p999}, most {most}", **figures)
+        rows.append((Phrase("Hollow curvature, 1/mm"), words))
     return rows
 
 
-def _rows_of_closing(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _rows_of_closing(closing: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
     if not closing:
         return []
-    lost = closing["psnr_db_without"] - closing["psnr_db_with"]
-    words = f"costs {lost:.1f} dB" if lost >= 0.05 else "costs nothing"
+    lost_db = closing["psnr_db_without"] - closing["psnr_db_with"]
+    parts = [Phrase("costs {lost_db:.1f} dB", lost_db=lost_db) if lost_db >= 0.05 else Phrase("costs nothing")]
     if closing["dark_leak_with"] > 0:
         leaks = " → ".join(f"{100 * closing[key]:.2f}" for key in ("dark_leak_without", "dark_leak_with"))
-        words += f", light where it is to be dark {leaks} %"
-    return [(f"Valleys filled for a ball {ball(closing['radius_mm'])}", words)]
+        parts.append(Phrase("light where it is to be dark {shares} %", shares=leaks))
+    return [(Phrase("Valleys filled for a ball {size}", size=ball(closing["radius_mm"])), join(", ", parts))]
 
 
-def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
     polish = table(optics.get("polish"))
     if not polish:
         return []
-    gain = polish["psnr_db_after"] - polish["psnr_db_before"]
-    words = f"{polish['steps']} steps, +{gain:.1f} dB, moves the surface by {number(polish['change_um_rms'], 2)} µm rms"
-    return [("Polish", f"{words}; {_MILLED_AWAY}" if gain >= _SEEN_GAIN_DB else words)]
+    gain_db = polish["psnr_db_after"] - polish["psnr_db_before"]
+    words = Phrase(
+        "{count} steps, +{gain_db:.1f} dB, moves the surface by {change_um} µm rms",
+        count=polish["steps"],
+        gain_db=gain_db,
+        change_um=number(polish["change_um_rms"], 2),
+    )
+    if gain_db >= _SEEN_GAIN_DB:
+        words = Phrase(
+            "{steps}; it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at 0.02 "
+            "mm pitch nothing of it is left, with scallops smoothed to a tenth about half",
+            steps=words,
+        )
+    return [(Phrase("Polish"), words)]
 
 
-def sentences_of_preparation(report: Mapping[str, Any]) -> list[str]:
+def sentences_of_preparation(report: Mapping[str, Any]) -> list[Phrase]:
     """Return what was done to the picture, for the setup sheet; empty where it was to stay as it is."""
     image = table(report.get("image"))
     if image.get("prepare") != "detail":
         return []
-    detail = f"{image['prepare_detail_mm']:.2g} mm"
     if not image["prepared"]:
         return [
-            "The picture was to be prepared for what will show, and was left as it is: it has two tones only, and no "
-            "contrast to bring out."
+            Phrase(
+                "The picture was to be prepared for what will show, and was left as it is: it has two tones only, and "
+                "no contrast to bring out."
+            )
         ]
-    share, black = image["black_share"], ""
-    if share >= _BLACK_WORTH_A_WORD:
-        black = f"; black is kept at {100 * share:.1f} % of the mean, which valleys under the ball let through"
+    raised = Phrase(
+        "The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail_mm:.2g} mm, "
+        "the smallest detail that is expected to show on the wall, and tones are spread where there is something to "
+        "see",
+        detail_mm=image["prepare_detail_mm"],
+    )
+    if (share := image["black_share"]) >= _BLACK_WORTH_A_WORD:
+        raised = Phrase(
+            "{raised}; black is kept at {share_percent:.1f} % of the mean, which valleys under the ball let through",
+            raised=raised,
+            share_percent=100 * share,
+        )
     return [
-        f"The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail}, the "
-        "smallest detail that is expected to show on the wall, and tones are spread where there is something to see"
-        f"{black}. Scores are against the prepared picture, whose stronger contrast asks for more, so that they are no "
-        "measure of what the preparation is worth; against the picture as it was given they are: "
-        f"{', '.join(_scores_in_words(report))}. What it is worth, eyes must tell, side by side."
+        Phrase(
+            "{raised}. Scores are against the prepared picture, whose stronger contrast asks for more, so that they "
+            "are no measure of what the preparation is worth; against the picture as it was given they are: {scores}. "
+            "What it is worth, eyes must tell, side by side.",
+            raised=raised,
+            scores=join(", ", _scores_in_words(report)),
+        )
     ]
 
 
-def _scores_in_words(report: Mapping[str, Any]) -> list[str]:
-    parts = (
-        ("image", "the prepared picture itself"),
-        ("optics", "the lens"),
-        ("as_milled", "as milled"),
-        ("as_finished", "as finished"),
-    )
-    found = ((words, table(table(report.get(key)).get("against_original"))) for key, words in parts)
-    return [f"{words} {score['psnr_db']:.1f} dB, SSIM {score['ssim']:.3f}" for words, score in found if score]
+def _scores_in_words(report: Mapping[str, Any]) -> list[Phrase]:
+    parts = {
+        "image": Phrase("the prepared picture itself"),
+        "optics": Phrase("the lens"),
+        "as_milled": Phrase("as milled"),
+        "as_finished": Phrase("as finished"),
+    }
+    found = ((part, table(table(report.get(key)).get("against_original"))) for key, part in parts.items())
+    return [
+        Phrase("{part} {psnr_db:.1f} dB, SSIM {ssim:.3f}", part=part, psnr_db=score["psnr_db"], ssim=score["ssim"])
+        for part, score in found
+        if score
+    ]
 
 
-def light_sentences(spec: Mapping[str, Any]) -> list[str]:
+def light_sentences(spec: Mapping[str, Any]) -> list[Phrase]:
     """Return what the light must be like, for the person who sets up the lamp."""
     optics = table(spec.get("optics"))
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
     sentences = [describe_light(light, is_mirror=is_mirror)]
     if light.get("gaussian_mm") is not None:
-        sentences.append(f"The beam is brightest in the middle and {number(light['gaussian_mm'])} mm wide (1/e²).")
+        width_mm = number(light["gaussian_mm"])
+        sentences.append(
+            Phrase("The beam is brightest in the middle and {width_mm} mm wide (1/e²).", width_mm=width_mm)
+        )
     elif light.get("profile"):
-        sentences.append("The light is uneven as measured (optics.light.profile); its middle is the lens's middle.")
+        sentences.append(
+            Phrase("The light is uneven as measured (optics.light.profile); its middle is the lens's middle.")
+        )
     if optics.get("outline", "rectangle") != "rectangle":
-        sentences.append("Light beyond the outline of the lens must not pass: cut the block along it, or mask it.")
+        sentences.append(
+            Phrase("Light beyond the outline of the lens must not pass: cut the block along it, or mask it.")
+        )
     return sentences
 
 
-def screen_sentence(spec: Mapping[str, Any]) -> str | None:
+def screen_sentence(spec: Mapping[str, Any]) -> Phrase | None:
     """Return where the picture is, if not straight before the lens."""
     optics = table(spec.get("optics"))
-    aside, up = float(optics.get("screen_shift_x_mm") or 0.0), float(optics.get("screen_shift_y_mm") or 0.0)
+    aside, up = (float(optics.get(f"screen_shift_{axis}_mm") or 0.0) for axis in "xy")
+    aside_mm, up_mm = number(abs(aside)), number(abs(up))
     ways = []
     if abs(aside) > _STRAIGHT_MM:
-        ways.append(f"{number(abs(aside))} mm to the {'left' if aside > 0 else 'right'}")
+        left, right = Phrase("{mm} mm to the left", mm=aside_mm), Phrase("{mm} mm to the right", mm=aside_mm)
+        ways.append(left if aside > 0 else right)
     if abs(up) > _STRAIGHT_MM:
-        ways.append(f"{number(abs(up))} mm {'above' if up > 0 else 'below'}")
+        ways.append(Phrase("{mm} mm above", mm=up_mm) if up > 0 else Phrase("{mm} mm below", mm=up_mm))
     if not ways:
         return None
-    where = " and ".join(ways)
-    return (
-        f"The middle of the picture lies {where} of the middle of the lens, for a person who looks from it to the wall."
+    return Phrase(
+        "The middle of the picture lies {where} of the middle of the lens, for a person who looks from it to the wall.",
+        where=ways[0] if len(ways) == 1 else Phrase("{first} and {second}", first=ways[0], second=ways[1]),
     )
 
 
-def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> list[str]:
+def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> list[Phrase]:
     """Return sentences on distance, tilt and size of the source; empty where nothing was simulated."""
     if not tolerances:
         return []
     return [_distance(tolerances, throw_mm), _tilt(tolerances), *_source(tolerances)]
 
 
-def _distance(found: Mapping[str, Any], throw_mm: float) -> str:
+def _distance(found: Mapping[str, Any], throw_mm: float) -> Phrase:
     near, far = found["focus_range_mm"]
     off_mm = _PERCENT * throw_mm
     worst = min(point["psnr_db"] for point in found["focus"] if abs(abs(point["offset_mm"]) - off_mm) < 1e-3 * off_mm)
-    return (
-        f"A distance wrong by 1 % ({number(off_mm, 2)} mm) {_costs(found['psnr_db'] - worst)}; 3 dB are lost when the "
-        f"wall is {number(-near, 2)} mm too near or {number(far, 2)} mm too far."
+    return Phrase(
+        "A distance wrong by 1 % ({off_mm} mm) {costs}; 3 dB are lost when the wall is {near_mm} mm too near or "
+        "{far_mm} mm too far.",
+        off_mm=number(off_mm, 2),
+        costs=_costs(found["psnr_db"] - worst),
+        near_mm=number(-near, 2),
+        far_mm=number(far, 2),
     )
 
 
-def _tilt(found: Mapping[str, Any]) -> str:
+def _tilt(found: Mapping[str, Any]) -> Phrase:
     point = min(found["tilts"], key=lambda tilt: abs(tilt["tilt_deg"] - _TILT_DEG))
     moved = (point["shift_mm"][0] ** 2 + point["shift_mm"][1] ** 2) ** 0.5
-    return (
-        f"Light that comes {number(point['tilt_deg'])}° aslant moves the picture by {number(moved, 2)} mm and "
-        f"{_costs(found['psnr_db'] - point['psnr_db'])} beside that."
+    return Phrase(
+        "Light that comes {tilt_deg}° aslant moves the picture by {shift_mm} mm and {costs} beside that.",
+        tilt_deg=number(point["tilt_deg"]),
+        shift_mm=number(moved, 2),
+        costs=_costs(found["psnr_db"] - point["psnr_db"]),
     )
 
 
-def _source(found: Mapping[str, Any]) -> Sequence[str]:
+def _source(found: Mapping[str, Any]) -> Sequence[Phrase]:
     sentences = []
     if found["blur_mm"] > 0:
         sentences.append(
-            f"The source that the lens is made for spreads each point over {number(found['blur_mm'], 2)} mm on the "
-            f"wall, {number(found['blur_px'], 1)} pixels."
+            Phrase(
+                "The source that the lens is made for spreads each point over {spread_mm} mm on the wall, {spread_px} "
+                "pixels.",
+                spread_mm=number(found["blur_mm"], 2),
+                spread_px=number(found["blur_px"], 1),
+            )
         )
     for point in found["sources"]:
         if found["blur_mm"] == 0 and abs(point["size_deg"] - 0.53) < 1e-9:
             sentences.append(
-                f"The sun's disc (0.53°) would spread each point over {number(point['diameter_mm'], 2)} mm, "
-                f"{number(point['diameter_px'], 1)} pixels, and leave {point['psnr_db']:.0f} dB; a small lamp far away "
-                f"is sharper."
+                Phrase(
+                    "The sun's disc (0.53°) would spread each point over {spread_mm} mm, {spread_px} pixels, and leave "
+                    "{psnr_db:.0f} dB; a small lamp far away is sharper.",
+                    spread_mm=number(point["diameter_mm"], 2),
+                    spread_px=number(point["diameter_px"], 1),
+                    psnr_db=point["psnr_db"],
+                )
             )
     return sentences
 
 
-def _costs(lost_db: float) -> str:
-    return f"costs {lost_db:.1f} dB" if lost_db >= _NOTHING_DB else "costs next to nothing"
+def _costs(lost_db: float) -> Phrase:
+    if lost_db < _NOTHING_DB:
+        return Phrase("costs next to nothing")
+    return Phrase("costs {lost_db:.1f} dB", lost_db=lost_db)

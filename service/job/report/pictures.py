@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from phrases.phrase import Phrase
+
 Part = Literal["lens", "light", "programs"]
 
 ForetoldKind = Literal["finished", "milled", "designed"]
@@ -31,7 +33,7 @@ class ReportPicture:
     name: str
     part: Part
     title: str
-    caption: str
+    caption: Phrase
     shown: Literal["wall", "page", "sheet"] = "sheet"
     note: str = ""
 
@@ -42,7 +44,7 @@ PICTURES = (
         part="lens",
         title="Target",
         note="what the light is to paint",
-        caption="The target: the picture the lens is to paint.",
+        caption=Phrase("The target: the picture the lens is to paint."),
         shown="wall",
     ),
     ReportPicture(
@@ -50,7 +52,7 @@ PICTURES = (
         part="light",
         title="Ideal caustic",
         note="of the lens as designed, before the tool blurs it",
-        caption="The simulated caustic: what a perfect surface paints on the wall, at the same exposure.",
+        caption=Phrase("The simulated caustic: what a perfect surface paints on the wall, at the same exposure."),
         shown="wall",
     ),
     ReportPicture(
@@ -58,7 +60,7 @@ PICTURES = (
         part="light",
         title="As milled",
         note="with all marks of the tool",
-        caption="The simulated caustic of the surface as the programs leave it.",
+        caption=Phrase("The simulated caustic of the surface as the programs leave it."),
         shown="wall",
     ),
     ReportPicture(
@@ -66,72 +68,88 @@ PICTURES = (
         part="light",
         title="As finished",
         note="after the work by hand: what the wall will show",
-        caption="The simulated caustic of the surface as the finish by hand leaves it: what the wall will show.",
+        caption=Phrase(
+            "The simulated caustic of the surface as the finish by hand leaves it: what the wall will show."
+        ),
         shown="wall",
     ),
     ReportPicture(
         name="prepared.png",
         part="lens",
         title="As given and prepared",
-        caption="The picture as given, and prepared for the wall: contrast is raised in what is large enough to show.",
+        caption=Phrase(
+            "The picture as given, and prepared for the wall: contrast is raised in what is large enough to show."
+        ),
         shown="page",
     ),
     ReportPicture(
         name="comparison.png",
         part="light",
         title="Caustic against target",
-        caption="Target, simulated caustic and the difference between them.",
+        caption=Phrase("Target, simulated caustic and the difference between them."),
     ),
     ReportPicture(
         name="comparison-as-finished.png",
         part="light",
         title="As finished against target",
-        caption="Target, the picture after finishing by hand and the difference between them.",
+        caption=Phrase("Target, the picture after finishing by hand and the difference between them."),
     ),
     ReportPicture(
         name="as-milled.png",
         part="light",
         title="As milled against design",
-        caption="Target, design and the surface that the programs leave, whole and in the part with the most detail. "
-        "The last one counts the grooves of every move, the steps of the machine and its height errors.",
+        caption=Phrase(
+            "Target, design and the surface that the programs leave, whole and in the part with the most detail. "
+            "The last one counts the grooves of every move, the steps of the machine and its height errors."
+        ),
     ),
     ReportPicture(
         name="through-focus.png",
         part="light",
         title="Out of focus",
-        caption="The same lens with the screen at other distances. It is in focus only at the distance it is made for.",
+        caption=Phrase(
+            "The same lens with the screen at other distances. It is in focus only at the distance it is made for."
+        ),
     ),
     ReportPicture(
         name="tolerances.png",
         part="light",
         title="Tolerances of the set-up",
-        caption="When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken "
-        "out), and a source of another size. Simulated with fewer rays than the scores above, so a decibel or two may "
-        "lie between them: what counts is the loss along a curve.",
+        caption=Phrase(
+            "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken "
+            "out), and a source of another size. Simulated with fewer rays than the scores above, so a decibel or two "
+            "may lie between them: what counts is the loss along a curve."
+        ),
     ),
     ReportPicture(
         name="lens.png",
         part="lens",
         title="Lens from above",
-        caption="The lens surface from above, as it lies on the mill: heights with contour lines, and its relief.",
+        caption=Phrase(
+            "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."
+        ),
     ),
     ReportPicture(
         name="flow.png",
         part="lens",
         title="Steps of the design",
-        caption="The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6).",
+        caption=Phrase(
+            "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."
+        ),
     ),
     ReportPicture(
         name="plan.png",
         part="programs",
         title="Plans to choose from",
-        caption="Passes to choose from: what the wall shows after more or fewer hours. The choice is marked.",
+        caption=Phrase("Passes to choose from: what the wall shows after more or fewer hours. The choice is marked."),
     ),
     ReportPicture(
         name="toolpath.png",
         part="programs",
         title="Paths of the programs",
-        caption="Each program from above. Left: some rows of the whole part. Right: every move in a small square.",
+        caption=Phrase(
+            "Each program from above. Left: some rows of the whole part. Right: every move in a small square."
+        ),
     ),
 )
 

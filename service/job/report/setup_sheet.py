@@ -7,15 +7,19 @@ has no scripts and loads nothing but the pictures beside it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Mapping, Sequence
-from functools import cache
+from dataclasses import asdict
+from functools import cache, reduce
 from math import isfinite, radians, tan
 from pathlib import PurePath
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
+from markupsafe import Markup
 
 from cam.materials import MATERIALS
+from phrases.phrase import Phrase, restore, say
 from service.job.files import CUT_OUT, FACE
 from service.job.finite_json import table
 from service.job.report.around import around_sentences, explain_zero_before_facing
@@ -32,15 +36,19 @@ from service.job.report.optics import (
     sentences_of_preparation,
     tolerance_sentences,
 )
-from service.job.report.pictures import PICTURES, ReportPicture
+from service.job.report.pictures import PICTURES
 from service.job.spec.lens_task import source_spread_mm
 from service.job.spec.light import SUN_DEG
 from service.job.spec.optics import ellipse_mm
+from service.page.files import FOLDER
 from service.wording import cutter, duration, number, shape_of, size, whole
 
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
 _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
+
+LANGUAGES = tuple(sorted(path.stem for path in FOLDER.glob("languages/*.json")))
+"""Beside English: those of the operator page."""
 
 _AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
 
@@ -56,15 +64,32 @@ def render_report(
     return render_page(describe_setup(report, spec=spec, files=files, title=title))
 
 
-def render_page(setup: Mapping[str, Any]) -> str:
+def render_page(setup: Mapping[str, Any], language: str = "en") -> str:
     """Return the same from what `describe_setup` returns."""
-    return _template().render(setup)
+    return _template().render(in_language(setup, language))
 
 
 def render_block(name: str, setup: Mapping[str, Any]) -> str:
-    """Return the HTML of one block of the page, from what `describe_setup` returns."""
+    """Return the HTML of one block of the page, from what `in_language` returns."""
     template = _template()
     return "".join(template.blocks[name](template.new_context(dict(setup))))
+
+
+def in_language(setup: Mapping[str, Any], language: str) -> dict[str, Any]:
+    """Return what `describe_setup` returns as another language says it, and the function `t` that says templates."""
+    words = {} if language == "en" else _read_table(language)
+
+    def t(template: str, **values: object) -> Markup:
+        """Return HTML: the template is trusted, its values are not."""
+        return Markup(words.get(template, template)).format(**values)
+
+    return {**say(setup, words), "t": t, "language": language}
+
+
+@cache
+def _read_table(language: str) -> dict[str, str]:
+    words: dict[str, str] = json.loads((FOLDER / f"languages/{language}.json").read_text("utf-8"))
+    return words
 
 
 def describe_setup(
@@ -78,7 +103,7 @@ def describe_setup(
 
     report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
     """
-    spec = spec or {}
+    spec, report = spec or {}, restore(report, table(report.get("phrases")))
     programs = _programs(report, spec)
     passes = [row for row in programs if not row["is_around"]]
     block = _block_of(report, spec, programs)
@@ -90,7 +115,7 @@ def describe_setup(
             row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
     return {
-        "title": title or _job_name(report) or "lens",
+        "title": title or _job_name(report) or Phrase("lens"),
         "report": report,
         "optics": table(report.get("optics")),
         "spec": {key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
@@ -114,20 +139,20 @@ def describe_setup(
         "throw": _throw(block, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         "check_rows": check_rows(programs),
         "finishing": make_finishing_card(report),
-        "holding": holding,
+        "holding": asdict(holding),
         "rapid_z_mm": rapid_z_mm,
         "tool_changes": _tool_changes(programs),
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         "main_pictures": _list_walls(files),
         "finish_pictures": [name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
-        "pictures": [one for one in PICTURES if one.name in files and one.shown != "wall"],
+        "pictures": [asdict(one) for one in PICTURES if one.name in files and one.shown != "wall"],
         "files": frozenset(files),
     }
 
 
-def _list_walls(files: Collection[str]) -> list[ReportPicture]:
+def _list_walls(files: Collection[str]) -> list[dict[str, Any]]:
     """Return the pictures of the wall that are there: the target, then what will be seen, the ideal last."""
-    found = [one for one in PICTURES if one.name in files and one.shown == "wall"]
+    found = [asdict(one) for one in PICTURES if one.name in files and one.shown == "wall"]
     return [*found[:1], *reversed(found[1:])]
 
 
@@ -241,14 +266,24 @@ def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
     if len(radii) < 2:
         return ""
     if not changed:
-        return "All passes use the same tool: it stays in, and Z0 is set once."
-    before = " and ".join(f"pass {passes[k]['number']}" for k in changed)
-    same = "; between the others the tool stays in and Z0 as it is" if len(changed) < len(radii) - 1 else ""
-    return f"Set it again after each tool change, that is before {before}{same}."
+        return Phrase("All passes use the same tool: it stays in, and Z0 is set once.")
+    named = [Phrase("pass {number}", number=passes[k]["number"]) for k in changed]
+    before = reduce(lambda names, name: Phrase("{first} and {second}", first=names, second=name), named)
+    if len(changed) == len(radii) - 1:
+        return Phrase("Set it again after each tool change, that is before {passes}.", passes=before)
+    return Phrase(
+        "Set it again after each tool change, that is before {passes}; between the others the tool stays in and Z0 as "
+        "it is.",
+        passes=before,
+    )
 
 
-def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [f"{row.get('file', 'a pass')}: {note}" for row in passes for note in row["notes"]]
+def _notes(passes: Sequence[Mapping[str, Any]]) -> list[Phrase]:
+    return [Phrase("{file}: {note}", file=_file_of(row), note=note) for row in passes for note in row["notes"]]
+
+
+def _file_of(row: Mapping[str, Any]) -> str:
+    return str(row.get("file", Phrase("a pass")))
 
 
 def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -259,10 +294,13 @@ def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]
 
 
-def _place_in_words(place: Mapping[str, Any]) -> str:
-    return (
-        f"X {number(place.get('x_mm'), 2)} Y {number(place.get('y_mm'), 2)}: "
-        f"{number(place.get('excess_um'), 1)} µm stay, over {number(place.get('area_mm2'), 3)} mm²"
+def _place_in_words(place: Mapping[str, Any]) -> Phrase:
+    return Phrase(
+        "X {x_mm} Y {y_mm}: {excess_um} µm stay, over {area_mm2} mm²",
+        x_mm=number(place.get("x_mm"), 2),
+        y_mm=number(place.get("y_mm"), 2),
+        excess_um=number(place.get("excess_um"), 1),
+        area_mm2=number(place.get("area_mm2"), 3),
     )
 
 
@@ -276,31 +314,40 @@ def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
     return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
 
 
-def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, Phrase]:
     """Return (kind, sentence) of the box at the top."""
     if not passes:
-        return "none", "No programs yet: this folder holds the lens only."
+        return "none", Phrase("No programs yet: this folder holds the lens only.")
     failed = [str(row.get("file", "?")) for row in passes if row["checked"] == "FAILED"]
     if failed:
-        return "bad", f"Do not mill. The check found faults in {', '.join(failed)}."
+        return "bad", Phrase("Do not mill. The check found faults in {files}.", files=", ".join(failed))
     if not all(row["checked"] for row in passes):
-        return "none", "No check is recorded for some of these programs: check them before you mill."
-    count = f"All {len(passes)} programs" if len(passes) > 1 else "The program"
-    return "good", f"{count} passed the check: read back from the written file and cut in simulation."
+        return "none", Phrase("No check is recorded for some of these programs: check them before you mill.")
+    if len(passes) == 1:
+        return "good", Phrase("The program passed the check: read back from the written file and cut in simulation.")
+    return "good", Phrase(
+        "All {count} programs passed the check: read back from the written file and cut in simulation.",
+        count=len(passes),
+    )
 
 
-def _tool_warnings(passes: Sequence[Mapping[str, Any]], clearance_mm: float) -> list[str]:
+def _tool_warnings(passes: Sequence[Mapping[str, Any]], clearance_mm: float) -> list[Phrase]:
     """Return warnings on cutters that have to reach deeper than a plain end mill of their diameter can."""
     sentences = []
     for row in passes:
         radius_mm, stick_out_mm = row.get("radius_mm"), row.get("stick_out_mm")
         if radius_mm and stick_out_mm and stick_out_mm > _SLENDER * 2 * radius_mm:
             sentences.append(
-                f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
-                f"{stick_out_mm - clearance_mm:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
-                f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
-                f"the walls of the lens. A wall farther away makes the lens flatter, about half as deep at twice the "
-                "distance."
+                Phrase(
+                    "{file}: a ball of {diameter_mm:g} mm diameter has to reach {depth_mm:.1f} mm deep, {times:.0f} "
+                    "times its diameter with clearance. Use a tapered ball cutter or one with a long relieved neck, "
+                    "and check that it clears the walls of the lens. A wall farther away makes the lens flatter, about "
+                    "half as deep at twice the distance.",
+                    file=_file_of(row),
+                    diameter_mm=2 * radius_mm,
+                    depth_mm=stick_out_mm - clearance_mm,
+                    times=stick_out_mm / (2 * radius_mm),
+                )
             )
     return sentences
 
@@ -327,7 +374,7 @@ def _throw(
         "ring_stays": block.ring_mm > 0 and block.margin_mm > 2 * max(radii, default=0.0) and not stock.get("cut_out"),
         "spread_mm": spread_mm,
         "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
-        "spread_of": "The sun's disc" if own_mm is None else "The size of the source",
+        "is_sun": own_mm is None,
         "light": light_sentences(spec),
         "screen": screen_sentence(spec),
         "viewed_from": optics.get("viewed_from"),

@@ -34,35 +34,40 @@ class LightWords:
 
     label: str
     hint: str
-    describe: Callable[[Mapping[str, Any], bool], str]
+    describe: Callable[[Mapping[str, Any], bool], Phrase]
     figures: tuple[str, ...] = ()
 
 
-def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> str:
+def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> Phrase:
     """Say what the light must be like, for the person who sets it up; light as plain data."""
     return LIGHT_WORDS[light.get("kind") or "collimated"].describe(light, is_mirror)
 
 
-def _describe_parallel(_light: Mapping[str, Any], is_mirror: bool) -> str:
+def _describe_parallel(_light: Mapping[str, Any], is_mirror: bool) -> Phrase:
     if is_mirror:
-        return "The light is parallel and comes straight onto the milled face."
-    return "The light is parallel and square to the flat back, and leaves through the milled face."
+        return Phrase("The light is parallel and comes straight onto the milled face.")
+    return Phrase("The light is parallel and square to the flat back, and leaves through the milled face.")
 
 
-def _describe_sun(_light: Mapping[str, Any], is_mirror: bool) -> str:
-    return f"The light is the sun's, square to {_face(is_mirror)}: turn the lens until it is."
+def _describe_sun(_light: Mapping[str, Any], is_mirror: bool) -> Phrase:
+    return Phrase("The light is the sun's, square to {face}: turn the lens until it is.", face=_face(is_mirror))
 
 
-def _describe_lamp(light: Mapping[str, Any], is_mirror: bool) -> str:
-    size = f"a lamp of {number(light.get('size_mm'))} mm diameter" if light.get("size_mm") else "a small lamp"
-    return (
-        f"The light is {size}, {number(light.get('distance_mm'))} mm from {_face(is_mirror)}, on the axis through the "
-        f"middle of the lens. Another distance changes size and sharpness of the picture."
+def _describe_lamp(light: Mapping[str, Any], is_mirror: bool) -> Phrase:
+    lamp = Phrase("a small lamp")
+    if size_mm := light.get("size_mm"):
+        lamp = Phrase("a lamp of {diameter_mm} mm diameter", diameter_mm=number(size_mm))
+    return Phrase(
+        "The light is {lamp}, {distance_mm} mm from {face}, on the axis through the middle of the lens. Another "
+        "distance changes size and sharpness of the picture.",
+        lamp=lamp,
+        distance_mm=number(light.get("distance_mm")),
+        face=_face(is_mirror),
     )
 
 
-def _face(is_mirror: bool) -> str:
-    return "the stock top (Z0), on the side of the wall" if is_mirror else "the flat back"
+def _face(is_mirror: bool) -> Phrase:
+    return Phrase("the stock top (Z0), on the side of the wall") if is_mirror else Phrase("the flat back")
 
 
 LIGHT_WORDS: dict[str, LightWords] = {
