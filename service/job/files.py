@@ -51,7 +51,7 @@ _KNOWN = {
     *(picture.name for picture in PICTURES), *COUPON_FILES, *COUPON_FIT_FILES,
 }  # fmt: skip
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
-_PATH = re.compile(r"pass-\d+\.path")
+_DRAWING = re.compile(r"pass-\d+\.path|report-[a-z]+\.html")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "phrases", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
@@ -92,6 +92,11 @@ def path_name(number: int) -> str:
     return f"pass-{number}.path"
 
 
+def page_in(language: str) -> str:
+    """Return the file that is the setup sheet in another language, for the operator page to link to."""
+    return f"report-{language}.html"
+
+
 def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return (name, sha256) of the programs of one row of report `passes`, in the order in which they are run."""
     return [(part["file"], part["sha256"]) for part in row.get("parts") or [row]]
@@ -114,7 +119,7 @@ def program_order(name: str) -> tuple[int, int, str]:
 
 def is_drawing(name: str) -> bool:
     """Return whether only the operator page reads the file: nobody wants it in a folder."""
-    return name in _DRAWINGS or _PATH.fullmatch(name) is not None
+    return name in _DRAWINGS or _DRAWING.fullmatch(name) is not None
 
 
 def is_known(name: str) -> bool:

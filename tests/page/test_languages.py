@@ -12,6 +12,7 @@ from string import Formatter
 from typing import Any
 
 import pytest
+from jinja2 import Environment, nodes
 from playwright.sync_api import Page, expect
 
 from phrases.phrase import Phrase, phrases_in, translate
@@ -25,6 +26,7 @@ from tests.page.conftest import Opened
 from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 
 TOP = Path(__file__).parents[2]
+TEMPLATES = TOP / "service/job/report/templates"
 TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
 PLACEHOLDER = re.compile(r"\{\w+\}")
@@ -142,7 +144,18 @@ def keys_of_the_server() -> set[str]:
                     template = getattr(node.args[0], "value", None)
                     assert isinstance(template, str), (path, node.lineno)
                     found.add(key_of(template))
+    found |= set(keys_of_the_sheet())
     return {key for key in found if re.search("[A-Za-z]", PLACEHOLDER.sub("", key))}
+
+
+def keys_of_the_sheet() -> Iterator[str]:
+    """Every template that the setup sheet's HTML looks up: of t("...")."""
+    for path in sorted(TEMPLATES.glob("*.html")):
+        for call in Environment().parse(path.read_text("utf-8")).find_all(nodes.Call):
+            if isinstance(call.node, nodes.Name) and call.node.name == "t":
+                [template] = call.args
+                assert isinstance(template, nodes.Const), (path, call.lineno)
+                yield template.value
 
 
 def key_of(template: str) -> str:
@@ -265,6 +278,15 @@ def test_what_a_server_says_is_told_in_the_language_of_the_page(opened: Opened) 
     assert told == {**translate(answer, phrases_in(answer), TABLES["de"]), "phrases": sent["phrases"]}
     assert told["a"][0] == TABLES["de"]["Save"] and told["a"][1] == "as it is"
     assert told["a"][2]["b"] == f"x.nc: {TABLES['de']['Left out: {0}, {1}.'].format('ball', 'why')}"
+
+
+def test_the_setup_sheet_is_the_one_in_the_language_of_the_page(opened: Opened) -> None:
+    script = "async (names) => (await import('/page/job/save.js')).sheetOf(new Map(names.map((name) => [name, name])))"
+    every = ["report.html", "report-de.html", "report-ja.html"]
+    page = opened(script=of_languages("de"))
+    assert page.evaluate(script, every) == "report-de.html"
+    assert page.evaluate(script, ["report.html", "report-ja.html"]) == "report.html"  # of a job made earlier
+    assert opened().evaluate(script, every) == "report.html"
 
 
 def test_english_loads_no_table(page: Page) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from service.job import files as job_files
 from service.job.report.setup_pdf import SHOWN, render_setup_pdf
-from service.job.report.setup_sheet import describe_setup, render_page
+from service.job.report.setup_sheet import LANGUAGES, describe_setup, render_page
 from service.job.spec.finish_library import instruct_finishing
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
@@ -43,6 +43,8 @@ def run_report(context: StageContext) -> None:
     files = {path.name for path in context.folder.iterdir()} | context.files | {job_files.REPORT, job_files.REPORT_PAGE}
     setup = describe_setup(report, spec=spec, files=files)
     context.save(job_files.REPORT_PAGE, render_page(setup).encode())
+    for language in LANGUAGES if context.is_shown else ():
+        context.save(job_files.page_in(language), render_page(setup, language).encode())
     picture = next((path for name in SHOWN if (path := context.folder / name).is_file()), None)
     context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture.read_bytes() if picture else None))
     job_files.write_json(context.folder / job_files.REPORT, report)

@@ -13,7 +13,7 @@ from service.processes.source_tree import parse
 _ROOT = Path(__file__).parents[3]
 _PACKAGES = ("phrases", "optics", "cam", "machines", "service")
 _DATA = {  # files, or folders of them, that a module reads as if they were code
-    "service.job.report.setup_sheet": ("service/job/report/templates",),
+    "service.job.report.setup_sheet": ("service/job/report/templates", "service/page/languages"),
     "service.job.spec.finish_library": ("service/job/spec/finishing.toml",),
 }
 

@@ -8,9 +8,8 @@ import { eyeWords, isHard } from "./eye_words.js";
 import { likenessOf, millSeconds } from "./figures.js";
 import { knownMills, sendLink } from "./files.js";
 import { ON_THE_WALL, pictureShelf } from "./pictures.js";
-import { sheetLink } from "./save.js";
+import { sheetLink, sheetOf } from "./save.js";
 
-const SHEET = "report.html";
 const SEEN = ON_THE_WALL.filter(({ name }) => name !== "target.png"); // from ideal to what will really be seen
 
 /** {node, update(job, artifacts), free()}; there once the job has succeeded. */
@@ -46,7 +45,7 @@ function words(job, artifacts, toMill, mills) {
   const { report, programs } = job, isMilled = programs.length > 0 && toMill.length === 0;
   const finish = report?.finishing?.steps.length > 0 && report.finishing;
   const seen = likenessOf(report?.as_finished) ?? likenessOf(report?.as_milled) ?? likenessOf(report?.optics);
-  const sheet = artifacts.get(SHEET);
+  const sheet = sheetOf(artifacts);
   const share = shareWords(programs.length - toMill.length, programs.length, hours(millSeconds(report) ?? NaN));
   const [program, mill] = [toMill[0], mills[0]];
   const send = program && mill && sendLink(job, program, mill, { alone: mills.length === 1, first: true });

@@ -6,7 +6,7 @@ import { mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf, programRows } from "./figures.js";
 import { PICTURES } from "./report_pictures.js";
-import { saveLink, sheetLink } from "./save.js";
+import { saveLink, sheetLink, sheetOf } from "./save.js";
 
 const SHEET = "report.html";
 const OFFERED = [
@@ -112,7 +112,8 @@ export function filesPart() {
     if (key === shown) return;
     shown = key;
     const offered = OFFERED.filter(([name]) => artifacts.has(name));
-    replace(list, offered.map(([name, words, why]) => fileRow(artifacts.get(name), words, why, name === SHEET)));
+    const file = (name) => (name === SHEET ? sheetOf(artifacts) : artifacts.get(name));
+    replace(list, offered.map(([name, words, why]) => fileRow(file(name), words, why, name === SHEET)));
     replace(every, files.map((file) => fileRow(file, file.name, TITLES.get(file.name))));
     const total = files.reduce((sum, file) => sum + file.bytes, 0);
     const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${jobName(job)}.zip`, size: total };

@@ -6,7 +6,7 @@
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
-import { t } from "../lib/language.js";
+import { language, t } from "../lib/language.js";
 import { bytes, percent } from "../lib/words.js";
 
 /** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told.
@@ -21,6 +21,11 @@ export function saveLink({ url, name, size, words, plain = false, fetched = fals
     fetchAndSave({ url: link.getAttribute("href"), name: link.download, size, link }).finally(() => delete link.dataset.busy);
   });
   return link;
+}
+
+/** The setup sheet among a job's files, in the language of the page where it was written in it. */
+export function sheetOf(artifacts) {
+  return artifacts.get(`report-${language}.html`) ?? artifacts.get("report.html");
 }
 
 /** The setup sheet: opens beside this page; where that needs a token, it is saved with its pictures in it. */

@@ -20,7 +20,7 @@ from tests.trials.server.customers import Order
 
 _HASH = re.compile(r"[0-9a-f]{64}")
 # They tell of times, of the picture's name and of tries: equal jobs may differ in them.
-_OWN = re.compile(r"report\.(json|html)|setup-sheet\.pdf|.*\.log")
+_OWN = re.compile(r"report(-\w+)?\.(json|html)|setup-sheet\.pdf|.*\.log")
 _MUST_HAVE = {
     "spec.json", "report.json", "report.html", "setup-sheet.pdf", "target.png", "map.npz", "heightfield.npz",
     "lens.stl", "caustic.png", "through-focus.png", "toolpath.png", "caustic-as-milled.png", "as-milled.png",

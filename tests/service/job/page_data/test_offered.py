@@ -15,7 +15,7 @@ from service.job.files import is_drawing, is_known, is_program
 from tests.service.job.page_data.paths import batch_of, cut_in, header, level, rows, written
 from tests.service.server.api.server import ApiServer, api_server
 
-DRAWINGS = ("surface.bin", "thumbnail.png", "thumbnail-as-milled.png", "pass-1.path", "pass-12.path")
+DRAWINGS = ("surface.bin", "thumbnail.png", "thumbnail-as-milled.png", "pass-1.path", "pass-12.path", "report-de.html")
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServer]:
         yield running
 
 
-@pytest.mark.parametrize("name", [*DRAWINGS, "pass-1-rough.nc", "lens.stl", "pass-1.pathx", "a-pass-1.path"])
+@pytest.mark.parametrize(
+    "name", [*DRAWINGS, "pass-1-rough.nc", "lens.stl", "report.html", "pass-1.pathx", "a-pass-1.path"]
+)
 def test_names_tell_drawings_from_what_a_person_wants(name: str) -> None:
     assert is_drawing(name) == (name in DRAWINGS)
     assert not (is_drawing(name) and is_program(name))

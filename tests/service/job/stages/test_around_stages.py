@@ -14,13 +14,14 @@ import pytest
 from cam.reading.gcode import read_program
 from machines.profile import load_profile
 from service.errors import ServiceError, SpecError
-from service.job.files import is_program, program_order, programs_in_order
+from service.job.files import is_program, page_in, program_order, programs_in_order
 from service.job.report.around import around_sentences
-from service.job.report.setup_sheet import render_report
+from service.job.report.setup_sheet import LANGUAGES, render_report
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import cut_out_of, facing_task_of, without_derived
 from service.job.spec.resolved import look_up
 from service.job.stages.table import plan
+from tests.service.job.report.test_sheet_in_languages import said_past_the_tables
 from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
 
 FACE = "stock.face={above_mm=0.5,radius_mm=1}"
@@ -106,6 +107,13 @@ def test_the_setup_sheet_says_what_happens_around_the_passes(job: StagedJob) -> 
     ):  # fmt: skip
         assert words in page, words
     assert "cut the block along the outline" not in page
+
+
+def test_the_setup_sheet_is_there_in_the_languages_of_the_page(job: StagedJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    for language in LANGUAGES:
+        assert f'<html lang="{language}">' in job.bytes(page_in(language)).decode()
+    report, spec = (json.loads(job.bytes(name)) for name in ("report.json", "spec.json"))
+    assert said_past_the_tables(report, spec, monkeypatch) == []
 
 
 def test_a_job_without_all_that_says_nothing_of_it() -> None:
