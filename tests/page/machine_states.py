@@ -41,6 +41,7 @@ MACHINE: dict[str, Any] = {
     "mill": {
         "state": "idle",
         "detail": "",
+        "phrases": {},
         "code": "",
         "alarm": 0,
         "work_mm": [12.4, -7.02, 5.0],

@@ -27,7 +27,11 @@ from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 
 TOP = Path(__file__).parents[2]
 TEMPLATES = TOP / "service/job/report/templates"
-TABLES = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob("languages/*.json"))}
+OF_PAGE, OF_SERVER = (
+    {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(FOLDER.glob(f"languages/{names}"))}
+    for names in ("*.json", "server/*.json")
+)
+TABLES = {language: OF_PAGE[language] | OF_SERVER[language] for language in OF_PAGE}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
 PLACEHOLDER = re.compile(r"\{\w+\}")
 QUICK = ("new-everything", "job-planned", "machine-interrupted")
@@ -53,7 +57,7 @@ Object.defineProperty(navigator, "languages", { get: () => ["de-AT"] });
 const load = window.fetch;
 window.fetch = async (path, ...how) => {
     const answer = await load(path, ...how);
-    if (!String(path).endsWith("languages/de.json")) return answer;
+    if (!String(path).endsWith("/de.json")) return answer;
     const mark = (key) => `\\u200b${key.replaceAll(/\\{\\w+\\}/g, "\\u00ad$&\\u200b")}\\u00ad`;
     return Response.json(Object.fromEntries(Object.keys(await answer.json()).map((key) => [key, mark(key)])));
 };
@@ -201,10 +205,11 @@ def test_keys_are_read_out_of_sources() -> None:
 
 @pytest.mark.parametrize("language", TABLES)
 def test_no_sentence_is_missing_and_none_left_over(modules: Page, language: str) -> None:
-    keys, table = keys_of_the_page(modules) | keys_of_the_server(), TABLES[language]
-    assert len(keys) > 1000
-    assert sorted(keys - set(table)) == []
-    assert sorted(set(table) - keys) == []
+    page, server = keys_of_the_page(modules), keys_of_the_server()
+    assert len(page) > 1000 and len(server) > 1000
+    for keys, table in ((page, OF_PAGE[language]), (server - page, OF_SERVER[language])):
+        assert sorted(keys - set(table)) == []
+        assert sorted(set(table) - keys) == []
 
 
 @pytest.mark.parametrize("language", TABLES)
@@ -267,17 +272,23 @@ def test_what_a_server_says_is_told_in_the_language_of_the_page(opened: Opened) 
     """The page's own way and that of a document on paper come to the same words."""
     of = Phrase("Left out: {0}, {1}.", **{"0": "ball", "1": "why"})
     answer = {
-        "a": [Phrase("Save"), "as it is", {"b": Phrase("{file}: {what}", file="x.nc", what=of)}],
+        "a": [
+            Phrase("Save"),
+            Phrase("the program moves nothing"),
+            "as it is",
+            {"b": Phrase("{file}: {what}", file="x.nc", what=of)},
+        ],
         "c": None,
         "d": 7,
     }
     sent = {**answer, "phrases": phrases_in(answer)}
     page = opened(script=of_languages("de"))
-    script = "async (sent) => (await import('/page/lib/language.js')).translate(sent)"
-    told = page.evaluate(script, sent)
+    script = "async (sent) => (await import('/page/lib/language.js')).readAnswer(sent)"
+    told = page.evaluate(script, json.dumps(sent, separators=(",", ":")))
     assert told == {**translate(answer, phrases_in(answer), TABLES["de"]), "phrases": sent["phrases"]}
-    assert told["a"][0] == TABLES["de"]["Save"] and told["a"][1] == "as it is"
-    assert told["a"][2]["b"] == f"x.nc: {TABLES['de']['Left out: {0}, {1}.'].format('ball', 'why')}"
+    of_page, of_server, as_it_is, made = told["a"]
+    assert (of_page, of_server) == (OF_PAGE["de"]["Save"], OF_SERVER["de"]["the program moves nothing"])
+    assert as_it_is == "as it is" and made["b"] == f"x.nc: {TABLES['de']['Left out: {0}, {1}.'].format('ball', 'why')}"
 
 
 def test_the_setup_sheet_is_the_one_in_the_language_of_the_page(opened: Opened) -> None:

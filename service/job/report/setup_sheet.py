@@ -88,8 +88,8 @@ def in_language(setup: Mapping[str, Any], language: str) -> dict[str, Any]:
 
 @cache
 def _read_table(language: str) -> dict[str, str]:
-    words: dict[str, str] = json.loads((FOLDER / f"languages/{language}.json").read_text("utf-8"))
-    return words
+    tables = (FOLDER / "languages" / f"{folder}{language}.json" for folder in ("", "server/"))
+    return {key: words for path in tables for key, words in json.loads(path.read_text("utf-8")).items()}
 
 
 def describe_setup(

@@ -6,7 +6,7 @@
  * with `onAway` is told both.
  */
 
-import { t, translate } from "./language.js";
+import { readAnswer, t } from "./language.js";
 
 const TIMEOUT_MS = 20_000;
 const AGREE_MS = 5000;
@@ -247,7 +247,7 @@ function compareClocks(response) {
 async function problemOf(response) {
   let body = {};
   try {
-    body = translate(await response.json());
+    body = await readAnswer(await response.text());
   } catch {
     // a proxy's page, or nothing: the status must do
   }
@@ -258,7 +258,7 @@ async function problemOf(response) {
 async function readJson(response) {
   if (response.status === 204) return null;
   const text = await response.text();
-  return text ? translate(JSON.parse(text)) : null;
+  return text ? readAnswer(text) : null;
 }
 
 function setWho(found) {

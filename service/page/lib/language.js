@@ -1,12 +1,13 @@
 /**
  * The page's words in the language of who reads it. English stands in the sources, and is the key of the tables in
- * languages/; a table is loaded before anything else, and only where it is needed. tests/page/test_languages.py holds them
- * complete.
+ * languages/; a table is loaded before anything else, and only where it is needed; that of the server's sentences with the
+ * first of them. tests/page/test_languages.py holds them complete.
  */
 
 /** What each language calls itself. */
 export const LANGUAGES = { en: "English", de: "Deutsch", ja: "日本語" };
 const KEPT = "causticmill-language";
+const LATE_MS = 1000;
 const LOAD_MS = 5000; // then in English: HOLD and STOP do not wait for words
 
 /** What a person has chosen here, or else the first language of the browser that the page knows. */
@@ -15,11 +16,14 @@ export const language = [localStorage.getItem(KEPT), ...navigator.languages.map(
 );
 /** The same with the person's country, for dates and times. */
 export const locale = navigator.languages.find((one) => one.split("-")[0] === language) ?? language;
-const table = language === "en" ? {} : await load();
+const table = language === "en" ? {} : await load("");
+let sentences = {}; // of the server
+/** @type {Promise<void> | undefined} */
+let coming;
 document.documentElement.lang = table ? language : "en";
 
-async function load() {
-  const answer = await fetch(`/page/languages/${language}.json`, { signal: AbortSignal.timeout(LOAD_MS) }).catch(() => null);
+async function load(folder) {
+  const answer = await fetch(`/page/languages/${folder}${language}.json`, { signal: AbortSignal.timeout(LOAD_MS) }).catch(() => null);
   return answer?.ok ? answer.json().catch(() => null) : null;
 }
 
@@ -30,8 +34,21 @@ export function t(words, ...values) {
   return values.length ? found.replace(/\{(\d)\}/g, (_, k) => values[k]) : found;
 }
 
-/** An answer of the server with its sentences in the language of who reads it: `phrases`, anywhere in it, tells by its text
- * of what template and values each is made. */
+/** An answer of the server, which came as JSON, with its sentences in the language of who reads it. */
+export async function readAnswer(text) {
+  const answer = JSON.parse(text);
+  if (language !== "en" && text.includes('"phrases":{"')) await loadSentences();
+  return translate(answer);
+}
+
+/** English after a second: what a mill does is not to wait for words. */
+function loadSentences() {
+  coming ??= load("server/").then((found) => void (sentences = found ?? {}));
+  return Promise.race([coming, new Promise((done) => setTimeout(done, LATE_MS))]);
+}
+
+/** The same at once, by what is loaded: `phrases`, anywhere in it, tells by its text of what template and values each sentence
+ * is made. */
 export function translate(answer, phrases = {}) {
   if (typeof answer === "string") return Object.hasOwn(phrases, answer) ? say(phrases[answer]) : answer;
   if (!table || language === "en" || typeof answer !== "object" || answer === null) return answer;
@@ -41,7 +58,7 @@ export function translate(answer, phrases = {}) {
 }
 
 function say({ template, values }) {
-  return (table?.[template] ?? template).replace(/\{(\w+)\}/g, (place, name) => {
+  return (sentences[template] ?? table?.[template] ?? template).replace(/\{(\w+)\}/g, (place, name) => {
     if (!Object.hasOwn(values, name)) return place;
     return typeof values[name] === "string" ? values[name] : say(values[name]);
   });
