@@ -15,3 +15,7 @@ THOROUGH = "CAUSTICMILL_SLOW" in os.environ
 def mostly_thorough(values: Iterable[Any], quick: Iterable[Any]) -> list[Any]:
     """For `parametrize`: only those of `quick` are run by everybody."""
     return [value if value in quick else pytest.param(value, marks=pytest.mark.thorough) for value in values]
+
+
+DATABASES = mostly_thorough(("sqlite", "postgresql"), quick=("sqlite",))
+"""On which the same is held."""

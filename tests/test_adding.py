@@ -6,6 +6,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from tests.adding import copy_tree, run_in_copy
 
 SCHEMA = """
@@ -62,6 +64,7 @@ print(json.dumps({
     assert "clear ice, frozen slowly" in found["sheet"]
 
 
+@pytest.mark.thorough
 def test_a_kind_of_light_is_added_in_two_files(tmp_path: Path) -> None:
     """What it does to light in one, what a person reads of it in the other: a disc of directions, a little smaller than
     the sun's."""
@@ -184,6 +187,7 @@ print(json.dumps({
     assert len(found["faults"]) == 3 and "'none' or 'mist' in dialect 'mach'" in found["faults"][2]
 
 
+@pytest.mark.thorough
 def test_a_cutter_s_shape_is_added_in_one_file(tmp_path: Path) -> None:
     """A bull-nose faces a block: rows lie apart and leave cusps as its corner has them, and the check cuts with it."""
     known = "in (end_mill(0.0), BALL)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
@@ -48,6 +49,7 @@ def test_one_button_begins_and_any_change_ends(modules: Page) -> None:
     modules.evaluate("delete navigator.getGamepads")
 
 
+@pytest.mark.thorough
 def test_it_moves_the_mill_only_while_the_pad_is_armed(opened: Opened) -> None:
     page = with_control(opened, "idle")
     page.evaluate(f"() => {{ window.down = []; {PAD} }}")

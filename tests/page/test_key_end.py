@@ -23,6 +23,7 @@ def end_in(page: Page, minutes: float) -> None:
     page.evaluate(LOOK)
 
 
+@pytest.mark.thorough
 def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened) -> None:
     page = opened(NOWHERE, key="Ada", errors=("status of 401",))
     end_in(page, 125)

@@ -34,7 +34,7 @@ OF_PAGE, OF_SERVER = (
 TABLES = {language: OF_PAGE[language] | OF_SERVER[language] for language in OF_PAGE}
 STARTS = re.compile(r"""(?<![\w.$])t(?:\(\s*("(?:[^"\\]|\\.)*")|`)""")
 PLACEHOLDER = re.compile(r"\{\w+\}")
-QUICK = ("new-everything", "job-planned", "machine-interrupted")
+QUICK = ("job-planned",)
 
 
 def of_a_machine_watched(state: str) -> Screen:
@@ -138,6 +138,7 @@ def keys_of_the_page(modules: Page) -> set[str]:
     return own | told | {key for source in sources for key in keys_in(source)}
 
 
+@cache
 def keys_of_the_server() -> set[str]:
     """Every template of a phrase that says more than its values, as sources and the library of processes have it."""
     found = {one.template for one in built_in_sentences().values()}

@@ -254,6 +254,7 @@ def test_jobs_are_found_by_name_and_sorted_however_many_there_are(opened: Opened
     expect(page.get_by_text("No job has this in its name.")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_many_jobs_are_deleted_at_once_after_one_question(opened: Opened) -> None:
     """Only those that are ticked and shown; one that is refused stays and says why."""
     jobs = [summary(number, "succeeded", name=f"Lens {number}.png") for number in range(4)]

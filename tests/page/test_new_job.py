@@ -93,6 +93,7 @@ def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choice
             assert {value for value, *_ in row["choices"]} == set(told[row["key"]]["enum"]), row["key"]
 
 
+@pytest.mark.thorough
 def test_a_key_that_is_new_in_the_spec_has_its_row(watched: Callable[..., Watched]) -> None:
     """Of what the schema says of it: label, hint, unit, limits, default; and what a person fills in is asked for."""
     schema = JobSpec.model_json_schema()
@@ -232,6 +233,7 @@ def test_the_part_is_chosen_by_dragging_and_by_the_keyboard_alike(new_job: Page,
     assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[:, 20:])
 
 
+@pytest.mark.thorough
 def test_the_height_follows_the_width_until_somebody_sets_it(new_job: Page, sent: list[Any]) -> None:
     """In the proportion that it had; a width on its way to be typed leaves nothing behind."""
     width, height = (new_job.get_by_label(name, exact=True) for name in ("Width", "Height"))
@@ -275,6 +277,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
+@pytest.mark.thorough
 def test_how_fine_is_chosen_beside_the_size_and_only_a_plan_can_keep_a_time(new_job: Page, sent: list[Any]) -> None:
     main = new_job.get_by_role("region", name="Mill, size, time")
     names = main.get_by_role("group", name="How fine").get_by_role("radio")

@@ -89,7 +89,7 @@ def at_mill(opened: Opened, state: str, **how: Any) -> Page:
     return page
 
 
-@pytest.mark.parametrize("what", mostly_thorough(PRESSES, quick=["jog", "start", "recover"]))
+@pytest.mark.parametrize("what", mostly_thorough(PRESSES, quick=["jog", "start"]))
 def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened, what: str) -> None:
     state, press = PRESSES[what]
     page = at_mill(opened, state)
@@ -161,6 +161,7 @@ def test_every_refusal_of_an_order_is_one_plain_sentence(modules: Page) -> None:
         assert words.endswith(".")
 
 
+@pytest.mark.thorough
 def test_a_plan_that_has_changed_is_shown_and_ticked_anew(opened: Opened) -> None:
     plans = [READY]
     page = at_mill(opened, "stopped", errors=("status of 409",))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import pytest
 from playwright.sync_api import FilePayload, Route, expect
 
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
@@ -51,6 +52,7 @@ def test_without_a_lens_no_photograph_is_asked_for(opened: Opened) -> None:
     expect(page.locator(".job-photo")).to_be_hidden()
 
 
+@pytest.mark.thorough
 def test_the_test_piece_is_that_of_the_chosen_machine_and_its_figures_go_into_the_job(opened: Opened) -> None:
     """Of another machine the archive is another, and what was measured of the first is not said, even if it is late."""
     page = opened("#/new")

@@ -67,6 +67,7 @@ def test_the_program_that_is_named_is_the_one_that_is_loaded(
     expect(page.locator(".running h2")).to_contain_text(f"{run['program']['name']} of astronaut")
 
 
+@pytest.mark.thorough
 def test_what_the_line_names_it_loads(opened: Opened) -> None:
     page = shown(opened, pass_of(1))
     asked: list[dict[str, Any]] = []
@@ -126,6 +127,7 @@ def test_the_zero_of_another_job_is_asked_for(opened: Opened) -> None:
     expect(go).to_be_enabled()
 
 
+@pytest.mark.thorough
 def test_a_block_that_is_still_there_keeps_its_zero_in_x_and_y(opened: Opened) -> None:
     page = with_control(opened, "idle")
     wait_after(page, {"job": OTHER, "job_name": NAMES[OTHER]})

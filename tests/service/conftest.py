@@ -12,6 +12,7 @@ import structlog
 
 from service.server.database.schema import open_database
 from service.settings import ServerSettings
+from tests.levels import DATABASES
 from tests.service import databases
 from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 
@@ -43,7 +44,7 @@ def postgres() -> Iterator[Postgres]:
         yield server
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=DATABASES)
 def empty_farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
     """Settings of a server with a database of its own, of each kind; the artifact store is a folder."""
     if request.param == "sqlite":
@@ -52,7 +53,7 @@ def empty_farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings
     return databases.on_postgres(tmp_path, server.url())
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=DATABASES)
 def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
     """The same with its tables, and the engine's, up to date: a copy of a database that was made once."""
     return databases.farm(request, tmp_path)

@@ -159,6 +159,7 @@ def test_a_picture_of_the_report_is_in_the_folder_on_the_sheet_and_on_the_page(t
     assert [(row["title"], row["caption"], row["shown"]) for row in told["page"]] == [("T", "Its tones.", "page")]
 
 
+@pytest.mark.thorough
 def test_a_field_of_the_spec_brings_its_words_to_the_page(tmp_path: Path) -> None:
     """What the page makes of them: tests/page/test_new_job.py."""
     told = run(copy_tree(tmp_path / "copy", _FIELD), _THE_FORM)

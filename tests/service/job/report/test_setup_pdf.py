@@ -105,6 +105,7 @@ def test_whatever_it_has_to_say_stays_on_the_page(name: str, warnings: list[str]
     assert all(row["file"] in text and row["sha256"][:8] in text for row in rows)
 
 
+@pytest.mark.thorough
 def test_warnings_give_way_to_what_must_be_known_and_say_so() -> None:
     warnings = [f"Warning {number}: " + "something long is said of the mill " * 6 for number in range(40)]
     text = words(sheet_of(REPORT | {"warnings": warnings}))
@@ -121,6 +122,7 @@ def test_what_was_said_of_the_picture_does_not_matter_at_the_mill() -> None:
     assert "The feed is high." in text and "The picture is small." not in text
 
 
+@pytest.mark.thorough
 def test_a_mirror_says_so() -> None:
     text = words(sheet_of(spec=SPEC | {"optics": SPEC["optics"] | {"surface": "mirror"}}))
     assert "silvered or coated" in text and "from the wall's side" in text and "polished back" not in text
@@ -138,6 +140,7 @@ def _curve_points(content: bytes) -> list[Any]:
     return [one for one, operator in drawn.operations if operator == b"l"]
 
 
+@pytest.mark.thorough
 def test_a_program_in_parts_names_the_first_and_the_last() -> None:
     parts = [{"file": f"pass-1-rough-{k:02d}.nc", "sha256": f"{k}" * 64} for k in (1, 2, 3)]
     text = words(sheet_of(REPORT | {"passes": [program(1, parts=parts, file=parts[0]["file"])]}))
@@ -145,6 +148,7 @@ def test_a_program_in_parts_names_the_first_and_the_last() -> None:
     assert "11111111 … 33333333" in text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "report", [{}, {"passes": []}, {"passes": [{}]}, {"passes": [{"file": "a.nc", "bounds": None}]}]
 )

@@ -27,6 +27,7 @@ from service.server.worker.reconcile import Reconciler
 from service.server.worker.retention import DAY_S, Retention
 from service.settings import ServerSettings
 from service.store.opening import open_store
+from tests.levels import DATABASES
 from tests.service.server.api.server import api_server, png
 from tests.service.server.database.many_jobs import EVERY_S, job_id, load, run_id, state_of
 
@@ -51,7 +52,7 @@ OTHERS_TABLES = ("/v1/tokens", "/v1/pairings")
 ORDERS = ("/v1/machines/{machine}/", "/v1/runs/{id:uuid}:", "/v1/runs/{id:uuid}/")
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=DATABASES)
 def farm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ServerSettings:
     """As the fixture of all tests, but one database for all of these: it takes a while to fill."""
     folder = tmp_path_factory.mktemp("plans")

@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from service.server.api.access.guard import Limiter
+from tests.levels import mostly_thorough
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent
 from tests.service.server.fleet.shop import Shop, own_folders
@@ -72,7 +73,7 @@ def test_an_order_with_a_mad_answer_is_sent_once(far: tuple[Shop, Rogue], what: 
     assert sent(rogue, "home") == 1
 
 
-@pytest.mark.parametrize("what", ["hold", "abort", "jog-cancel"])
+@pytest.mark.parametrize("what", mostly_thorough(("hold", "abort", "jog-cancel"), quick=("abort",)))
 def test_what_stops_the_mill_is_sent_again_and_its_fate_known_soon(far: tuple[Shop, Rogue], what: str) -> None:
     floor, rogue = far
     rogue.answers = lambda _method, _path: None
