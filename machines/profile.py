@@ -10,7 +10,6 @@ import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from machines.profile_values import LINK_VALUES, PROFILE_VALUES, SPINDLE_VALUES,
 from phrases.phrase import Phrase
 
 _MOST_EXTENDS = 8
+_BUILT_IN = Path(__file__).with_name("profiles")
 
 
 class UnknownProfileError(LookupError):
@@ -191,8 +191,7 @@ def find_profiles(folders: Sequence[Path] | None = None) -> dict[str, str]:
     """Return the file of each profile by name, sorted; a person's own profile takes the place of a built-in of its
     name.
     """
-    built_in = resources.files("machines") / "profiles"
-    found = {e.name.removesuffix(".toml"): str(e) for e in built_in.iterdir() if e.name.endswith(".toml")}
+    found = {path.stem: str(path) for path in _BUILT_IN.glob("*.toml")}
     for folder in reversed(user_folders() if folders is None else folders):
         if folder.is_dir():
             found |= {path.stem: str(path) for path in folder.glob("*.toml")}
@@ -247,6 +246,8 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
         tables = {name: _check_table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
         own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
+        if Path(file).parent == _BUILT_IN:
+            own["description"] = Phrase.of_text(own["description"])
         if own.setdefault("name", name) != name:
             raise BadValueError("name", own["name"], Phrase("the name of the file, '{name}'", name=name))
         if extends is None:

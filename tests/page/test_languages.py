@@ -15,6 +15,7 @@ import pytest
 from jinja2 import Environment, nodes
 from playwright.sync_api import Page, expect
 
+from machines.profile import load_profile, profile_names
 from phrases.phrase import Phrase, phrases_in, translate
 from service.job.spec.finish_library import built_in_sentences
 from service.page.files import FOLDER
@@ -142,6 +143,7 @@ def keys_of_the_page(modules: Page) -> set[str]:
 def keys_of_the_server() -> set[str]:
     """Every template of a phrase that says more than its values, as sources and the library of processes have it."""
     found = {one.template for one in built_in_sentences().values()}
+    found |= {load_profile(name, ()).description for name in profile_names(())}
     for package in ("optics", "cam", "machines", "service"):
         for path in (TOP / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):

@@ -26,7 +26,7 @@ function isHere({ mills }) {
 
 /** "simulated (grbl)", "shop" for a mill with a profile of its own, "grbl: desktop router". */
 function words(profile) {
-  if (!isHere(profile)) return `${profile.name}: ${profile.description.split(/[,;]/)[0]}`;
+  if (!isHere(profile)) return `${profile.name}: ${profile.description.split(/[,;、]/)[0]}`;
   const names = profile.mills.map(({ name }) => name).join(", ");
   return profile.mills.some(({ name }) => name === profile.name) ? names : `${names} (${profile.name})`;
 }

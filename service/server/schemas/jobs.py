@@ -187,6 +187,7 @@ class ProfileView(Body):
 
 class ProfileList(Body):
     profiles: list[ProfileView]
+    phrases: Phrases
 
 
 class Root(Body):

@@ -21,6 +21,7 @@ from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
 from service.server.fleet.registry import KnownMachine, read_machines
+from service.server.schemas.base import phrase_views
 from service.server.schemas.jobs import (
     JOB_EXAMPLE,
     PROFILE_EXAMPLE,
@@ -139,7 +140,8 @@ def _read_profiles(settings: ServerSettings) -> ProfileList:
                 stated=ProfileBody.model_validate(stated[profile.name]) if profile.name in stated else None,
             )
             for profile in profiles
-        ]
+        ],
+        phrases=phrase_views([profile.description for profile in profiles]),
     )
 
 
