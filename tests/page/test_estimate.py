@@ -256,14 +256,14 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     page.route("**/v1/estimates", foretell)
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
-    shown = page.get_by_role("region", name="What shows more")
+    shown = page.get_by_role("region", name="What would show more")
     expect(shown.get_by_role("button")).to_have_text(
         ["A picture that is prepared for what shows", "A lens of 150 x 150 mm"]
     )
     expect(shown.get_by_role("listitem").nth(1)).to_contain_text(psnr_in_words(22.0))
     shown.get_by_role("button", name="A lens of").click()
     expect(page.get_by_label("Width", exact=True)).to_have_value("150")
-    expect(shown.get_by_role("button", name="What shows more?")).to_be_visible()  # it is not hard any more
+    expect(shown.get_by_role("button", name="What would show more?")).to_be_visible()  # it is not hard any more
     page.get_by_role("button", name="Undo").click()
     expect(page.get_by_label("Width", exact=True)).not_to_have_value("150")
 
@@ -283,7 +283,7 @@ def test_who_comes_from_a_job_for_what_shows_more_is_led_there(opened: Opened, w
     page.route("**/request", lambda route: route.fulfill(json=asked | {"spec": {"preset": "draft"}}))
     page.route(f"**{asked['image']}", lambda route: route.fulfill(body=picture()))
     page.evaluate("address => { location.hash = address }", f"#/new?from={canned_job.JOB_ID}{way}")
-    shown = page.get_by_role("region", name="What shows more")
+    shown = page.get_by_role("region", name="What would show more")
     expect(shown.get_by_role("listitem")).to_have_count(1)
     if way:
         expect(shown).to_be_focused()

@@ -451,7 +451,7 @@ def test_a_made_lens_shows_the_wall_big_and_what_to_do_next_until_it_is_milled(o
     ending = page.get_by_role("region", name="Your lens is ready to mill")
     expect(ending.get_by_role("img", name="On the wall, as milled")).to_be_visible()
     expect(ending.get_by_role("listitem")).to_have_text([re.compile("Mill it"), re.compile("Shine light through it")])
-    expect(ending.get_by_role("link", name="What shows more?")).to_have_attribute(
+    expect(ending.get_by_role("link", name="What would show more?")).to_have_attribute(
         "href", f"#/new?from={job['id']}&show=more"
     )
     mill = ending.get_by_role("link", name=re.compile("^Send to "))

@@ -18,6 +18,7 @@ from machines.mill.orders import Refusal, Stop
 from machines.recovery.needs import DOUBTS
 from machines.runs import RunState
 from service.http.problems import ServerCode
+from service.job.stages.table import _ROWS as stages
 from tests.page.answers import problem
 from tests.page.browser import NOWHERE, open_blank
 from tests.page.conftest import Opened
@@ -39,6 +40,11 @@ TOLD = """async (all) => {
     const { tell } = await import("/page/machine/sentences.js");
     return all.map(tell).flatMap(({brief, whole}) => [brief, whole]);
 }"""
+
+
+def test_every_stage_of_a_job_has_words(modules: Page) -> None:
+    script = "async (names) => names.map((await import('/page/job/figures.js')).stageWords)"
+    assert set(modules.evaluate(script, list(stages))).isdisjoint(stages)
 
 
 def spoken(path: Path, words: re.Pattern[str]) -> Iterator[str]:

@@ -54,7 +54,7 @@ function words(job, artifacts, toMill, mills) {
     finish && [false, t("Finish it by hand"), hours(60 * finish.minutes), [jump("#finishing-title", t("How"))]],
     artifacts.has("heightfield.npz") && [false, t("Shine light through it"), t("a photograph says what is off"), [jump("#photo-title", t("Photograph"))]],
   ];
-  const better = h("a", { href: `#/new?from=${job.id}&show=more` }, t("What shows more?"));
+  const better = h("a", { href: `#/new?from=${job.id}&show=more` }, t("What would show more?"));
   const title = isMilled ? t("Your lens is milled") : t("Your lens is ready to mill");
   return [h("h2", { id: "ending-title" }, title), seen !== undefined && h("p", {}, t`On the wall: ${eyeWords(seen)}. `, !isMilled && isHard(seen) && better), h("ol", {}, steps.filter(Boolean).map(step))];
 }

@@ -202,6 +202,7 @@ const STAGES = {
   "pass-cut-out": t("Make and check the cutting out"),
   check: t("Check the programs as the mill reads them"),
   "as-milled": t("Simulate the milled lens"),
+  "as-finished": t("Simulate the finished lens"),
   report: t("Write the setup sheet"),
 };
 

@@ -31,8 +31,9 @@ export function planPart() {
     const key = JSON.stringify(plan);
     if (node.hidden || key === shown) return;
     shown = key;
-    const left = (plan.left_out ?? []).map((each) => t`Left out: ${each.tool}, ${each.why}.`);
-    replace(why.lastChild, [...(plan.why ?? []), ...left].map((text) => h("p", {}, text)));
+    const reasons = plan.why ?? [], isSaid = (one) => reasons.some((text) => text.includes(one.tool) && text.includes(one.why));
+    const left = (plan.left_out ?? []).filter((one) => !isSaid(one)).map((one) => t`Left out: ${one.tool}, ${one.why}.`);
+    replace(why.lastChild, [...reasons, ...left].map((text) => h("p", {}, text)));
     take(plan.chosen);
   }
   function draw() {

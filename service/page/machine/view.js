@@ -123,7 +123,7 @@ function head(link) {
       if (`${word.kind} ${word.word}` !== shown) replace(state, mark(word.kind, word.word));
       shown = `${word.kind} ${word.word}`;
       simulated.hidden = !machine?.simulated;
-      if (machine?.profile) write(about, machine.profile.description);
+      if (machine?.profile) write(about, machine.simulated ? "" : machine.profile.description);
     },
   };
 }

@@ -29,9 +29,9 @@ export function withChange(spec, values) {
 export function improvements({ make, take, draw }) {
   const list = h("ul", { class: "changes" });
   const state = h("p", { class: "dim", role: "status" });
-  const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What shows more?"));
-  const title = h("h2", {}, t("What shows more"));
-  const element = h("section", { class: "card improvements", "aria-label": t("What shows more"), tabIndex: -1, hidden: true }, title, button, state, list);
+  const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What would show more?"));
+  const title = h("h2", {}, t("What would show more"));
+  const element = h("section", { class: "card improvements", "aria-label": t("What would show more"), tabIndex: -1, hidden: true }, title, button, state, list);
   const now = { estimate: null, exact: null, found: [], asking: new AbortController() };
 
   function show(estimate) {
