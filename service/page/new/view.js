@@ -265,7 +265,7 @@ function submitBar(onclick) {
     if (said.length === told.length && said.every((one, k) => one === told[k])) return; // what has the focus keeps it
     told = said;
     const names = now.look.slice(0, MOST_NAMED).map(name);
-    replace(why, now.why, names.length > 0 && [t("Look at:"), names, more > 0 && t`+ ${more} more`]);
+    replace(why, now.why, names.length > 0 && [" ", t("Look at:"), names, more > 0 && t`+ ${more} more`]);
   }
   return {
     element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
