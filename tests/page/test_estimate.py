@@ -176,7 +176,7 @@ def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
     bar, thickness = page.locator(".submit-bar"), page.get_by_label("Thickness")
-    expect(bar).to_contain_text("Such a lens cannot be made.Look at:Thickness")
+    expect(bar).to_contain_text("Such a lens cannot be made. Look at:Thickness")
     expect(make_it(page)).to_be_disabled()
     expect(thickness).to_be_hidden()
     bar.get_by_role("button", name="Thickness").click()
