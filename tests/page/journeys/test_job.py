@@ -38,7 +38,7 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     page.get_by_label("Pitch").first.fill("9")
     page.get_by_text("Expert:").click()
     fill(page, Height="30")
-    expect(bar.locator(".why")).to_have_text("Such a lens cannot be made.Look at:Pass 1")
+    expect(bar.locator(".why")).to_have_text("Such a lens cannot be made. Look at:Pass 1")
     bar.get_by_role("button", name="Pass 1").click()
     expect(page.get_by_text("is wider than the ball's radius")).to_be_visible()  # the fold has opened
 
