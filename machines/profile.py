@@ -246,7 +246,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
         tables = {name: _check_table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
         own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
-        if Path(file).parent == _BUILT_IN:
+        if Path(file).parent == _BUILT_IN and "description" in own:
             own["description"] = Phrase.of_text(own["description"])
         if own.setdefault("name", name) != name:
             raise BadValueError("name", own["name"], Phrase("the name of the file, '{name}'", name=name))
