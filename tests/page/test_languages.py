@@ -15,7 +15,7 @@ import pytest
 from jinja2 import Environment, nodes
 from playwright.sync_api import Page, expect
 
-from machines.profile import load_profile, profile_names
+from machines.profile import _ON_HOLD, _ON_LOST_LINK, load_profile, profile_names
 from phrases.phrase import Phrase, phrases_in, translate
 from service.job.spec.finish_library import built_in_sentences
 from service.page.files import FOLDER
@@ -131,19 +131,24 @@ def _value_end(source: str, at: int) -> int:
     return at
 
 
+def seen_everywhere() -> set[str]:
+    """What every answer about mills says of them, and so every screen: the page has it with its own words."""
+    kinds = {load_profile(name, ()).description for name in profile_names(())}
+    return kinds | {*_ON_HOLD.values(), *_ON_LOST_LINK.values()} | {"locked: home ($H) or unlock ($X)"}
+
+
 def keys_of_the_page(modules: Page) -> set[str]:
     sources = [path.read_text("utf-8") for path in FOLDER.rglob("*.js") if path.stem != "language"]
     frame = (FOLDER / "index.html").read_text("utf-8").partition("<noscript>")[0]
     own = {text or label for text, label in re.findall(r'data-t>([^<]+)|aria-label="([^"]+)', frame)}
     told = {text for text in modules.evaluate(TOLD) if text and re.search("[A-Za-z]", SAME.sub("", text))}
-    return own | told | {key for source in sources for key in keys_in(source)}
+    return own | told | seen_everywhere() | {key for source in sources for key in keys_in(source)}
 
 
 @cache
 def keys_of_the_server() -> set[str]:
     """Every template of a phrase that says more than its values, as sources and the library of processes have it."""
     found = {one.template for one in built_in_sentences().values()}
-    found |= {load_profile(name, ()).description for name in profile_names(())}
     for package in ("optics", "cam", "machines", "service"):
         for path in (TOP / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):

@@ -1,7 +1,7 @@
 /**
  * The page's words in the language of who reads it. English stands in the sources, and is the key of the tables in
  * languages/; a table is loaded before anything else, and only where it is needed; that of the server's sentences with the
- * first of them. tests/page/test_languages.py holds them complete.
+ * first that is not seen on every screen. tests/page/test_languages.py holds them complete.
  */
 
 /** What each language calls itself. */
@@ -18,6 +18,7 @@ export const language = [localStorage.getItem(KEPT), ...navigator.languages.map(
 export const locale = navigator.languages.find((one) => one.split("-")[0] === language) ?? language;
 const table = language === "en" ? {} : await load("");
 let sentences = {}; // of the server
+let lacking = false; // a sentence was to be told that no table has so far
 /** @type {Promise<void> | undefined} */
 let coming;
 document.documentElement.lang = table ? language : "en";
@@ -37,7 +38,10 @@ export function t(words, ...values) {
 /** An answer of the server, which came as JSON, with its sentences in the language of who reads it. */
 export async function readAnswer(text) {
   const answer = JSON.parse(text);
-  if (language !== "en" && text.includes('"phrases":{"')) await loadSentences();
+  lacking = false;
+  const told = translate(answer);
+  if (!lacking) return told;
+  await loadSentences();
   return translate(answer);
 }
 
@@ -58,7 +62,12 @@ export function translate(answer, phrases = {}) {
 }
 
 function say({ template, values }) {
-  return (sentences[template] ?? table?.[template] ?? template).replace(/\{(\w+)\}/g, (place, name) => {
+  const words = sentences[template] ?? table?.[template];
+  if (words === undefined && /[a-z]/i.test(template)) {
+    lacking = true;
+    loadSentences(); // who cannot wait has them next time
+  }
+  return (words ?? template).replace(/\{(\w+)\}/g, (place, name) => {
     if (!Object.hasOwn(values, name)) return place;
     return typeof values[name] === "string" ? values[name] : say(values[name]);
   });
