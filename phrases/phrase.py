@@ -98,8 +98,12 @@ def restore(document: Any, phrases: Mapping[str, Mapping[str, Any]]) -> Any:
 
 def _make(plain: Mapping[str, Any], text: str = "") -> Phrase:
     values = {name: one if isinstance(one, str) else _make(one) for name, one in plain["values"].items()}
-    said = text or _PLACE.sub(lambda place: values.get(place[1], place[0]), plain["template"])
-    return _remake(said, plain["template"], values)
+    return _remake(text or _fill(plain["template"], values), plain["template"], values)
+
+
+def _fill(template: str, values: Mapping[str, str]) -> str:
+    """Return a template without formats with its values in their places."""
+    return _PLACE.sub(lambda place: values.get(place[1], place[0]), template)
 
 
 def _find(document: Any) -> Iterator[Phrase]:
@@ -113,17 +117,12 @@ def _find(document: Any) -> Iterator[Phrase]:
             yield from _find(value)
 
 
-def translate(document: Any, phrases: Mapping[str, Mapping[str, Any]], table: Mapping[str, str]) -> Any:
-    """Return a document that was read from JSON in the language of a table; what the table has not stays English."""
-    return say(restore(document, phrases), table)
-
-
 def say(document: Any, table: Mapping[str, str]) -> Any:
-    """Return a document whose phrases are still in it in the language of a table; other texts stay as they are."""
+    """Return a document whose phrases are still in it in the language of a table; other texts, and what the
+    table has not, stay as they are.
+    """
     if isinstance(document, Phrase):
-        values = {name: say(value, table) for name, value in document.values.items()}
-        template = table.get(document.template, document.template)
-        return _PLACE.sub(lambda place: values.get(place[1], place[0]), template)
+        return _fill(table.get(document.template, document.template), say(document.values, table))
     if isinstance(document, Mapping):
         return {key: say(value, table) for key, value in document.items()}
     if isinstance(document, list | tuple):

@@ -25,10 +25,9 @@ from typing import IO, Any
 from numba.core import caching, dispatcher
 from numba.core import config as numba_config
 
-from service.processes.source_tree import hash_files, parse
+from service.processes.source_tree import PACKAGES, hash_files, parse
 
 _ROOT = Path(__file__).parents[2]
-_PACKAGES = ("optics", "cam", "machines", "service")
 _MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # for another process to compile a kernel
 _reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
 
@@ -141,7 +140,7 @@ def _known_hashes(root: Path) -> dict[str, str]:
     """Return hashes by name that processes before this one have found in the same sources; those of this one are kept
     at its end.
     """
-    sources = (path for package in _PACKAGES for path in sorted((root / package).rglob("*.py")))
+    sources = (path for package in PACKAGES for path in sorted((root / package).rglob("*.py")))
     kept = Path(_cache_folder(), f"hashes-{hash_files(sources)[:16]}.json")
     known = _read_hashes(kept)
     atexit.register(_keep_hashes, kept, known, len(known))

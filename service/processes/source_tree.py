@@ -13,6 +13,8 @@ from pathlib import Path
 
 _parsing = threading.Lock()  # CPython before 3.12 may fail where two threads parse at once (its issue 106905)
 _ROOT = Path(__file__).parents[2]
+PACKAGES = ("phrases", "optics", "cam", "machines", "service")
+"""All of ours."""
 
 
 def parse(path: Path) -> ast.Module:

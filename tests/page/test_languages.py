@@ -16,7 +16,7 @@ from jinja2 import Environment, nodes
 from playwright.sync_api import Page, expect
 
 from machines.profile import _ON_HOLD, _ON_LOST_LINK, load_profile, profile_names
-from phrases.phrase import Phrase, phrases_in, translate
+from phrases.phrase import Phrase, phrases_in, restore, say
 from service.job.spec.finish_library import built_in_sentences
 from service.page.files import FOLDER
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
@@ -293,7 +293,7 @@ def test_what_a_server_says_is_told_in_the_language_of_the_page(opened: Opened) 
     page = opened(script=of_languages("de"))
     script = "async (sent) => (await import('/page/lib/language.js')).readAnswer(sent)"
     told = page.evaluate(script, json.dumps(sent, separators=(",", ":")))
-    assert told == {**translate(answer, phrases_in(answer), TABLES["de"]), "phrases": sent["phrases"]}
+    assert told == {**say(restore(answer, phrases_in(answer)), TABLES["de"]), "phrases": sent["phrases"]}
     of_page, of_server, as_it_is, made = told["a"]
     assert (of_page, of_server) == (OF_PAGE["de"]["Save"], OF_SERVER["de"]["the program moves nothing"])
     assert as_it_is == "as it is" and made["b"] == f"x.nc: {TABLES['de']['Left out: {0}, {1}.'].format('ball', 'why')}"

@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phrases.phrase import Phrase, join, phrases_in, restore, translate
+from phrases.phrase import Phrase, join, phrases_in, restore, say
 
 words = st.text(max_size=8)
 plain = words.map(lambda text: text.replace("{", "{{").replace("}", "}}"))
@@ -40,7 +40,7 @@ def test_it_survives_a_pickle_and_is_told_once_more_from_its_parts(made: Phrase)
     again = pickle.loads(pickle.dumps(made))
     assert (again, again.template, again.values) == (made, made.template, made.values)
     told = json.loads(json.dumps({"a": [made], "phrases": phrases_in({"a": [made]})}))
-    assert translate(told, told["phrases"], {}) == {"a": [made]}
+    assert say(restore(told, told["phrases"]), {}) == {"a": [made]}
     assert phrases_in(restore(told["a"], told["phrases"])) == told["phrases"]
 
 
@@ -50,7 +50,7 @@ def test_it_is_changed_in_all_its_parts(made: Phrase) -> None:
         return re.sub(r"[^v0-9{}]", "?", text)
 
     hidden = made.map(hide)
-    assert translate([hidden], phrases_in([hidden]), {}) == [hidden] == [hide(made)]
+    assert say(restore([hidden], phrases_in([hidden])), {}) == [hidden] == [hide(made)]
 
 
 @given(st.lists(phrases(depth=0), max_size=4), words)
@@ -61,4 +61,4 @@ def test_joined_messages_read_as_their_texts_do(parts: list[Phrase], separator: 
 def test_another_language_may_say_the_values_in_another_order() -> None:
     made = Phrase("{count} of {whole} lines, {how}", count=3, whole=7, how=Phrase("slowly"))
     table = {"{count} of {whole} lines, {how}": "{how}: {whole} Zeilen, davon {count}", "slowly": "langsam"}
-    assert translate([made, "3"], phrases_in(made), table) == ["langsam: 7 Zeilen, davon 3", "3"]
+    assert say(restore([made, "3"], phrases_in(made)), table) == ["langsam: 7 Zeilen, davon 3", "3"]

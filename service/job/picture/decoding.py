@@ -67,14 +67,14 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
         raise PictureError(Phrase("{name}: does not fit in memory", name=name)) from None
     except OSError as error:
         if error.errno is None:  # Pillow's own: truncated, broken data stream ...
-            raise _damaged(name, error) from None
+            raise _tell_damage(name, error) from None
         error.filename = name
         raise PictureError(sentence_of_os_error(error, doing=Phrase("cannot read the picture"))) from None
     except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
-        raise _damaged(name, error) from None
+        raise _tell_damage(name, error) from None
 
 
-def _damaged(name: str, error: Exception) -> PictureError:
+def _tell_damage(name: str, error: Exception) -> PictureError:
     return PictureError(Phrase("{name}: the picture is damaged ({cause})", name=name, cause=one_line(error)))
 
 

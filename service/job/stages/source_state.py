@@ -8,10 +8,9 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from service.processes.source_tree import parse
+from service.processes.source_tree import PACKAGES, parse
 
 _ROOT = Path(__file__).parents[3]
-_PACKAGES = ("phrases", "optics", "cam", "machines", "service")
 _DATA = {  # files, or folders of them, that a module reads as if they were code
     "service.job.report.setup_sheet": ("service/job/report/templates", "service/page/languages"),
     "service.job.spec.finish_library": ("service/job/spec/finishing.toml",),
@@ -43,7 +42,7 @@ def modules_used(module: str) -> set[str]:
 @cache
 def _imports(module: str) -> tuple[str, ...]:
     return tuple(
-        {name for name in _list_imported_names(_file(module)) if name.split(".")[0] in _PACKAGES and _exists(name)}
+        {name for name in _list_imported_names(_file(module)) if name.split(".")[0] in PACKAGES and _exists(name)}
     )
 
 

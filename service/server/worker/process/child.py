@@ -157,7 +157,7 @@ def _work(given: ChildOrder, words: MessagePipe) -> dict[str, Any]:
     except InputError as error:
         return {"refused": error.lines, "phrases": phrases_in(error.lines), "field": _field(error)}
     except ServiceError as error:
-        return _failed(*error.lines)
+        return _tell_failure(*error.lines)
     except BaseException as error:  # SystemExit of a library, too: the process has its say before it ends
         traceback.print_exc()
         return _word_of(error, given.memory_mb)
@@ -167,13 +167,13 @@ def _word_of(error: BaseException, memory_mb: int) -> dict[str, Any]:
     no_thread = isinstance(error, RuntimeError) and "start new thread" in str(error)
     no_memory = isinstance(error, OSError) and error.errno == errno.ENOMEM
     if isinstance(error, MemoryError) or no_thread or no_memory:
-        return _failed(out_of_memory(memory_mb))
+        return _tell_failure(out_of_memory(memory_mb))
     if isinstance(error, OSError) and error.errno in _HOPELESS:
-        return _failed(sentence_of_os_error(error, doing=Phrase("cannot use")))
+        return _tell_failure(sentence_of_os_error(error, doing=Phrase("cannot use")))
     return {"crashed": printable(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")}
 
 
-def _failed(*lines: str) -> dict[str, Any]:
+def _tell_failure(*lines: str) -> dict[str, Any]:
     return {"failed": lines, "phrases": phrases_in(lines)}
 
 
