@@ -26,7 +26,7 @@ FIRST = (
     "tests/end_to_end/test_refused_before.py",
     "tests/service/client/",
     "tests/page/",
-    "tests/service/job/planning/test_estimate.py",
+    "tests/service/job/planning/",
     "tests/end_to_end/",
     "tests/optics/test_any_bench.py",
     "tests/service/job/stages/",
