@@ -241,6 +241,7 @@ def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array
     return tuple(make(y) for y in on_ticks((np.arange(made_rows) + 0.5) / made_rows * across_mm - spec.radius_mm))
 
 
+@lru_cache(maxsize=64)
 def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """Return about the seconds of the first pass of a ball, by the area of each plane: within a fifth.
 
