@@ -155,6 +155,7 @@ def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
     return replace(coarse, rim_mm=lens.rim_mm)
 
 
+@lru_cache(maxsize=512)
 def rows_s(
     form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None, *, made_rows: int = ROWS
 ) -> float:

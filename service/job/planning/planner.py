@@ -157,14 +157,12 @@ def _choose_plan(
             seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
             with ThreadPoolExecutor(2) as beside:
                 guessed = beside.submit(_score_by, seen, plan)
-                among = (
-                    None if given else beside.submit(choose_milled, made_rows=FEW_ROWS)
-                )  # in case: it waits for none
+                settled = None if given else beside.submit(choose_milled, made_rows=FEW_ROWS)  # it may not be needed
+                scored = settled and beside.submit(lambda: _score_by(seen, settled.result()))
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
-                if among is not None and not is_surely_worth_it(finished.plan, milled, goal):
-                    plan = among.result()
-                    milled = _score_by(seen, plan)
+                if settled and scored and not is_surely_worth_it(finished.plan, milled, goal):
+                    plan, milled = settled.result(), scored.result()
         else:
             milled = plan = choose_milled()
     except NoPlanError as error:
