@@ -13,7 +13,6 @@ from functools import lru_cache
 from math import ceil, sqrt
 
 import numpy as np
-from scipy.ndimage import grey_dilation
 
 from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec, Strategy
@@ -21,6 +20,7 @@ from cam.planning.row_slopes import tooth_slopes_rad
 from cam.rows.entries import RAMP_SLOPE
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.surface.cutter import concave_curvature
+from cam.surface.stock_touch import dilate
 from optics.heightfield import Array, Heightfield
 
 _SAMPLES = 160  # along a side of the lens
@@ -92,18 +92,7 @@ class LensForm:
 
         The highest of lens and ball above each place: low by what both bend between two places, micrometres.
         """
-        across, up = (
-            min(_SAMPLES, ceil(_PLACES_A_RADIUS * side_mm / radius_mm)) for side_mm in (self.width_mm, self.height_mm)
-        )
-        dx, dy = self.width_mm / across, self.height_mm / up
-        nx, ny = ceil(radius_mm / dx), ceil(radius_mm / dy)
-        spline = self.lens.spline_with_run_out(2 * radius_mm + max(dx, dy))
-        x, y = (np.arange(-2 * n, count + 2 * n + 1) * step for n, count, step in ((nx, across, dx), (ny, up, dy)))
-        z = spline.jets(*np.meshgrid(self.lens.x_mm[0] + x, self.lens.y_mm[0] + y))[0]
-        off_x, off_y = np.meshgrid(np.arange(-nx, nx + 1) * dx, np.arange(-ny, ny + 1) * dy)
-        square = radius_mm**2 - off_x**2 - off_y**2
-        ball = np.where(square >= 0, np.sqrt(np.maximum(square, 0.0)) - radius_mm, -np.inf)
-        return np.asarray(grey_dilation(z, footprint=square >= 0, structure=ball)[ny:-ny, nx:-nx])
+        return _tips_mm(self, radius_mm)
 
     @property
     def deepest_mm(self) -> float:
@@ -158,6 +147,20 @@ class LensForm:
         it.
         """
         return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
+
+
+@lru_cache(maxsize=32)  # asked again for every tool of a radius
+def _tips_mm(form: LensForm, radius_mm: float) -> Array:
+    sides_mm = form.width_mm, form.height_mm
+    side_mm = sqrt(sides_mm[0] * sides_mm[1])
+    step = side_mm / min(_SAMPLES, ceil(_PLACES_A_RADIUS * side_mm / radius_mm))
+    around = ceil(radius_mm / step)
+    spline = form.lens.spline_with_run_out(2 * radius_mm + 2 * step)
+    x, y = (step * np.arange(-2 * around, ceil(size_mm / step - 1e-9) + 2 * around + 1) for size_mm in sides_mm)
+    z = spline.jets(*np.meshgrid(form.lens.x_mm[0] + x, form.lens.y_mm[0] + y))[0]
+    tips = np.empty((y.size - 2 * around, x.size - 2 * around))
+    dilate(z[None], step, radius_mm, -around, tips)
+    return tips
 
 
 def _across(form: LensForm, strategy: Strategy, direction: Direction) -> list[tuple[Array, Array]]:

@@ -209,7 +209,7 @@ def _plan_beside_rows(rough: Roughing, fitting: list[tuple[Tool, LensForm]]) -> 
         for finish in _generate_finishes(tool, shop):
             rows_s(form, finish, shop.mill, shop.digits, made_rows=FEW_ROWS)
 
-    with ThreadPoolExecutor(1) as beside:
+    with ThreadPoolExecutor(2) as beside:
         made = [beside.submit(make_rows, tool, form) for tool, form in fitting]
         rough.plan_before(next(_generate_finishes(fitting[0][0], shop)))
         for one in made:

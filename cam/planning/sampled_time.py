@@ -43,6 +43,7 @@ _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within
 _MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
 _LEFT_CELL_MM = 0.25  # of what a first pass leaves
+_NODES = 4  # a radius, of the surface under rows that are only timed: a ten-thousandth from that under rows to be cut
 _DECIMALS = 5  # as written: points nearer to one another are one
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
 _BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
@@ -155,6 +156,7 @@ def _coarsen(lens: Heightfield, spacing_mm: float) -> Heightfield:
     return replace(coarse, rim_mm=lens.rim_mm)
 
 
+@lru_cache(maxsize=512)
 def rows_s(
     form: LensForm, spec: PassSpec, mill: Kinematics, digits: Digits | None = None, *, made_rows: int = ROWS
 ) -> float:
@@ -231,16 +233,21 @@ def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
     rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
     length_mm, across_mm = _spans_mm(form, spec)
-    whole = None if 3 * spec.radius_mm * made_rows < across_mm else ToolSurface.over(lens, radius_mm=spec.radius_mm)
+    whole = (
+        None
+        if 3 * spec.radius_mm * made_rows < across_mm
+        else ToolSurface.over(lens, radius_mm=spec.radius_mm, nodes=_NODES)
+    )
 
     def make(y: float) -> Array:
-        surface = whole or ToolSurface.over(lens, radius_mm=spec.radius_mm, row_mm=y)
+        surface = whole or ToolSurface.over(lens, radius_mm=spec.radius_mm, row_mm=y, nodes=_NODES)
         out = np.empty((most_vertices(length_mm, rule), 3))
         return out[: march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)].copy()
 
     return tuple(make(y) for y in on_ticks((np.arange(made_rows) + 0.5) / made_rows * across_mm - spec.radius_mm))
 
 
+@lru_cache(maxsize=64)
 def planes_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """Return about the seconds of the first pass of a ball, by the area of each plane: within a fifth.
 

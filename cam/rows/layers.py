@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice
 from math import ceil, inf, pi, sqrt
 
 import numpy as np
@@ -22,10 +22,9 @@ from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.loads import choose_feeds, feed_at_load, measure_cut, measure_descent
+from cam.rows.loads import Runs, choose_feeds, choose_link_feeds, measure_cuts
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
-from cam.rows.vertices import rough_sag_mm, thin_points
-from cam.surface.cutter import slot_section_mm2
+from cam.rows.vertices import rough_sag_mm, split, thin_pieces, thin_points
 from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
 from phrases.phrase import Phrase
@@ -45,6 +44,9 @@ allows 5 % for them, and the cusps of the pass's own pitch besides."""
 
 STAIR_SHARE = 0.8
 """Of the step-down: stairs at most, which the rows between those of the layers take off at once."""
+
+_AT_ONCE = 64
+"""Runs that are made together: an array for each of all their samples is little."""
 
 _HERE_AND_THERE = 0.1
 """Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
@@ -205,16 +207,28 @@ class Run:
         return self.last if self.upward else self.first
 
 
-def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[int, int]]:
-    """Return stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
-    merged: list[tuple[int, int]] = []
-    for first, last in zip(edges[::2] - pad, edges[1::2] - 1 + pad, strict=True):
-        low, high = max(0, int(first)), min(active.size - 1, int(last))
-        if merged and low - merged[-1][1] <= gap:
-            merged[-1] = (merged[-1][0], high)
+def _as_arrays(before: Iterable[Run], runs: Iterable[Run]) -> Runs:
+    """Return runs, each after the one before it."""
+    ways = [
+        (run.row, run.first, run.last, 1 if run.upward else -1, last.end if run.joined else -1)
+        for last, run in zip(before, runs, strict=False)
+    ]
+    return Runs(*np.array(ways, dtype=np.int64).T.copy())
+
+
+def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[list[tuple[int, int]]]:
+    """Return by row stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
+    merged: list[list[tuple[int, int]]] = [[] for _ in active]
+    edges = np.diff(np.pad(active, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, firsts = np.nonzero(edges > 0)
+    lows = np.maximum(0, firsts - pad).tolist()
+    highs = np.minimum(active.shape[1] - 1, np.nonzero(edges < 0)[1] - 1 + pad).tolist()
+    for row, low, high in zip(rows.tolist(), lows, highs, strict=True):
+        found = merged[row]
+        if found and low - found[-1][1] <= gap:
+            found[-1] = (found[-1][0], high)
         else:
-            merged.append((low, high))
+            found.append((low, high))
     return merged
 
 
@@ -265,65 +279,113 @@ def layer_paths(
     pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
     sag = _sag_mm(surface, layer, spec)
     standing = _stands_above(left, tips, stock, above)
-    by_row = [spans(row, pad=pad, gap=gap) for row in _with_neighbours(standing)]
-    now = left.copy()
+    by_row = spans(_with_neighbours(standing), pad=pad, gap=gap)
+    work = _Work(
+        field=field, surface=surface, layer=layer, spec=spec, tips_mm=tips, now_mm=left.copy(),
+        top_mm=float(stock.height_mm.max()), sag_mm=sag, stair_mm=stair_mm, pad=pad,
+    )  # fmt: skip
     pocket = _pocket(field, surface, layer)
-    top_mm = float(stock.height_mm.max())
-    before: Run | None = None
-    place = np.empty(3)
     turns: list[Array] = []
+    place: Array | None = None
     linked = spec.link == "u-turn"
     chained = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
     runs = _leave_out_idle(chained, standing) if stock.flat else list(chained)
-    for done, run in enumerate(runs, start=1):
-        samples = slice(run.first, run.last + 1)
-        points = np.column_stack(
-            [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
-        )
-        along = tips[run.row, samples]
-        bite = measure_cut(now, along, field.rows.y_mm, run.row, run.first, spec, top_mm)
-        if not spec.is_ball:
-            bite[:, :2] += measure_descent(bite, along if run.upward else -along, spec, step_mm=field.step_mm)[:, None]
-        feeds = choose_feeds(bite, along, spec, step_mm=field.step_mm)
-        if stair_mm > 0:  # beside its ends stands what the way from row to row has left
-            ends = np.r_[: ceil(per_radius), -ceil(per_radius) : 0] % feeds.size
-            feeds[ends] = np.minimum(feeds[ends], SLOT_FEED * spec.feed_mm_per_min)
-        if not run.upward:
-            points, feeds = points[::-1], feeds[::-1]
-        if run.joined and before is not None:
-            turns.append(_link(field, surface, layer, before, run, sag, stair_mm))
-            yield cut(turns[-1], _choose_link_feed(now, tips, before, run, pad, spec))
+    for done, (run, link, points, cuts) in enumerate(work.cut_runs(runs), start=1):
+        if link is not None:
+            turns.append(link.points_mm)
+            yield link
         else:
-            if before is not None:
+            if place is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
             height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
             yield from enter(thin_points(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
-        yield from _cuts(points, feeds, sag)
-        now[run.row, samples] = np.minimum(now[run.row, samples], along)
-        before, place = run, points[-1]
+        yield from cuts
+        place = points[-1]
         on_progress(done / len(runs))
-    if before is not None:
+    if place is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
         walls = replace(layer, offset_mm=layer.offset_mm + stair_mm)
         yield from _end_walls(field, surface, stock, walls, above, turns, spec, safe_z_mm=safe_z_mm)
 
 
-def _choose_link_feed(now: Array, tips: Array, before: Run, run: Run, pad: int, spec: PassSpec) -> float:
-    """Return the feed of the way from one run to the next, where a wall may stand beside a slot as deep as the stock
-    about it.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Work:
+    """A layer while it is cut: its tips, and those at which the cutter would meet stock now (n rows, n samples).
+
+    pad : samples beside what stands that are cut as well
     """
-    first, last = sorted((before.end, run.start))
-    about = (slice(before.row, run.row + 1), slice(max(0, first - pad), last + pad + 1))
-    depth_mm = max(0.0, float((now[about] - tips[about]).max()))
-    section = float(slot_section_mm2(spec.shape, spec.radius_mm, depth_mm)) / 2 + depth_mm * spec.radius_mm
-    return min(float(feed_at_load(section, spec)), SLOT_FEED * spec.feed_mm_per_min)
 
+    field: Field
+    surface: Surface
+    layer: Layer
+    spec: PassSpec
+    tips_mm: Array
+    now_mm: Array
+    top_mm: float
+    sag_mm: float
+    stair_mm: float
+    pad: int
 
-def _cuts(points: Array, feeds: Array, sag_mm: float) -> Iterator[Path]:
-    """Yield the points of a run at their feeds, thinned."""
-    edges = np.flatnonzero(np.diff(feeds)) + 1
-    for first, end in pairwise([0, *edges.tolist(), len(points)]):
-        yield cut(thin_points(points[first:end], sag_mm), float(feeds[first]))
+    def cut_runs(self, order: list[Run]) -> Iterator[tuple[Run, Path | None, Array, list[Path]]]:
+        """Yield each run, the way to it from the one before where they join, its points (n, 3), and its cuts."""
+        for done in range(0, len(order), _AT_ONCE):
+            some = order[done : done + _AT_ONCE]
+            runs = _as_arrays([order[done - 1], *some], some)
+            points, feeds, link_feeds = self._feed(runs)
+            links = zip(self._link(runs), link_feeds[runs.is_joined].tolist(), strict=True)
+            ends = np.append(0, np.cumsum(runs.counts))
+            edges = np.union1d(np.flatnonzero(np.diff(feeds)) + 1, ends)
+            cuts = map(cut, thin_pieces(points, edges, self.sag_mm), feeds[edges[:-1]].tolist())
+            pieces = np.diff(np.searchsorted(edges, ends)).tolist()
+            for run, count, own in zip(some, pieces, split(points, ends), strict=True):
+                link = cut(*next(links)) if run.joined else None
+                yield run, link, own, list(islice(cuts, count))
+
+    def _feed(self, runs: Runs) -> tuple[Array, Array, Array]:
+        """Return points (n, 3) of the runs, each from its start to its end, their feeds (n,), and those of the ways to
+        them (m,).
+        """
+        field, spec, counts = self.field, self.spec, runs.counts
+        rows, samples = runs.samples()
+        along = self.tips_mm[rows, samples]
+        bite, depth_mm = measure_cuts(
+            self.now_mm, self.tips_mm, field.rows.y_mm, runs, spec, top_mm=self.top_mm, beside=self.pad
+        )
+        feeds = choose_feeds(bite, along, runs, spec, step_mm=field.step_mm)
+        first, last = np.repeat(runs.first, counts), np.repeat(runs.last, counts)
+        if self.stair_mm > 0:  # beside its ends stands what the way from row to row has left
+            near_end = np.minimum(samples - first, last - samples) < ceil(self.surface.radius_mm / field.step_mm)
+            feeds[near_end] = np.minimum(feeds[near_end], SLOT_FEED * spec.feed_mm_per_min)
+        points = np.column_stack([field.x_mm[samples], field.rows.y_mm[rows], along])
+        onward = np.arange(samples.size) + np.where(np.repeat(runs.way, counts) > 0, 0, first + last - 2 * samples)
+        return points[onward], feeds[onward], choose_link_feeds(depth_mm, spec)
+
+    def _link(self, runs: Runs) -> list[Array]:
+        """Return half turns on the layer's surface from one run's end to the next one's start, bulging the way the tool
+        went as far as the run-out allows.
+
+        At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
+        meet a wall beside this layer's turns that reaches up to the top of the block.
+        """
+        field, joined = self.field, runs.is_joined
+        if not joined.any():
+            return []
+        x0, x1 = field.x_mm[runs.came[joined]], field.x_mm[runs.start[joined]]
+        y0, y1 = field.rows.y_mm[runs.row[joined] - 1], field.rows.y_mm[runs.row[joined]]
+        counts = np.maximum(6, np.ceil(2 * np.hypot(x1 - x0, y1 - y0) / field.step_mm)).astype(np.int64)
+        ends = np.cumsum(counts + 1)
+        turn = np.repeat(np.arange(counts.size), counts + 1)
+        angle = (np.arange(ends[-1]) - (ends - counts - 1)[turn]) * (pi / counts)[turn]
+        angle[ends - 1] = pi
+        bulge = field.rows.turn_mm * np.sin(angle) * -runs.way[joined][turn]
+        x = on_ticks(np.clip(x0[turn] + (x1 - x0)[turn] * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
+        y = on_ticks(y0[turn] + (y1 - y0)[turn] * (1 - np.cos(angle)) / 2)
+        edges, stairs = np.append(0, ends), np.full(x.size, self.stair_mm)
+        stairs[edges[:-1]] = stairs[ends - 1] = 0.0
+        each = zip(split(x, edges), split(y, edges), strict=True)
+        lowest = np.concatenate([self.surface.tip_heights_mm(*one) for one in each])  # from its own neighbours alone
+        found = split(np.column_stack([x, y, self.layer.tips_mm(lowest + stairs)]), edges)
+        return [thin_points(one, self.sag_mm, along=1) if np.ptp(one[:, 0]) == 0 else one for one in found]
 
 
 def _sag_mm(surface: Surface, layer: Layer, spec: PassSpec) -> float:
@@ -402,10 +464,10 @@ def _end_walls(
         )
         left, tips = _stock_and_tips(column, layer, above)
         sag = _sag_mm(surface, layer, spec)
-        standing = _stands_above(left, tips, stock, above)[0]
-        if not (standing & ~_went_along(turns, x_mm, y)).any():
+        standing = _stands_above(left, tips, stock, above)
+        if not (standing[0] & ~_went_along(turns, x_mm, y)).any():
             continue
-        for first, last in spans(standing, pad=1, gap=y.size):
+        for first, last in spans(standing, pad=1, gap=y.size)[0]:
             points = thin_points(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
             height = float(left[0, first]) + stock.slack_mm + 2 * sag
             yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
@@ -425,26 +487,3 @@ def _went_along(turns: list[Array], x_mm: float, y_mm: Array) -> npt.NDArray[np.
 def _between(y_mm: Array, step_mm: float) -> Array:
     """Return positions of the rows and, no farther apart than step_mm, between them."""
     return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))
-
-
-def _link(
-    field: Field, surface: Surface, layer: Layer, before: Run, run: Run, tolerance_mm: float, stair_mm: float
-) -> Array:
-    """Return half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool
-    went as far as the run-out allows.
-
-    At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
-    meet a wall beside this layer's turns that reaches up to the top of the block.
-    """
-    x0, x1 = field.x_mm[before.end], field.x_mm[run.start]
-    y0, y1 = field.rows.y_mm[before.row], field.rows.y_mm[run.row]
-    count = max(6, ceil(2 * float(np.hypot(x1 - x0, y1 - y0)) / field.step_mm))
-    angle = np.linspace(0.0, pi, count + 1)
-    bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
-    x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
-    y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
-    lowest = surface.tip_heights_mm(x, y)
-    tips = layer.tips_mm(lowest)
-    tips[1:-1] = np.maximum(tips[1:-1], layer.tips_mm(lowest + stair_mm)[1:-1])
-    points = np.column_stack([x, y, tips])
-    return thin_points(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

@@ -17,10 +17,11 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, inf, log, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from cam.materials import SLOT_FEED
@@ -45,6 +46,7 @@ _WHOLE_FROM = 10.0  # mm/min
 _POINTS = 24  # across the ball
 _LEFT, _RIGHT, _DEEP = range(3)
 
+Ints = NDArray[np.int64]
 Meets = Callable[[Array], Array]
 """(n, 3) tips -> (n,) tip heights at which the ball would meet stock there."""
 
@@ -74,68 +76,128 @@ def most_feed_mm_per_min(spec: PassSpec, steep: ArrayLike = 0.0) -> Array:
     return round_feed(np.minimum(climbing, min(MOST_FEED * spec.feed_mm_per_min, x, y)))
 
 
-@njit(cache=True, nogil=True)
-def _measure(now, tips, y, row, others, first, radius, corner, top, out):  # type: ignore[no-untyped-def]
-    """Measure the cut along tips (n,), which begin at sample `first` of a row: out (n, 3) left, right, deepest.
+class Runs(NamedTuple):
+    """Samples first..last of rows, cut one run after the other; (m,) each.
 
-    now (n rows, n samples) : tips at which the cutter would meet stock; corner: its corner's radius; others: rows that
-                              are looked at
+    way  : 1 upward in x, -1 downward
+    came : sample at which the run before, of the row before, ends; -1 where the tool enters anew
+    """
+
+    row: Ints
+    first: Ints
+    last: Ints
+    way: Ints
+    came: Ints
+
+    @property
+    def is_joined(self) -> NDArray[np.bool_]:
+        return self.came >= 0
+
+    @property
+    def start(self) -> Ints:
+        return np.where(self.way > 0, self.first, self.last)
+
+    @property
+    def counts(self) -> Ints:
+        return self.last - self.first + 1
+
+    def samples(self) -> tuple[Ints, Ints]:
+        """Return rows (n,) and samples (n,) of all runs, each by x."""
+        counts = self.counts
+        before = np.cumsum(counts) - counts
+        return np.repeat(self.row, counts), np.arange(counts.sum()) - np.repeat(before - self.first, counts)
+
+
+@njit(cache=True, nogil=True)
+def _measure(now, tips, y, runs, beside, radius, corner, top, bite, depth):  # type: ignore[no-untyped-def]
+    """Measure what runs take off: bite (n, 3) left, right, deepest at each sample; depth (m,): what stands at most
+    within `beside` samples of the way from the row before.
+
+    now (n rows, n samples) : tips at which the cutter would meet stock; each run lowers it to tips
+    corner                  : radius of the cutter's corner
     """
     width = 2.0 * radius / _POINTS
-    rise, own = np.full((_POINTS, others.size), inf), np.empty(_POINTS)
+    own, rise = np.empty(_POINTS), np.empty((_POINTS, 2 * _POINTS))
+    others, met = np.empty(2 * _POINTS, np.int64), np.empty(2 * _POINTS)
     for k in range(_POINTS):
-        w = (k + 0.5) * width - radius
-        beyond = max(0.0, abs(w) - radius + corner)
+        beyond = max(0.0, abs((k + 0.5) * width - radius) - radius + corner)
         own[k] = corner - sqrt(corner * corner - beyond * beyond)
-        for m in range(others.size):
-            beyond = max(0.0, abs(w - y[others[m]] + y[row]) - radius + corner)
-            if beyond < corner or beyond == 0.0:
-                rise[k, m] = corner - sqrt(corner * corner - beyond * beyond)
-    met = np.empty(others.size)
-    for i in range(tips.size):
-        out[i] = 0.0
-        for m in range(others.size):
-            met[m] = now[others[m], first + i]
-        for k in range(_POINTS):
-            height = top
-            for m in range(others.size):
-                height = min(height, met[m] + rise[k, m])
-            depth = height - tips[i] - own[k]
-            if depth > 0.0:
-                out[i, _LEFT if 2 * k >= _POINTS else _RIGHT] += depth * width
-                out[i, _DEEP] = max(out[i, _DEEP], depth)
+    n = 0
+    for r in range(runs.row.size):
+        row, first, last = runs.row[r], runs.first[r], runs.last[r]
+        depth[r] = 0.0
+        start, came = first if runs.way[r] > 0 else last, runs.came[r]
+        if came >= 0:
+            for j in range(row - 1, row + 1):
+                for i in range(max(0, min(start, came) - beside), min(now.shape[1], max(start, came) + beside + 1)):
+                    depth[r] = max(depth[r], now[j, i] - tips[j, i])
+        low, high = row, row
+        while low > 0 and abs(y[low - 1] - y[row]) < 2.0 * radius:
+            low -= 1
+        while high + 1 < y.size and abs(y[high + 1] - y[row]) < 2.0 * radius:
+            high += 1
+        stride, count = -(-(high - low + 1) // _POINTS), 0
+        for other in range(low, high + 1):
+            if (other - row) % stride != 0 and abs(other - row) != 1:
+                continue
+            others[count] = other
+            for k in range(_POINTS):
+                beyond = max(0.0, abs((k + 0.5) * width - radius - y[other] + y[row]) - radius + corner)
+                reached = beyond < corner or beyond == 0.0
+                rise[k, count] = corner - sqrt(corner * corner - beyond * beyond) if reached else inf
+            count += 1
+        for i in range(first, last + 1):
+            bite[n] = 0.0
+            for m in range(count):
+                met[m] = now[others[m], i]
+            for k in range(_POINTS):
+                height = top
+                for m in range(count):
+                    height = min(height, met[m] + rise[k, m])
+                deep = height - tips[row, i] - own[k]
+                if deep > 0.0:
+                    bite[n, _LEFT if 2 * k >= _POINTS else _RIGHT] += deep * width
+                    bite[n, _DEEP] = max(bite[n, _DEEP], deep)
+            n += 1
+        for i in range(first, last + 1):
+            now[row, i] = min(now[row, i], tips[row, i])
 
 
-def measure_cut(now: Array, tips_mm: Array, y_mm: Array, row: int, first: int, spec: PassSpec, top_mm: float) -> Array:
-    """Return (n, 3) sections beside a row towards greater and smaller Y [mm2] and the deepest cut, sample by sample.
+def measure_cuts(
+    now: Array, tips_mm: Array, y_mm: Array, runs: Runs, spec: PassSpec, *, top_mm: float, beside: int = 0
+) -> tuple[Array, Array]:
+    """Return, sample by sample, (n, 3) sections beside a row towards greater and smaller Y [mm2] and the deepest cut;
+    and (m,) how deep stock is within so many samples of the way to each run.
 
-    now (n rows, n samples) : tips at which the ball would meet stock, of rows at y_mm; top_mm: none stands higher
-    tips_mm (n,)            : of the row, from its sample `first` on
+    now (n rows, n samples) : tips at which the cutter would meet stock, of rows at y_mm; lowered to tips_mm by the runs
+    top_mm                  : none stands higher
     """
-    near = np.flatnonzero(np.abs(y_mm - y_mm[row]) < 2 * spec.radius_mm)
-    stride = ceil(near.size / _POINTS)
-    others = near[((near - row) % stride == 0) | (np.abs(near - row) == 1)]
-    out = np.empty((tips_mm.size, 3))
+    bite, depth = np.empty((int(runs.counts.sum()), 3)), np.empty(runs.row.size)
     corner_mm = spec.shape.corner_mm(spec.radius_mm)
-    _measure(now, tips_mm, y_mm, row, others, first, spec.radius_mm, corner_mm, top_mm, out)
-    return out
+    _measure(now, tips_mm, y_mm, runs, beside, spec.radius_mm, corner_mm, top_mm, bite, depth)
+    return bite, depth
 
 
-def measure_descent(bite: Array, heights_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
-    """Return (n,) what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
+def _add_descent(bite: Array, climbs: Array, spec: PassSpec) -> None:
+    """Add what a flat end takes off with its whole face where it goes down, on either side of its way [mm2].
 
-    heights_mm (n,) : of the tip by X; their negatives where the way goes in -X
+    climbs (n,) : slope of the way
     """
-    sinks = np.maximum(0.0, -np.diff(heights_mm, append=heights_mm[-1])) / step_mm
     slot = 2 * spec.radius_mm * np.maximum(bite[:, _DEEP], 1e-9)
     share = np.minimum(1.0, (bite[:, _LEFT] + bite[:, _RIGHT]) / slot)
-    return np.asarray(pi / 2 * spec.shape.flat_mm(spec.radius_mm) ** 2 * share * sinks)
+    flat = pi / 2 * spec.shape.flat_mm(spec.radius_mm) ** 2
+    bite[:, :2] += (flat * share * np.maximum(0.0, -climbs))[:, None]
 
 
-def choose_feeds(bite: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float) -> Array:
-    """Return (n,) feeds along a row whose bite (n, 3) and tips (n,) are known at samples step_mm apart."""
-    steep = np.abs(np.diff(tips_mm, append=tips_mm[-1])) / step_mm
-    feed = feed_at_load(bite[:, _LEFT] + bite[:, _RIGHT], spec, steep)
+def choose_feeds(bite: Array, tips_mm: Array, runs: Runs, spec: PassSpec, *, step_mm: float) -> Array:
+    """Return (n,) feeds along runs whose bite (n, 3) and tips (n,) are known at samples step_mm apart."""
+    counts = runs.counts
+    climbs = np.diff(tips_mm, append=0.0)
+    climbs[np.cumsum(counts) - 1] = 0.0
+    climbs /= step_mm
+    if not spec.is_ball:
+        _add_descent(bite, climbs * np.repeat(runs.way, counts), spec)
+    feed = feed_at_load(bite[:, _LEFT] + bite[:, _RIGHT], spec, np.abs(climbs))
     sides = 2 * np.minimum(bite[:, _LEFT], bite[:, _RIGHT])
     in_slot = sides > SLOT_SIDES * slot_section_mm2(spec.shape, spec.radius_mm, bite[:, _DEEP])
     in_slot &= bite[:, _DEEP] > SLOT_DEPTH_SHARE * spec.step_down_mm
@@ -143,8 +205,22 @@ def choose_feeds(bite: Array, tips_mm: Array, spec: PassSpec, *, step_mm: float)
     most = most_feed_mm_per_min(spec)
     feed = round_feed(most * _STEP ** -np.ceil(np.log(most / feed) / log(_STEP) - 1e-9))
     stretch = ceil(spec.radius_mm / step_mm) | 1
-    least = minimum_filter1d(feed, stretch + 2 * ceil(_BESIDE * stretch), mode="nearest")
-    return np.asarray(maximum_filter1d(least, stretch, mode="nearest"))
+    around = stretch + 2 * ceil(_BESIDE * stretch)
+    apart = np.arange(feed.size) + around * np.repeat(np.arange(counts.size), counts)  # no run sees the next
+    feeds = np.full(apart[-1] + 1, inf)
+    feeds[apart] = feed
+    least = minimum_filter1d(feeds, around)
+    feeds[:] = -inf
+    feeds[apart] = least[apart]
+    return np.asarray(maximum_filter1d(feeds, stretch)[apart])
+
+
+def choose_link_feeds(depth_mm: Array, spec: PassSpec) -> Array:
+    """Return (m,) feeds of ways from one run to the next, where a wall may stand beside a slot as deep as the stock
+    about it (m,).
+    """
+    section = slot_section_mm2(spec.shape, spec.radius_mm, depth_mm) / 2 + depth_mm * spec.radius_mm
+    return np.minimum(feed_at_load(section, spec), SLOT_FEED * spec.feed_mm_per_min)
 
 
 def first_row(polyline_mm: Array) -> Array:

@@ -177,7 +177,7 @@ def _region(
     """
     linked = spec.link == "u-turn"
     reach = max(2, round(2 * spec.radius_mm / ground.surface.kernel.node_step))
-    by_row = [spans(row, pad=1, gap=reach) for row in inside]
+    by_row = spans(inside, pad=1, gap=reach)
     last = np.empty(0)
     for local in chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec)):
         run = Run(

@@ -9,10 +9,12 @@ larger sag will do: it bends far more than the lens, and under the lens's rule a
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from cam.moves import Array
 from cam.surface.contact import touch
@@ -212,3 +214,28 @@ def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Arr
     run, z = (np.ascontiguousarray(points_mm[:, column]) for column in (along, 2))
     keep = _thin(run, z, max(tolerance_mm, 1e-9))
     return points_mm[keep]
+
+
+@njit(cache=True, nogil=True)
+def _thin_pieces(x, z, edges, tolerance, keep, kept):  # type: ignore[no-untyped-def]
+    """Write which points of all pieces edges[n]..edges[n + 1] - 1 are kept, and before which of those each begins."""
+    count = 0
+    for n in range(edges.size - 1):
+        kept[n] = count
+        for k in _thin(x[edges[n] : edges[n + 1]], z[edges[n] : edges[n + 1]], tolerance):
+            keep[count] = edges[n] + k
+            count += 1
+    kept[-1] = count
+
+
+def thin_pieces(points_mm: Array, edges: NDArray[np.int64], tolerance_mm: float) -> list[Array]:
+    """Return pieces along X of points (n, 3), which begin and end at edges (m + 1,), each thinned by itself."""
+    keep, kept = np.empty(len(points_mm), np.int64), np.empty_like(edges)
+    x, z = (np.ascontiguousarray(points_mm[:, column]) for column in (0, 2))
+    _thin_pieces(x, z, edges, max(tolerance_mm, 1e-9), keep, kept)
+    return split(points_mm[keep[: kept[-1]]], kept)
+
+
+def split(values: Array, edges: NDArray[np.int64]) -> list[Array]:
+    """Return the pieces of values (n, ...) that begin and end at edges (m + 1,)."""
+    return [values[first:end] for first, end in pairwise(edges.tolist())]

@@ -19,6 +19,7 @@ from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
 _NODES = 32  # a radius of the cutter
+_FEW_NODES = 12  # for what a pass leaves: `camera`, 100 mm, Ø 6 mm with corners of 1 mm: hours are off by a thousandth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,11 +39,11 @@ class RoughSurface:
     height_mm: Array
 
     @classmethod
-    def over(cls, heightfield: Heightfield, spec: PassSpec) -> RoughSurface:
-        """Compute the surface for tips up to one radius outside the aperture."""
+    def over(cls, heightfield: Heightfield, spec: PassSpec, *, nodes: int = _NODES) -> RoughSurface:
+        """Compute the surface for tips up to one radius outside the aperture; nodes: of the lattice, a radius."""
         radius_mm, allowance_mm = spec.radius_mm, spec.stock_to_leave_mm
         flat_mm, corner_mm = spec.shape.flat_mm(radius_mm), spec.shape.corner_mm(radius_mm)
-        step = radius_mm / _NODES
+        step = radius_mm / nodes
         around, wide = ceil((radius_mm + step) / step), ceil(flat_mm / step) + 2
         reach_mm = (around + wide) * step
         x, y = (
@@ -58,7 +59,7 @@ class RoughSurface:
             spline = heightfield.spline_with_run_out(reach_mm + step)
             z, p, q, *_ = spline.jets(*np.meshgrid(x, y))
             tips = z + allowance_mm * np.sqrt(1.0 + p * p + q * q)
-        height_mm = find_highest(tips, flat_mm / step + sqrt(2))[wide:-wide, wide:-wide]
+        height_mm = find_highest(tips, flat_mm / step + sqrt(2) * nodes / _NODES)[wide:-wide, wide:-wide]
         return cls(
             radius_mm=radius_mm,
             allowance_mm=allowance_mm,
@@ -95,7 +96,7 @@ def left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
     """Return heights (ny, nx) at the lens's vertices that a pass of what is flat leaves: where its end comes, and on
     slopes stairs.
     """
-    surface = RoughSurface.over(lens, spec)
+    surface = RoughSurface.over(lens, spec, nodes=_FEW_NODES)
     lowest = -find_highest(-surface.height_mm, spec.shape.flat_mm(spec.radius_mm) / surface.node_step_mm)
     slopes = np.gradient(lens.z_mm, lens.dy_mm, lens.dx_mm)
     ends = replace(surface, height_mm=lowest).tip_rows_mm(lens.x_mm, lens.y_mm)

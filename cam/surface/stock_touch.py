@@ -65,7 +65,7 @@ class StockTouch:
             by_column = np.full((top.shape[0], wide), AIR_MM)
             by_column[:, : top.shape[1]] = top
             phases = by_column.reshape(top.shape[0], -1, stride).transpose(2, 0, 1)
-            _dilate(np.ascontiguousarray(phases), cell, radius_mm, pad, height)
+            dilate(np.ascontiguousarray(phases), cell, radius_mm, pad, height)
         return cls(
             x0_mm=x0,
             y0_mm=y0,
@@ -106,8 +106,9 @@ def _outside(values: Array, low: float, high: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
-    """Dilate phases (stride, ny, n): the stock's columns, every stride-th together, so that inner loops run straight.
+def dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
+    """Dilate by a ball phases (stride, ny, n): columns of cells, every stride-th together, so that inner loops run
+    straight.
 
     out (my, mx) : node [j, i] stands over cell [(j - pad) stride, (i - pad) stride]
     """

@@ -44,15 +44,17 @@ class ToolSurface:
         allowance_mm: float = 0.0,
         run_out_mm: float | None = None,
         row_mm: float | None = None,
+        nodes: int = 8,
     ) -> ToolSurface:
         """Compute the surface for tips up to run_out_mm (default: one radius) outside the aperture.
 
         row_mm : Y of the only row in which tips are asked for; None: tips are asked for everywhere
+        nodes  : of the lattice, a radius
         """
         ball_mm = radius_mm + allowance_mm
         run_out_mm = radius_mm if run_out_mm is None else run_out_mm
-        spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / 8)
-        step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / 8)
+        spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / nodes)
+        step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / nodes)
         beside = ball_mm + step
         reach = run_out_mm + beside
         low, high = -reach, heightfield.height_mm + reach

@@ -49,16 +49,17 @@ def foretell(
     light = PictureLight(target, bench, aims=aims)
     light.add(marks.radius_mm, form, missed)
     if by_hand is None:
-        return describe_light(light, marks, light.aimed_db(marks))
+        return describe_light(light, marks)
     finished = FinishedLight(light, by_hand)
     if design is not None:
         finished.calibrate(marks, design, fine=True)
     return describe_light(finished, marks, finished.psnr_db(marks))
 
 
-def describe_light(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
-    """Return what a plan's light tells of its marks."""
+def describe_light(light: PictureLight, marks: Marks, psnr_db: float | None = None) -> ForetoldPicture:
+    """Return what a plan's light tells of its marks; psnr_db: where it is not that of this light's picture."""
     seen = light.smooth_picture(marks)
+    psnr_db = light.psnr_of(seen, light.grain(marks)) if psnr_db is None else psnr_db
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
     only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)
     return ForetoldPicture(psnr_db=psnr_db, detail_mm=_BROUGHT_BACK * detail_mm if only_kept else detail_mm)

@@ -55,7 +55,7 @@ class Spectra:
         self.wanted = self._sum_squares(light.goal)
         self._lacks: dict[Shown, Array] = {}
         self._across_mm = light.across_mm
-        self._bends: dict[Marks, Array] = {}
+        self._bends: dict[tuple[Marks, ...], Array] = {}
 
     def lack_of(self, shown: Shown) -> Array:
         """Return (n,) of what a lens misses as it is unmilled."""
@@ -63,13 +63,16 @@ class Spectra:
             self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
         return self._lacks[shown]
 
-    def bends_of(self, marks: Marks) -> Array:
-        """Return (n,) of what rows leave, as a pixel on the screen sees it [1/mm^2]."""
-        if marks not in self._bends:
-            spec = marks.spec
-            seen = np.square(np.sinc(_ROW_WAVES * self._across_mm(spec) / (2.0 * np.pi)))
-            self._bends[marks] = seen * _row_bends(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6))
-        return self._bends[marks]
+    def bends_of(self, several: tuple[Marks, ...]) -> Array:
+        """Return (m, n) of what rows leave, as a pixel on the screen sees it [1/mm^2]."""
+        if several not in self._bends:
+            self._bends[several] = np.stack([self._see_rows(marks) for marks in several])
+        return self._bends[several]
+
+    def _see_rows(self, marks: Marks) -> Array:
+        spec = marks.spec
+        seen = np.square(np.sinc(_ROW_WAVES * self._across_mm(spec) / (2.0 * np.pi)))
+        return np.asarray(seen * _row_bends(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6)))
 
     def _sum_squares(self, waves: Array) -> Array:
         squares = np.ravel(waves) ** 2 / waves.size
@@ -101,8 +104,9 @@ class FinishedLight(PictureLight):
 
     def psnrs_db(self, several: Sequence[Marks]) -> list[float]:
         """Return `psnr_db` of several at once, in their order."""
-        grains = zip(several, self._grains(several), strict=True)
-        return [self.db_of_error(self._lens_error(one.radius_mm) + grain**2 * self._square) for one, grain in grains]
+        errors = np.array([self._lens_error(one.radius_mm) for one in several])
+        errors += np.square(self._grains(several)) * self._square
+        return [self.db_of_error(error) for error in errors.tolist()]
 
     aimed_db = unsharpened_db = psnr_db
 
@@ -124,7 +128,7 @@ class FinishedLight(PictureLight):
 
     def _grains(self, several: Sequence[Marks]) -> Array:
         """Return `grain` (n,) of several at once: the way to the wall times what is left of the rows' curvature."""
-        squares = np.stack([self._spectra.bends_of(one) for one in several])
+        squares = self._spectra.bends_of(tuple(several))
         reaches_mm = np.array([self.reach_mm(self.lenses[one.radius_mm].form) for one in several])
         stripes = np.array([_STRIPES * self._stripe_scale[one.spec.direction] for one in several])
         return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.kept(_ROW_WAVES)))))

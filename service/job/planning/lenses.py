@@ -10,8 +10,9 @@ import pickle
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import lru_cache, partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,8 @@ COARSE = 256  # pixels along the longer side of the picture that lenses are desi
 _SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
 
+_solving = Lock()
+
 Progress = Callable[[float], None]
 
 
@@ -56,16 +59,7 @@ def predict_designs(
     """
     coarse = _coarser(target)
     quick = simplify(settings)
-    solving = Lock()
-
-    @cache
-    def solve_first() -> OpticalPath:
-        return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
-
-    def first() -> OpticalPath:
-        """Solve for the picture itself: lenses for all balls begin with it."""
-        with solving:
-            return solve_first()
+    first = partial(_solve_first, coarse, settings)
 
     def solve_near_first(aim: Array) -> OpticalPath | None:
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
@@ -142,17 +136,25 @@ def design_whole(light: PictureLight, marks: Marks, settings: LensSettings, *, a
 
 
 def compute_passes(
-    target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
+    target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] | None = None
 ) -> Corrected:
     """Return the passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones
     again.
 
-    first : the target's own solution, or one like it, where there is one
+    first : the target's own solution, or one like it, where that is not to be found here
     """
     if target.size > _SMALL:
-        return correct_lens(target, settings, first=first())
-    key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
-    return _compute_once(_Wanted(key=key, make=lambda: correct_lens(target, settings, first=first())))
+        return correct_lens(target, settings, first=first and first())
+    first = first or partial(_solve_first, target, settings)
+    return _compute_once(_Wanted.of(target, settings, make=lambda: correct_lens(target, settings, first=first())))
+
+
+def _solve_first(target: Array, settings: LensSettings) -> OpticalPath:
+    """Solve for a picture itself: lenses for all balls and finishes begin with it."""
+    bench, skim_mm = settings.bench, settings.skim_mm
+    wanted = _Wanted.of(target, bench, skim_mm, make=lambda: solve_transport(target, bench, skim_mm=skim_mm))
+    with _solving:  # several threads ask for the same at once
+        return _solve_once(wanted)
 
 
 def form_of(lens: Heightfield) -> LensForm:
@@ -165,12 +167,23 @@ _form_once = lru_cache(maxsize=32)(LensForm.of)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Wanted:
+    """What is made of some values, by their hash."""
+
     key: bytes
-    make: Callable[[], Corrected] = field(compare=False)
+    make: Callable[[], Any] = field(compare=False)
+
+    @classmethod
+    def of(cls, *values: object, make: Callable[[], Any]) -> _Wanted:
+        return cls(key=hashlib.blake2b(pickle.dumps(values)).digest(), make=make)
 
 
 @lru_cache(maxsize=32)
 def _compute_once(wanted: _Wanted) -> Corrected:
+    return wanted.make()
+
+
+@lru_cache(maxsize=4)
+def _solve_once(wanted: _Wanted) -> OpticalPath:
     return wanted.make()
 
 

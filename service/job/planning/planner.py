@@ -149,22 +149,22 @@ def _choose_plan(
         candidates, left_out = find_candidates(
             shop, light.forms, light, fillings=light.fillings, quickly=whole is not None
         )
+        choose_milled = partial(plan_among, candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
         finishings = list_finishings(job)
         if finishings and whole is None:
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
         if finishings and whole is not None:
             seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
-            with ThreadPoolExecutor(1) as beside:
+            with ThreadPoolExecutor(2) as beside:
                 guessed = beside.submit(_score_by, seen, plan)
+                settled = None if given else beside.submit(choose_milled, made_rows=FEW_ROWS)  # it may not be needed
+                scored = settled and beside.submit(lambda: _score_by(seen, settled.result()))
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
-            if not given and not is_surely_worth_it(finished.plan, milled, goal):
-                plan = plan_among(
-                    candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms, made_rows=FEW_ROWS
-                )
-                milled = _score_by(seen, plan)
+                if settled and scored and not is_surely_worth_it(finished.plan, milled, goal):
+                    plan, milled = settled.result(), scored.result()
         else:
-            milled = plan = plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
+            milled = plan = choose_milled()
     except NoPlanError as error:
         raise InputError(
             Phrase("none of the tools can finish this lens"),

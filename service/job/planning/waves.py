@@ -43,6 +43,11 @@ class Waves:
         return np.abs(along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None])
 
     @cached_property
+    def _across_turns(self) -> Array:
+        """(n, ny, nx) of each wave a quarter of a turn from those directions."""
+        return np.concatenate([np.roll(turns, _DIRECTIONS // 2, axis=0) for turns in np.split(self._along_turns, 2)])
+
+    @cached_property
     def by_blocks(self) -> Waves:
         """One for each block of the others."""
         ny, nx = (one.size // _BLOCK * _BLOCK for one in (self.along_y, self.along_x))
@@ -70,8 +75,7 @@ class Waves:
         share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across, along = (spread.transfer(waves, reach_mm) for spread in (slopes.across, slopes.along))
-        quarter = np.concatenate([np.roll(turns, _DIRECTIONS // 2, axis=0) for turns in np.split(self._along_turns, 2)])
-        left = np.interp(self._along_turns, waves, across) * np.interp(quarter, waves, along)
+        left = np.interp(self._along_turns, waves, across) * np.interp(self._across_turns, waves, along)
         parts = np.concatenate([share, share]) / 2
         return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
 

@@ -33,7 +33,7 @@ FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0,
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 3), st.integers(0, 5))
 def test_spans_cover_what_is_active_once(active, pad, gap):
     mask = np.array(active)
-    found = spans(mask, pad=pad, gap=gap)
+    (found,) = spans(mask[None], pad=pad, gap=gap)
     covered = np.zeros(mask.size, dtype=int)
     for first, last in found:
         covered[first : last + 1] += 1
@@ -46,7 +46,7 @@ def test_spans_cover_what_is_active_once(active, pad, gap):
 
 @given(st.lists(st.lists(st.booleans(), min_size=12, max_size=12), min_size=1, max_size=10), st.booleans())
 def test_every_span_is_cut_once(masks, link):
-    by_row = [spans(np.array(m), pad=0, gap=0) for m in masks]
+    by_row = spans(np.array(masks), pad=0, gap=0)
     wanted = sorted((row, *span) for row, row_spans in enumerate(by_row) for span in row_spans)
     runs = list(chain_spans(by_row, most_samples=3, link=link))
     assert sorted((r.row, r.first, r.last) for r in runs) == wanted

@@ -13,7 +13,7 @@ from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.iso import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
-from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, feed_at_load, measure_cut
+from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, feed_at_load, measure_cuts
 from cam.surface.cutter import slot_section_mm2
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
@@ -37,17 +37,22 @@ def test_sections_of_slots_and_of_rows_beside_others(radius_mm, corner_share, de
     pitch, depth = radius_mm / 6, depth_share * radius_mm
     spec = replace(FINE, radius_mm=radius_mm, corner_radius_mm=corner_share * radius_mm)
     y = pitch * np.arange(30)
-    now, tips = np.zeros((30, 4)), np.full(4, -depth)
-    slot = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
+    now, tips = np.zeros((30, 4)), np.full((30, 4), -depth)
+    run = Runs(*np.array([[15], [0], [3], [1], [-1]]))
+
+    def measure() -> np.ndarray:
+        return measure_cuts(now.copy(), tips, y, run, spec, top_mm=0.0)[0]
+
+    slot = measure()
     np.testing.assert_allclose(slot[:, 0], slot[:, 1])
     np.testing.assert_allclose(slot[:, :2].sum(axis=1), slot_section_mm2(spec.shape, radius_mm, depth), rtol=0.03)
     np.testing.assert_allclose(slot[:, 2], depth, rtol=0.03)
     now[:15] = -depth
-    beside = measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0)
+    beside = measure()
     np.testing.assert_allclose(beside[:, :2].sum(axis=1), pitch * depth, rtol=0.05)
     assert (beside[:, 0] > 5 * beside[:, 1]).all()  # towards greater Y, where no row has been cut
     now[15:] = -depth
-    assert measure_cut(now, tips, y, 15, 0, spec, top_mm=0.0).max() < 1e-12
+    assert measure().max() < 1e-12
 
 
 def shorten(batch: MoveBatch, most_mm: float) -> MoveBatch:
