@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, uniform_filter
+from scipy.ndimage import gaussian_filter
+from skimage.metrics import structural_similarity
 
 from optics.spline import Array
-from optics.threads import map_arrays
 
 _BANDS = 48  # of spatial frequency, from one period across the picture to one in two pixels
 _CONTRAST = 0.5
@@ -34,28 +33,23 @@ def psnr_db(irradiance: Array, target: Array) -> float:
 def score_caustic(irradiance: Array, target: Array) -> CausticScore:
     """Return scores of a simulated irradiance (ny, nx) against a target of mean 1 in the same frame and units."""
     peak = float(target.max())
+    smaller = min(target.shape)
+    window = min(11, smaller - 1 + smaller % 2)  # sigma 1.5 truncated at 3.5: 11 pixels; tiny pictures have less
+    similarity = structural_similarity(
+        irradiance,
+        target,
+        data_range=peak,
+        win_size=window,
+        gaussian_weights=smaller >= 11,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
     return CausticScore(
         psnr_db=psnr_db(irradiance, target),
-        ssim=_similarity(irradiance, target, peak),
+        ssim=float(similarity),
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),
     )
-
-
-def _similarity(one: Array, other: Array, peak: float) -> float:
-    """Return the SSIM of two pictures (ny, nx): of means, and of variances and covariance, in windows about all pixels
-    but those at the rim (Wang et al. 2004).
-    """
-    smaller = min(one.shape)
-    rim = min(5, (smaller - 1) // 2)  # sigma 1.5 truncated at 3.5: windows of 11 pixels; tiny pictures have less
-    gaussian = partial(gaussian_filter, sigma=1.5, truncate=3.5)
-    window = gaussian if rim == 5 else partial(uniform_filter, size=2 * rim + 1)
-    mean, wanted, squares, product = map_arrays(window, one, other, one * one + other * other, one * other)
-    both, squared = mean * wanted, mean * mean + wanted * wanted
-    c1, c2 = (0.01 * peak) ** 2, (0.03 * peak) ** 2
-    alike = (2 * both + c1) * (2 * (product - both) + c2) / ((squared + c1) * (squares - squared + c2))
-    ny, nx = alike.shape
-    return float(alike[rim : ny - rim, rim : nx - rim].mean())
 
 
 def blurred_psnr_db(target: Array, blur_px: tuple[float, float]) -> float:

@@ -13,9 +13,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 _MOST_THREADS = 8
 _WORTH_THREADS = 50_000  # values in the largest array: of fewer, handing over takes as long as computing
@@ -40,10 +37,3 @@ def run_on_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[
         return [kernel(0, rows, *arguments)]
     futures = [_pool().submit(kernel, lo, hi, *arguments) for lo, hi in pairwise(bounds)]
     return [future.result() for future in futures]
-
-
-def map_arrays(function: Callable[[Array], Array], *arrays: Array) -> list[Array]:
-    """Return function of each array, in order; of large ones on threads."""
-    if max(one.size for one in arrays) < _WORTH_THREADS:
-        return [function(one) for one in arrays]
-    return list(_pool().map(function, arrays))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cam.planning.planner import WORTH_DB, Candidate, Goal, Plan, plan_by_score
 from optics.finish import Finish
+from optics.threads import thread_count
 from phrases.phrase import Phrase
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
@@ -148,7 +150,10 @@ def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     met, most_db = merit(best.plan, goal)
     least = (met, most_db - _ALIKE_DB)
     alike = [one for one in plans if merit(one.plan, goal) >= least]
-    return best if len(alike) == 1 else max(alike, key=_ssim)
+    if len(alike) == 1:
+        return best
+    with ThreadPoolExecutor(thread_count()) as pool:
+        return alike[int(np.argmax(list(pool.map(_ssim, alike))))]
 
 
 def _ssim(one: FinishedPlan) -> float:
