@@ -21,7 +21,9 @@ for _M_MMAP_OR_TRIM_THRESHOLD in (-3, -1):
 gc.disable()  # a million objects are made while tests are collected, and all of them stay
 
 # Kernels compile on their first call, so an example may take seconds; their order is fixed to keep CI repeatable.
-settings.register_profile("causticmill", deadline=None, derandomize=True, max_examples=50, print_blob=True)
+settings.register_profile(
+    "causticmill", deadline=None, derandomize=True, max_examples=50 if THOROUGH else 25, print_blob=True
+)
 settings.load_profile("causticmill")
 
 # A runner under nohup, or in the background of a script, hands the signals that it ignores down to every command that

@@ -93,6 +93,7 @@ def refused(photo: Array, job: Path) -> UselessPhotoError:
     return caught.value
 
 
+@pytest.mark.thorough
 def test_a_photograph_that_tells_nothing_is_refused_with_its_reason(job: Path, wall: Array) -> None:
     """One reason, by its code, and what to do."""
     other = np.asarray(Image.open("examples/logo.png").convert("L").resize(wall.shape[::-1]), dtype=np.float64) ** 2.2

@@ -128,6 +128,7 @@ def test_a_mirror_says_so() -> None:
     assert "silvered or coated" in text and "from the wall's side" in text and "polished back" not in text
 
 
+@pytest.mark.thorough
 def test_a_round_lens_is_drawn_round() -> None:
     round_ = SPEC | {"optics": SPEC["optics"] | {"outline": "ellipse"}}
     assert "cut the block along the outline" in words(sheet_of(spec=round_))

@@ -56,11 +56,13 @@ def test_a_rim_that_the_finish_reaches_from_beyond_the_cut_is_told(radius_mm: fl
     assert told is None or f"{radius_mm:g} mm are milled" in told
 
 
+@pytest.mark.thorough
 def test_the_job_tells_of_its_rim(finished: StagedJob) -> None:
     """A ball of 0.5 mm; the finish reaches 0.85 mm."""
     assert "its outermost 0.35 mm" in " ".join(finished.results["as-finished"].notes["passes"])
 
 
+@pytest.mark.thorough
 def test_its_pictures_are_files_of_the_job(finished: StagedJob) -> None:
     assert {AS_FINISHED, COMPARED_FINISHED} <= set(finished.results["as-finished"].outputs)
 
