@@ -22,7 +22,7 @@ import signal
 import socket
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from service.processes.kernel_cache import use_current_kernels
@@ -50,10 +50,13 @@ class _Stage:
     pid: int
     beats: int
     silence_s: float
-    last_beat_at: float = field(default_factory=time.monotonic)
+    last_beat_at: float
     silent: bool = False
     status: int | None = None
     peak_mb: float = 0.0
+
+    def is_overdue(self) -> bool:
+        return time.monotonic() >= self.last_beat_at + self.silence_s
 
 
 class _Loop:
@@ -162,6 +165,7 @@ class _Loop:
             parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
             order=files[0], words=files[1], log=files[2], beats=beats,
         )  # fmt: skip
+        begun = time.monotonic()  # before the child counts: it shall not end itself first, and seem to have crashed
         try:
             pid = os.fork()
         except OSError as error:
@@ -170,15 +174,14 @@ class _Loop:
         else:
             if pid == 0:
                 run_child(given)
-            self._stages[pid] = _Stage(number, pid, beats_in, silence_s)
+            self._stages[pid] = _Stage(number, pid, beats_in, silence_s, begun)
             self._tell({"started": number, "pid": pid})
         for file in (*files, beats):
             os.close(file)
 
     def _kill_the_silent(self) -> None:
-        now = time.monotonic()
         for stage in self._stages.values():
-            if not stage.silent and stage.status is None and now >= stage.last_beat_at + stage.silence_s:
+            if not stage.silent and stage.status is None and stage.is_overdue():
                 stage.silent = True
                 signal_stage(stage.pid, signal.SIGKILL)
 
@@ -188,6 +191,7 @@ class _Loop:
             if (stage := self._stages.get(dead)) is not None:
                 signal_group(dead, signal.SIGKILL)
                 _, stage.status, usage = os.wait4(dead, 0)
+                stage.silent = stage.silent or stage.is_overdue()  # by its own count
                 stage.peak_mb = usage.ru_maxrss * 1024 / 1e6
             else:
                 os.waitpid(dead, 0)
