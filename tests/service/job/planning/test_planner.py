@@ -302,7 +302,9 @@ def test_every_way_to_mill_keeps_collet_and_removal_rate_of_the_mill(profile: st
         resolve_spec(preset="recommended", overrides=(*SIZE, f"machine.profile={profile}", "stock.margin_mm=14"))
     )
     shop, form = shop_of(job), LensForm.of(bumps(0.2))
-    candidates, left_out = find_candidates(shop, {one.radius_mm: form for one in shop.balls}, Blur(), fillings={})
+    candidates, left_out = find_candidates(
+        shop, {one.radius_mm: form for one in shop.balls}, Blur(), fillings={}, quickly=True
+    )
     passes = [spec for one in candidates for spec in one.passes]
     assert passes and max(2 * (spec.shank_radius_mm or 0.0) for spec in passes) <= job.machine.collet_mm
     assert max(spec.pitch_mm * spec.step_down_mm * spec.feed_mm_per_min for spec in passes) <= (
