@@ -40,7 +40,9 @@ def tour() -> list[list[str]]:
 
 @pytest.mark.thorough
 def test_the_tour_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In order, in an empty folder, at a small size; a command that ends in & goes on beside the next ones."""
+    """In order, in an empty folder, at a small size; what ends in & goes on beside the next ones, from when it says
+    that it is ready.
+    """
     assert len(tour()) >= 6
     (tmp_path / "examples").symlink_to(TOP / "examples")
     monkeypatch.chdir(tmp_path)
@@ -51,6 +53,7 @@ def test_the_tour_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             words = [word.replace("/tmp/", f"{tmp_path}/") for word in words]
             if words[-1] == "&":
                 beside.append(begun(words[:-1], tmp_path))
+                assert beside[-1].stdout is not None and beside[-1].stdout.readline(), " ".join(words)
                 continue
             sized = words[0] in ("make", "design", "plan")
             sizes = [part for value in SMALL for part in ("--set", value)] if sized else []
