@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import ceil, inf, log, pi
 from typing import cast
 
@@ -233,14 +233,11 @@ def _sampled_rows(form: LensForm, spec: PassSpec, made_rows: int) -> tuple[Array
     lens = form.lens if spec.direction == "x" else turn_lens(form.lens)
     rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, spec.radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
     length_mm, across_mm = _spans_mm(form, spec)
-    whole = (
-        None
-        if 3 * spec.radius_mm * made_rows < across_mm
-        else ToolSurface.over(lens, radius_mm=spec.radius_mm, nodes=_NODES)
-    )
+    over = partial(ToolSurface.over, lens, radius_mm=spec.radius_mm, nodes=_NODES)
+    whole = None if 3 * spec.radius_mm * made_rows < across_mm else over()
 
     def make(y: float) -> Array:
-        surface = whole or ToolSurface.over(lens, radius_mm=spec.radius_mm, row_mm=y, nodes=_NODES)
+        surface = whole or over(row_mm=y)
         out = np.empty((most_vertices(length_mm, rule), 3))
         return out[: march_row(surface.kernel, rule, y, -spec.radius_mm, lens.width_mm + spec.radius_mm, out, 0)].copy()
 

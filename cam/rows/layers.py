@@ -24,7 +24,7 @@ from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
 from cam.rows.loads import Runs, choose_feeds, choose_link_feeds, measure_cuts
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
-from cam.rows.vertices import rough_sag_mm, split, thin_pieces, thin_points
+from cam.rows.vertices import rough_sag_mm, thin_pieces, thin_points
 from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
 from phrases.phrase import Phrase
@@ -331,17 +331,17 @@ class _Work:
         for done in range(0, len(order), _AT_ONCE):
             some = order[done : done + _AT_ONCE]
             runs = _as_arrays([order[done - 1], *some], some)
-            points, feeds, link_feeds = self._feed(runs)
-            links = zip(self._link(runs), link_feeds[runs.is_joined].tolist(), strict=True)
+            points, feeds, link_feeds = self._choose_feeds(runs)
+            links = zip(self._make_links(runs), link_feeds[runs.is_joined].tolist(), strict=True)
             ends = np.append(0, np.cumsum(runs.counts))
             edges = np.union1d(np.flatnonzero(np.diff(feeds)) + 1, ends)
             cuts = map(cut, thin_pieces(points, edges, self.sag_mm), feeds[edges[:-1]].tolist())
             pieces = np.diff(np.searchsorted(edges, ends)).tolist()
-            for run, count, own in zip(some, pieces, split(points, ends), strict=True):
+            for run, count, own in zip(some, pieces, np.split(points, ends[1:-1]), strict=True):
                 link = cut(*next(links)) if run.joined else None
                 yield run, link, own, list(islice(cuts, count))
 
-    def _feed(self, runs: Runs) -> tuple[Array, Array, Array]:
+    def _choose_feeds(self, runs: Runs) -> tuple[Array, Array, Array]:
         """Return points (n, 3) of the runs, each from its start to its end, their feeds (n,), and those of the ways to
         them (m,).
         """
@@ -360,7 +360,7 @@ class _Work:
         onward = np.arange(samples.size) + np.where(np.repeat(runs.way, counts) > 0, 0, first + last - 2 * samples)
         return points[onward], feeds[onward], choose_link_feeds(depth_mm, spec)
 
-    def _link(self, runs: Runs) -> list[Array]:
+    def _make_links(self, runs: Runs) -> list[Array]:
         """Return half turns on the layer's surface from one run's end to the next one's start, bulging the way the tool
         went as far as the run-out allows.
 
@@ -380,11 +380,11 @@ class _Work:
         bulge = field.rows.turn_mm * np.sin(angle) * -runs.way[joined][turn]
         x = on_ticks(np.clip(x0[turn] + (x1 - x0)[turn] * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
         y = on_ticks(y0[turn] + (y1 - y0)[turn] * (1 - np.cos(angle)) / 2)
-        edges, stairs = np.append(0, ends), np.full(x.size, self.stair_mm)
-        stairs[edges[:-1]] = stairs[ends - 1] = 0.0
-        each = zip(split(x, edges), split(y, edges), strict=True)
+        stairs = np.full(x.size, self.stair_mm)
+        stairs[ends - counts - 1] = stairs[ends - 1] = 0.0
+        each = zip(np.split(x, ends[:-1]), np.split(y, ends[:-1]), strict=True)
         lowest = np.concatenate([self.surface.tip_heights_mm(*one) for one in each])  # from its own neighbours alone
-        found = split(np.column_stack([x, y, self.layer.tips_mm(lowest + stairs)]), edges)
+        found = np.split(np.column_stack([x, y, self.layer.tips_mm(lowest + stairs)]), ends[:-1])
         return [thin_points(one, self.sag_mm, along=1) if np.ptp(one[:, 0]) == 0 else one for one in found]
 
 

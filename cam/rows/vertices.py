@@ -9,7 +9,6 @@ larger sag will do: it bends far more than the lens, and under the lens's rule a
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -233,9 +232,4 @@ def thin_pieces(points_mm: Array, edges: NDArray[np.int64], tolerance_mm: float)
     keep, kept = np.empty(len(points_mm), np.int64), np.empty_like(edges)
     x, z = (np.ascontiguousarray(points_mm[:, column]) for column in (0, 2))
     _thin_pieces(x, z, edges, max(tolerance_mm, 1e-9), keep, kept)
-    return split(points_mm[keep[: kept[-1]]], kept)
-
-
-def split(values: Array, edges: NDArray[np.int64]) -> list[Array]:
-    """Return the pieces of values (n, ...) that begin and end at edges (m + 1,)."""
-    return [values[first:end] for first, end in pairwise(edges.tolist())]
+    return np.split(points_mm[keep[: kept[-1]]], kept[1:-1])

@@ -42,11 +42,11 @@ def test_everything_from_outside_is_hashed() -> None:
 def test_all_that_runs_here_and_in_the_same_versions() -> None:
     """With the same hashes, as what is here already is not installed once more below."""
 
-    def pinned(path: str) -> set[tuple[str, str]]:
+    def read_pins(path: str) -> set[tuple[str, str]]:
         entry = r"^([a-z0-9][^\\\n]*) \\\n((?: +--hash=[^\n]+\n)+)"
         return set(re.findall(entry, (ROOT / path).read_text(), flags=re.MULTILINE))
 
-    assert pinned("requirements.lock") < pinned("docker/requirements.lock") < pinned("requirements-dev.lock")
+    assert read_pins("requirements.lock") < read_pins("docker/requirements.lock") < read_pins("requirements-dev.lock")
 
 
 def test_it_stops_by_the_signal_that_drains() -> None:

@@ -155,14 +155,18 @@ def _choose_plan(
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
         if finishings and whole is not None:
             seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
+
+            def settle() -> tuple[Plan, Plan]:
+                settled = choose_milled(made_rows=FEW_ROWS)
+                return settled, _score_by(seen, settled)
+
             with ThreadPoolExecutor(2) as beside:
                 guessed = beside.submit(_score_by, seen, plan)
-                settled = None if given else beside.submit(choose_milled, made_rows=FEW_ROWS)  # it may not be needed
-                scored = settled and beside.submit(lambda: _score_by(seen, settled.result()))
+                coming = None if given else beside.submit(settle)  # it may not be needed
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
-                if settled and scored and not is_surely_worth_it(finished.plan, milled, goal):
-                    plan, milled = settled.result(), scored.result()
+                if coming and not is_surely_worth_it(finished.plan, milled, goal):
+                    plan, milled = coming.result()
         else:
             milled = plan = choose_milled()
     except NoPlanError as error:
