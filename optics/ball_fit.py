@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from optics.heightfield import Heightfield
-from optics.spline import Array, slope_weights, spline_jet, spline_weights
+from optics.spline import Array, slope_weights, spline_weights
 from optics.threads import run_on_rows
 
 Mask = NDArray[np.bool_]
@@ -71,18 +71,27 @@ def _tightest(zx: float, zy: float, zxx: float, zxy: float, zyy: float) -> tuple
 @njit(cache=True, nogil=True)
 def _relax_point(c: Array, y: float, x: float, inv_dy: float, inv_dx: float, limit: float) -> bool:
     """Change c where the curvature at (x, y) [cells] is over the limit, to what is allowed; whether it was."""
-    _, zx, zy, zxx, zxy, zyy = spline_jet(c, 0.0, 0.0, 1.0, 1.0, x, y)
+    i = min(max(int(math.floor(x)), 0), c.shape[1] - 4)
+    j = min(max(int(math.floor(y)), 0), c.shape[0] - 4)
+    wx, dx, bx = spline_weights(x - i), slope_weights(x - i), _bend_weights(x - i)
+    wy, dy, by = spline_weights(y - j), slope_weights(y - j), _bend_weights(y - j)
     per_xx, per_xy, per_yy = inv_dx * inv_dx, inv_dx * inv_dy, inv_dy * inv_dy
+    zx = zy = zxx = zxy = zyy = 0.0
+    for b in range(4):
+        c0, c1, c2, c3 = c[j + b, i], c[j + b, i + 1], c[j + b, i + 2], c[j + b, i + 3]
+        r = wx[0] * c0 + wx[1] * c1 + wx[2] * c2 + wx[3] * c3
+        rx = dx[0] * c0 + dx[1] * c1 + dx[2] * c2 + dx[3] * c3
+        zx += wy[b] * rx
+        zy += dy[b] * r
+        zxx += wy[b] * (bx[0] * c0 + bx[1] * c1 + bx[2] * c2 + bx[3] * c3)
+        zxy += dy[b] * rx
+        zyy += by[b] * r
     if max(zxx * per_xx, zyy * per_yy) + abs(zxy) * per_xy <= limit:
         return False
     k, mxx, mxy, myy = _tightest(zx * inv_dx, zy * inv_dy, zxx * per_xx, zxy * per_xy, zyy * per_yy)
     if k <= limit:
         return False
     mxx, mxy, myy = mxx * per_xx, mxy * per_xy, myy * per_yy
-    i = min(max(int(math.floor(x)), 0), c.shape[1] - 4)
-    j = min(max(int(math.floor(y)), 0), c.shape[0] - 4)
-    wx, dx, bx = spline_weights(x - i), slope_weights(x - i), _bend_weights(x - i)
-    wy, dy, by = spline_weights(y - j), slope_weights(y - j), _bend_weights(y - j)
     square = 0.0
     for b in range(4):
         for a in range(4):

@@ -27,8 +27,7 @@ def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
     if max(blur_px) <= 0:
         return target
     aim = target.copy()
-    for _ in range(_STEPS):
-        aim = np.maximum(aim + spread_evenly(target - spread_evenly(aim, blur_px), blur_px), _FLOOR)
+    _win_back(target, aim, _box(blur_px[0]), _box(blur_px[1]))
     return np.asarray(aim / aim.mean())
 
 
@@ -37,10 +36,9 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
-    down, across = blur_px
-    if across > 0:
-        picture = np.asarray(_spread_across(picture, *_box(across)))
-    return np.asarray(_spread_down(picture, *_box(down))) if down > 0 else picture
+    out = np.empty_like(picture)
+    _spread(picture, _box(blur_px[0]), _box(blur_px[1]), np.empty_like(picture), out)
+    return out
 
 
 def _box(sigma: float) -> tuple[int, float, float]:
@@ -52,24 +50,53 @@ def _box(sigma: float) -> tuple[int, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
+def _win_back(target, aim, down, across):  # type: ignore[no-untyped-def]
+    """Change aim, which is the target at first, by the steps of Landweber's iteration, for the boxes of both blurs."""
+    spread, beside = np.empty_like(aim), np.empty_like(aim)
+    for _ in range(_STEPS):
+        _spread(aim, down, across, beside, spread)
+        for j in range(aim.shape[0]):
+            for i in range(aim.shape[1]):
+                spread[j, i] = target[j, i] - spread[j, i]
+        _spread(spread, down, across, beside, spread)
+        for j in range(aim.shape[0]):
+            for i in range(aim.shape[1]):
+                aim[j, i] = max(aim[j, i] + spread[j, i], _FLOOR)
+
+
+@njit(cache=True, nogil=True)
+def _spread(picture, down, across, beside, out):  # type: ignore[no-untyped-def]
+    """Spread the picture over both boxes into out, which may be itself; beside: room for another."""
+    _spread_across(picture, across[0], across[1], across[2], beside)
+    _spread_down(beside, down[0], down[1], down[2], out)
+
+
+@njit(cache=True, nogil=True)
+def _spread_across(picture, half, inner, ends, out):  # type: ignore[no-untyped-def]
     """Spread along the rows as `_spread_down` spreads down the columns."""
+    if inner == 1.0:
+        out[:] = picture
+        return
     ny, nx = picture.shape
-    out, line = np.empty((ny, nx)), np.zeros(nx + 2 * half + 2)
+    line = np.zeros(nx + 2 * half + 2)
     for j in range(ny):
         line[half + 1 : half + 1 + nx] = picture[j]
         total = line[: 2 * half + 1].sum()
         for i in range(nx):
             total += line[i + 2 * half + 1] - line[i]
             out[j, i] = inner * total + ends * (line[i] + line[i + 2 * half + 2])
-    return out
 
 
 @njit(cache=True, nogil=True)
-def _spread_down(picture, half, inner, ends):  # type: ignore[no-untyped-def]
-    """Return inner times the sum from half above to half below, plus ends times the pixel beyond on either side."""
+def _spread_down(picture, half, inner, ends, out):  # type: ignore[no-untyped-def]
+    """Fill out with inner times the sum from half above to half below, plus ends times the pixel beyond on either
+    side.
+    """
+    if inner == 1.0:
+        out[:] = picture
+        return
     ny, nx = picture.shape
-    out, total, dark = np.empty((ny, nx)), np.zeros(nx), np.zeros(nx)
+    total, dark = np.zeros(nx), np.zeros(nx)
     for j in range(min(half, ny)):
         for i in range(nx):
             total[i] += picture[j, i]
@@ -80,4 +107,3 @@ def _spread_down(picture, half, inner, ends):  # type: ignore[no-untyped-def]
         for i in range(nx):
             total[i] += entered[i] - left[i]
             out[j, i] = inner * total[i] + ends * (left[i] + beyond[i])
-    return out

@@ -39,7 +39,7 @@ _HIDDEN = 0.53  # fits the facets of `cam.as_milled` within 15 % for balls of 0.
 class SlopeSpread:
     """How slope errors along one direction are distributed: slope (n,) and the share of the area (n,), of sum 1.
 
-    Both ways alike: slopes rise through 0 in the middle, n is odd.
+    Both ways alike: slopes rise evenly through 0 in the middle, n is odd.
     """
 
     slope: Array
@@ -58,14 +58,30 @@ class SlopeSpread:
         waves : (k,) per unit of reach x slope
         """
         half = self.slope.size // 2
-        phase = 2 * np.pi * reach * np.outer(np.asarray(waves), self.slope[:half])
-        return np.asarray(self.share[half] + np.cos(phase) @ (2 * self.share[:half]))
+        step = 2 * np.pi * reach * self.slope[-1] / max(half, 1)
+        return _mean_cosine(np.asarray(waves) * step, self.share[half:])
 
     def kept_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
         """Return (n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""
         sent = np.concatenate([[0.0], np.cumsum(self.share)])
         over = [1.0 - sent[np.searchsorted(self.slope * reach_mm, d)] for d in (places_mm, end_mm - places_mm)]
         return np.asarray(1.0 - over[0] - over[1])
+
+
+@njit(cache=True, nogil=True)
+def _mean_cosine(steps: Array, share: Array) -> Array:
+    """Return (k,) of each step the mean of cos(i step) by shares (m,), those but the first counted for -i as well.
+
+    By cos((i + 1) a) = 2 cos(a) cos(i a) - cos((i - 1) a).
+    """
+    out = np.full(steps.size, share[0])
+    for k in range(steps.size):
+        cosine = np.cos(steps[k])
+        before, now = 1.0, cosine
+        for i in range(1, share.size):
+            out[k] += 2.0 * share[i] * now
+            before, now = now, 2.0 * cosine * now - before
+    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

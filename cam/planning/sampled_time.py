@@ -36,11 +36,14 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
-ROWS, FEW_ROWS = 40, 12  # of a pass that are made; half as many are off by up to 4 %, of a coarse lens by 0.2 %
+ROWS, FEW_ROWS = (
+    40,
+    8,
+)  # of a pass that are made; 20 are off by up to 4 %, 8 of a coarse lens by 1 %
 _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
 _FEW_PITCHES_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
-_MOST_SAMPLES = 350_000  # of layers that are made: at most two thirds of a second, as of 36 layers for R 3 on 100 mm
+_MOST_SAMPLES = 250_000  # of layers that are made: at most half a second, as of 36 layers for R 3 on 100 mm
 _BLOCK_CELL_MM = 1.0  # of a flat block; any will do
 _LEFT_CELL_MM = 0.25  # of what a first pass leaves
 _NODES = 4  # a radius, of the surface under rows that are only timed: a ten-thousandth from that under rows to be cut

@@ -25,7 +25,6 @@ _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is le
 _FINER_LACKS = 1.6  # times as much as a lens of 96 pixels, of the light of one as fine as the picture
 _WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
-_GUESS_DB = 1.0  # that sharpening may bring: 0.9 at most on six pictures and four mills and sizes
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
 
@@ -98,18 +97,18 @@ def plan_finish(
     exactly    : and by one as fine as the picture for each of the two best: creases cost more there than on a coarse
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
-    rows = _quickest_alike(candidates)
+    rows, find_best = _quickest_alike(candidates), _find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
-    first = _find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+    first = find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
     first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
     for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
     if not exactly:
-        best = _find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+        best = find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
-        return _find_best(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
+        return find_best(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
     plans = _plan_all(rows, left_out, ways, goal)
     best = _find_best(plans, goal)
     two = sorted(plans, key=lambda one: (one is best, merit(one.plan, goal)))[-2:]  # some lenses turn out badly
@@ -142,9 +141,13 @@ def _plan_all(
     ]
 
 
+def _find_best_by_merit(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
+    return max(plans, key=lambda one: merit(one.plan, goal))
+
+
 def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
-    best = max(plans, key=lambda one: merit(one.plan, goal))
+    best = _find_best_by_merit(plans, goal)
     if goal.is_quality:
         return best
     met, most_db = merit(best.plan, goal)
@@ -185,11 +188,3 @@ def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
         return merit(finished, goal) > merit(milled, goal)
     with_db, without_db = (min(plan.chosen.psnr_db, _CLOSE_DB) for plan in (finished, milled))
     return (finished.met, with_db) > (milled.met, without_db + _WORTH_DB)
-
-
-def is_surely_worth_it(finished: Plan, guessed: Plan, goal: Goal) -> bool:
-    """Return whether passes guessed without a finish stay the choice: lenses sharpened for them might choose others."""
-    if goal.is_quality:
-        return False
-    guess_db = guessed.chosen.psnr_db + _GUESS_DB
-    return is_worth_it(finished, replace(guessed, chosen=replace(guessed.chosen, psnr_db=guess_db)), goal)

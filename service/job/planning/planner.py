@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from math import ceil, inf
@@ -17,7 +18,6 @@ from cam.planning.planner import (
     Plan,
     find_candidates,
     plan_among,
-    plan_by_score,
     time_by_lens,
 )
 from cam.planning.sampled_time import FEW_ROWS
@@ -29,7 +29,6 @@ from phrases.phrase import Phrase
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
-    is_surely_worth_it,
     is_worth_it,
     list_finishings,
     plan_finish,
@@ -133,6 +132,18 @@ def _radii(shop: Shop) -> list[float]:
     return sorted({r for r in held if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
+@contextmanager
+def _refuse_without_plan() -> Iterator[None]:
+    """Raise InputError, which tells of each tool why it is left out, where none can finish a lens."""
+    try:
+        yield
+    except NoPlanError as error:
+        raise InputError(
+            Phrase("none of the tools can finish this lens"),
+            *(Phrase("{name}: {why}", name=name, why=why) for name, why in error.left_out),
+        ) from None
+
+
 def _choose_plan(
     job: ResolvedJob,
     shop: Shop,
@@ -144,36 +155,26 @@ def _choose_plan(
     own_lens: OwnLens | None = None,
 ) -> Planned:
     goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
+    finishings, quickly = list_finishings(job), whole is not None
     finished: FinishedPlan | None = None
-    try:
-        candidates, left_out = find_candidates(
-            shop, light.forms, light, fillings=light.fillings, quickly=whole is not None
-        )
+    with _refuse_without_plan(), ThreadPoolExecutor(1) as beside:
+        coming = beside.submit(light.retarget, whole) if finishings and whole is not None else None
+        candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings, quickly=quickly)
         choose_milled = partial(plan_among, candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
-        finishings = list_finishings(job)
-        if finishings and whole is None:
-            finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
-        if finishings and whole is not None:
-            seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
+        if coming is not None:
+            seen = coming.result()
 
             def settle() -> tuple[Plan, Plan]:
                 settled = choose_milled(made_rows=FEW_ROWS)
                 return settled, _score_by(seen, settled)
 
-            with ThreadPoolExecutor(2) as beside:
-                guessed = beside.submit(_score_by, seen, plan)
-                coming = None if given else beside.submit(settle)  # it may not be needed
-                finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
-                milled = guessed.result()
-                if coming and not is_surely_worth_it(finished.plan, milled, goal):
-                    plan, milled = coming.result()
+            settling = beside.submit(settle)
+            finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
+            plan, milled = settling.result()
         else:
+            if finishings:
+                finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
             milled = plan = choose_milled()
-    except NoPlanError as error:
-        raise InputError(
-            Phrase("none of the tools can finish this lens"),
-            *(Phrase("{name}: {why}", name=name, why=why) for name, why in error.left_out),
-        ) from None
     finishing = None
     if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
         plan, light, finishing = finished.plan, finished.light, finished.finishing

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numba import njit
 
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm
@@ -35,19 +36,6 @@ class Waves:
         return cls(along_y=y, along_x=x)
 
     @cached_property
-    def _along_turns(self) -> Array:
-        """(n, ny, nx) of each wave in n directions; waves here have no sign."""
-        turns = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
-        turns = np.concatenate([turns, -turns])
-        along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]
-        return np.abs(along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None])
-
-    @cached_property
-    def _across_turns(self) -> Array:
-        """(n, ny, nx) of each wave a quarter of a turn from those directions."""
-        return np.concatenate([np.roll(turns, _DIRECTIONS // 2, axis=0) for turns in np.split(self._along_turns, 2)])
-
-    @cached_property
     def by_blocks(self) -> Waves:
         """One for each block of the others."""
         ny, nx = (one.size // _BLOCK * _BLOCK for one in (self.along_y, self.along_x))
@@ -71,13 +59,42 @@ class Waves:
         """Return what is left of each wave, and of its square: rows run along the contour lines, so across them is the
         gradient's direction, which all places share out, and along them a quarter of a turn from it.
         """
-        edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
-        share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across, along = (spread.transfer(waves, reach_mm) for spread in (slopes.across, slopes.along))
-        left = np.interp(self._along_turns, waves, across) * np.interp(self._across_turns, waves, along)
-        parts = np.concatenate([share, share]) / 2
-        return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
+        kept, squared = (np.empty((self.along_y.size, self.along_x.size)) for _ in range(2))
+        _keep_by_contours(self.along_y, self.along_x, _share_by_turn(form), across, along, waves[1], kept, squared)
+        return kept, squared
+
+
+@lru_cache(maxsize=32)
+def _share_by_turn(form: LensForm) -> Array:
+    """Return (n, 3) cosine and sine of n directions in half a turn, and the share of places whose gradient has it."""
+    turns = np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+    share = np.histogram(np.mod(form.turns_rad, np.pi), _DIRECTIONS, range=(0.0, np.pi))[0] / form.turns_rad.size
+    return np.column_stack([np.cos(turns), np.sin(turns), share])
+
+
+@njit(cache=True, nogil=True)
+def _keep_by_contours(along_y, along_x, turns, across, along, step, kept, squared):  # type: ignore[no-untyped-def]
+    """Compute kept and squared (ny, nx), waves here having no sign; across, along (k,): left of waves a step apart."""
+    for j in range(along_y.size):
+        for i in range(along_x.size):
+            total = square = 0.0
+            for d in range(turns.shape[0]):
+                cosine, sine, share = turns[d]
+                for up in (along_y[j], -along_y[j]):
+                    uphill = abs(cosine * along_x[i] + sine * up) / step
+                    level = abs(sine * along_x[i] - cosine * up) / step
+                    left = _between(across, uphill) * _between(along, level)
+                    total += 0.5 * share * left
+                    square += 0.5 * share * left * left
+            kept[j, i], squared[j, i] = total, square
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _between(values, place):  # type: ignore[no-untyped-def]
+    first = min(int(place), values.size - 2)
+    return values[first] + (place - first) * (values[first + 1] - values[first])
 
 
 def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpread]:

@@ -8,7 +8,6 @@ import pytest
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from service.errors import SpecError
-from service.job.planning import planner
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_picture
@@ -54,19 +53,6 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     plan = planned("finish.process=best", *FINE)
     assert plan.finishing is None
     assert plan.finish_table() == {"process": "none"}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("asked", [("best", *FINE), ("best", *ROUGH), ("flame", "plan.hours=2", *ROUGH)])
-def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
-    monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
-) -> None:
-    process, *others = asked
-    quick = planned(f"finish.process={process}", *others, whole=target_of(128))
-    monkeypatch.setattr(planner, "is_surely_worth_it", lambda *_: False)
-    slow = planned(f"finish.process={process}", *others, whole=target_of(128))
-    assert quick.finish_table() == slow.finish_table()
-    assert quick.rows() == slow.rows()
 
 
 @pytest.mark.thorough
