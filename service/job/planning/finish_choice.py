@@ -97,24 +97,24 @@ def plan_finish(
     exactly    : and by one as fine as the picture for each of the two best: creases cost more there than on a coarse
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
-    rows, find_best = _quickest_alike(candidates), _find_best if exactly else _find_best_by_merit
+    rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
-    first = find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+    first = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
     first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
     for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
     if not exactly:
-        best = find_best(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+        best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
-        return find_best(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
+        return best_of(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
     plans = _plan_all(rows, left_out, ways, goal)
-    best = _find_best(plans, goal)
+    best = find_best(plans, goal)
     two = sorted(plans, key=lambda one: (one is best, merit(one.plan, goal)))[-2:]  # some lenses turn out badly
     for one in two:
         one.light.calibrate(one.plan.chosen.marks, design, fine=True)
-    return _find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in two], goal), goal)
+    return find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in two], goal), goal)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
@@ -145,7 +145,7 @@ def _find_best_by_merit(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     return max(plans, key=lambda one: merit(one.plan, goal))
 
 
-def _find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
+def find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
     best = _find_best_by_merit(plans, goal)
     if goal.is_quality:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cam.checking.flat_removal import removal_of
 from cam.checking.sweep import LEFT, RIGHT
@@ -13,7 +15,7 @@ from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.iso import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
-from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, feed_at_load, measure_cuts
+from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, choose_feeds, feed_at_load, measure_cuts
 from cam.surface.cutter import slot_section_mm2
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
@@ -137,3 +139,25 @@ def test_planes_are_cut_on_rows_farther_apart_and_those_between_follow_once(hill
     assert sparse.time_s < 0.8 * dense.time_s
     over_um = [max(window.highest_um for window in verdict.windows) for verdict in (sparse, dense)]
     assert over_um[0] <= over_um[1] + 1000 * FINE.pitch_mm**2 / (8 * FINE.radius_mm)
+
+
+@given(
+    counts=st.lists(st.integers(1, 40), min_size=2, max_size=6),
+    seed=st.integers(0, 9),
+    corner_mm=st.sampled_from((1.0, 0.0)),
+)
+def test_runs_that_are_chosen_for_at_once_have_the_feeds_of_each_alone(counts, seed, corner_mm):
+    lot, spec = (
+        np.random.default_rng(seed),
+        replace(FINE, corner_radius_mm=corner_mm, max_rate_mm_per_min=(900.0, 900.0, 60.0)),
+    )
+    one, ends = np.ones(len(counts), dtype=np.int64), np.cumsum(counts)
+    bite, tips_mm = lot.uniform(0.0, 0.3, (ends[-1], 3)), lot.uniform(-0.2, 0.0, ends[-1])
+    runs = Runs(one, 0 * one, np.array(counts) - 1, lot.choice([-1, 1], one.size), -one)
+    together = choose_feeds(bite.copy(), tips_mm, runs, spec, step_mm=0.1)
+    for number, (end, count) in enumerate(zip(ends, counts, strict=True)):
+        own = slice(end - count, end)
+        alone = Runs(*(values[number : number + 1] for values in runs))
+        np.testing.assert_array_equal(
+            together[own], choose_feeds(bite[own].copy(), tips_mm[own], alone, spec, step_mm=0.1)
+        )

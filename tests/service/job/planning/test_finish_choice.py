@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cam.planning.planner import Goal
+from optics.finish import Finish
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from service.errors import SpecError
+from service.job.planning.finish_choice import FinishedPlan, find_best
+from service.job.planning.finished_light import FinishedLight
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_picture
+from service.job.planning.predicted_light import PictureLight
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import with_plan
 
@@ -53,6 +58,22 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     plan = planned("finish.process=best", *FINE)
     assert plan.finishing is None
     assert plan.finish_table() == {"process": "none"}
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_finishes_alike_the_one_that_looks_most_like_the_picture_is_taken(
+    best_on_a_rough_mill: Planned, first: int
+) -> None:
+    plan, like = best_on_a_rough_mill.plan, best_on_a_rough_mill.finishing
+    assert like is not None
+    milled = PictureLight(target_of(64), best_on_a_rough_mill.light.bench)
+    milled.lenses = best_on_a_rough_mill.light.lenses
+    weak_and_strong = [
+        FinishedPlan(plan=plan, finishing=like, light=FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0)))
+        for k0 in (1.5, 10.0)
+    ]
+    taken = find_best(weak_and_strong[first:] + weak_and_strong[:first], Goal())
+    assert taken is weak_and_strong[1]
 
 
 @pytest.mark.thorough
