@@ -279,17 +279,18 @@ def _places(out_of_reach: np.ndarray, left: StockLeft, stride: int) -> tuple[Unr
         return ()
     near = ndimage.binary_dilation(out_of_reach, iterations=1 + min(stride, 3))
     spots, count = ndimage.label(near, structure=np.ones((3, 3)))
-    labels = np.where(out_of_reach, spots, 0)
-    index = np.arange(1, count + 1)
-    heights = ndimage.maximum(left.over_mm, labels, index)
-    sizes = ndimage.sum_labels(out_of_reach, labels, index) * stride * left.grid.cell_mm**2
-    centres = ndimage.maximum_position(left.over_mm, labels, index)
-    worst = np.argsort(heights)[::-1][:_NAMED]
+    cells = np.flatnonzero(out_of_reach)
+    spot, over_mm = spots.flat[cells] - 1, left.over_mm.flat[cells]
+    order = np.lexsort((over_mm, spot))
+    highest = order[np.flatnonzero(np.diff(spot[order], append=count))]
+    sizes = np.bincount(spot, minlength=count) * stride * left.grid.cell_mm**2
+    worst = np.argsort(over_mm[highest])[::-1][:_NAMED]
+    rows, columns = np.divmod(cells[highest], out_of_reach.shape[1])
     return tuple(
         Unreached(
-            x_mm=float(left.grid.x_mm[int(centres[k][1])]),
-            y_mm=float(left.grid.y_mm[int(centres[k][0])]),
-            excess_um=1000 * float(heights[k]),
+            x_mm=float(left.grid.x_mm[columns[k]]),
+            y_mm=float(left.grid.y_mm[rows[k]]),
+            excess_um=1000 * float(over_mm[highest[k]]),
             area_mm2=float(sizes[k]),
         )
         for k in worst
