@@ -36,10 +36,7 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
-ROWS, FEW_ROWS = (
-    40,
-    8,
-)  # of a pass that are made; 20 are off by up to 4 %, 8 of a coarse lens by 1 %
+ROWS, FEW_ROWS = 40, 8  # of a pass that are made: 20 are off by up to 4 %, 8 of a coarse lens by 1 %
 _PITCHES_MM = (0.02, 0.05, 0.12, 0.25)  # at which rows are made: at those between, vertices are much the same
 _FEW_PITCHES_MM = (0.05,)  # at which few are: on a coarse lens pitches differ by less than a hundredth
 _LEAST_PLACES = 2  # vertices of the coarse lens in a radius: the time is within a hundredth
