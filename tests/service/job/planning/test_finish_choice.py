@@ -68,12 +68,12 @@ def test_of_finishes_alike_the_one_that_looks_most_like_the_picture_is_taken(
     assert like is not None
     milled = PictureLight(target_of(64), best_on_a_rough_mill.light.bench)
     milled.lenses = best_on_a_rough_mill.light.lenses
-    weak_and_strong = [
+    levelled_and_striped = [
         FinishedPlan(plan=plan, finishing=like, light=FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0)))
         for k0 in (1.5, 10.0)
     ]
-    taken = find_best(weak_and_strong[first:] + weak_and_strong[:first], Goal())
-    assert taken is weak_and_strong[1]
+    taken = find_best(levelled_and_striped[first:] + levelled_and_striped[:first], Goal())
+    assert taken is levelled_and_striped[0]
 
 
 @pytest.mark.thorough
