@@ -12,6 +12,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
@@ -22,6 +23,11 @@ from tests.page.stub import Stub, running_stub
 from tests.service.conftest import _one_certificate  # noqa: F401 - journeys ask their server very often
 
 Opened = Callable[..., Page]
+# Contexts, programs and sizes are there as ever; to paint in software is two thirds of what a screen costs.
+UNPAINTED = """() => {
+    for (const name of ["drawArrays", "drawArraysInstanced", "drawElements"])
+        WebGL2RenderingContext.prototype[name] = () => {};
+}"""
 _loads = itertools.count()  # an address that differs by more than its view's is loaded, not only gone to
 
 expect.set_options(timeout=ANSWER_MS)
@@ -127,6 +133,18 @@ def opened(browser: Browser, kept: Kept, stub: Stub) -> Iterator[Opened]:
 
         yield make
     assert not (lies := stub.lies()), "\n".join(lies)
+
+
+@pytest.fixture
+def unpainted(opened: Opened) -> Opened:
+    """`opened`, for who looks at layout and words alone: WebGL draws nothing into its views."""
+
+    def make(*address: str, **how: Any) -> Page:
+        page = opened(*address, **how)
+        page.evaluate(UNPAINTED)
+        return page
+
+    return make
 
 
 @pytest.fixture
