@@ -205,8 +205,9 @@ def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None
 
     def at(z_mm: float) -> None:
         higher = {"work_mm": [12.4, 7.02, z_mm], "machine_mm": [-137.6, -142.98, z_mm - 20]}
+        count = len(asked) + 1
         told(page, "stopped", operator="Ada", mill=higher, plan=lambda route: asked.append(route))
-        after(asked, len(asked) + 1, page)
+        after(asked, count, page)
 
     def answer(route: Route, line: int) -> None:
         route.fulfill(json=READY | {"overlap_line": line})
