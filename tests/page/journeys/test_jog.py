@@ -149,8 +149,10 @@ def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
     finger.down()
     expect(readout(at_mill, "X", own=True)).to_have_text(f"−{HELD_MM - before:.3f}")
     expect(machine_state(at_mill)).to_have_text("idle")
-    finger.gone()
+    with logged(at_mill, "End of a jog"):
+        finger.gone()
     assert len(sent) == 1
+    at_mill.wait_for_timeout(1500)  # as above: nothing may be ordered that this word would stop
 
 
 @pytest.mark.thorough
