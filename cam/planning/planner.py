@@ -224,12 +224,12 @@ def plan_among(
     *,
     shop: Shop,
     lenses: Callable[[], Mapping[float, LensForm]],
-    made_rows: int = ROWS,
+    quickly: bool = False,
 ) -> Plan:
     """Choose among candidates that the light has guessed.
 
-    lenses    : as they are now, by radius of the finishing ball
-    made_rows : of each pass, by which its time is known
+    lenses  : as they are now, by radius of the finishing ball
+    quickly : their times from fewer moves, as in `find_candidates`
     """
     near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
@@ -238,7 +238,7 @@ def plan_among(
     settled = lenses()
     near = [
         replace(
-            _time_again(one, guessed[one.finish.radius_mm], settled[one.finish.radius_mm], shop, made_rows),
+            _time_again(one, guessed[one.finish.radius_mm], settled[one.finish.radius_mm], shop, quickly=quickly),
             psnr_db=light.aimed_db(one.marks),
         )
         for one in near
@@ -246,8 +246,11 @@ def plan_among(
     return plan_by_score(near, left_out, goal)
 
 
-def _time_again(one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop, made_rows: int = ROWS) -> Candidate:
+def _time_again(
+    one: Candidate, guessed: LensForm, settled: LensForm, shop: Shop, *, quickly: bool = False
+) -> Candidate:
     """Return a candidate whose finish takes the rows of another lens: a sharper one has shorter chords."""
+    made_rows = FEW_ROWS if quickly else ROWS
     before_s, now_s = (
         rows_s(lens, one.finish, shop.mill, shop.digits, made_rows=made_rows) for lens in (guessed, settled)
     )

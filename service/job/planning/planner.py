@@ -20,7 +20,6 @@ from cam.planning.planner import (
     plan_among,
     time_by_lens,
 )
-from cam.planning.sampled_time import FEW_ROWS
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
@@ -160,12 +159,14 @@ def _choose_plan(
     with _refuse_without_plan(), ThreadPoolExecutor(1) as beside:
         coming = beside.submit(light.retarget, whole) if finishings and whole is not None else None
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings, quickly=quickly)
-        choose_milled = partial(plan_among, candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms)
+        choose_milled = partial(
+            plan_among, candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms, quickly=quickly
+        )
         if coming is not None:
             seen = coming.result()
 
             def settle() -> tuple[Plan, Plan]:
-                settled = choose_milled(made_rows=FEW_ROWS)
+                settled = choose_milled()
                 return settled, _score_by(seen, settled)
 
             settling = beside.submit(settle)
