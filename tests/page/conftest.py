@@ -24,7 +24,7 @@ from tests.service.conftest import _one_certificate  # noqa: F401 - journeys ask
 
 Opened = Callable[..., Page]
 # Contexts, programs and sizes are there as ever; to paint in software is two thirds of what a screen costs.
-UNPAINTED = """() => {
+PAINT_NOTHING = """() => {
     for (const name of ["drawArrays", "drawArraysInstanced", "drawElements"])
         WebGL2RenderingContext.prototype[name] = () => {};
 }"""
@@ -136,12 +136,12 @@ def opened(browser: Browser, kept: Kept, stub: Stub) -> Iterator[Opened]:
 
 
 @pytest.fixture
-def unpainted(opened: Opened) -> Opened:
+def open_unpainted(opened: Opened) -> Opened:
     """`opened`, for who looks at layout and words alone: WebGL draws nothing into its views."""
 
     def make(*address: str, **how: Any) -> Page:
         page = opened(*address, **how)
-        page.evaluate(UNPAINTED)
+        page.evaluate(PAINT_NOTHING)
         return page
 
     return make

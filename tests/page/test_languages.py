@@ -231,8 +231,8 @@ def _places(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", mostly_thorough(SHOWN, quick=QUICK))
-def test_nothing_is_written_past_the_tables(unpainted: Opened, name: str) -> None:
-    page = SHOWN[name](partial(unpainted, script=MARKED))
+def test_nothing_is_written_past_the_tables(open_unpainted: Opened, name: str) -> None:
+    page = SHOWN[name](partial(open_unpainted, script=MARKED))
     texts = page.evaluate(UNMARKED)
     left = {rest for text in texts if re.search("[A-Za-z]", rest := without_what_is_said(text))}
     assert not left, "\n".join(sorted(left))
@@ -261,8 +261,8 @@ LONG = ("jobs", "job", "job-planned", "machines", *(name for name in SHOWN if na
 
 
 @pytest.mark.parametrize("name", mostly_thorough(LONG, quick=("machines", "watched-interrupted", "watched-held")))
-def test_nothing_is_cut_in_german_whose_words_are_the_longest(unpainted: Opened, name: str) -> None:
-    page = SHOWN[name](partial(unpainted, script=of_languages("de")))
+def test_nothing_is_cut_in_german_whose_words_are_the_longest(open_unpainted: Opened, name: str) -> None:
+    page = SHOWN[name](partial(open_unpainted, script=of_languages("de")))
     for size in ("wide", "phone", "narrow"):
         width, height, *_ = SIZES[size]
         page.set_viewport_size({"width": width, "height": height})

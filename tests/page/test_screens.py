@@ -227,8 +227,8 @@ QUICK = ("jobs", "machine-interrupted")
 
 
 @pytest.mark.parametrize("name", mostly_thorough(SCREENS, quick=QUICK))
-def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(unpainted: Opened, name: str) -> None:
-    page = SCREENS[name](unpainted)
+def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(open_unpainted: Opened, name: str) -> None:
+    page = SCREENS[name](open_unpainted)
     for size, (width, height, scheme, heard) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
         page.emulate_media(color_scheme=scheme)
@@ -241,9 +241,9 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(unpainted: Opene
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
-def test_a_view_looks_the_same_whatever_was_looked_at_before(unpainted: Opened, name: str) -> None:
+def test_a_view_looks_the_same_whatever_was_looked_at_before(open_unpainted: Opened, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""
-    page = SCREENS[name](unpainted)
+    page = SCREENS[name](open_unpainted)
     before = page.evaluate(PLACES)
     page.evaluate(
         "async (names) => { const { sheet } = await import('/page/lib/dom.js');"

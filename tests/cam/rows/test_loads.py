@@ -147,10 +147,8 @@ def test_planes_are_cut_on_rows_farther_apart_and_those_between_follow_once(hill
     corner_mm=st.sampled_from((1.0, 0.0)),
 )
 def test_runs_that_are_chosen_for_at_once_have_the_feeds_of_each_alone(counts, seed, corner_mm):
-    lot, spec = (
-        np.random.default_rng(seed),
-        replace(FINE, corner_radius_mm=corner_mm, max_rate_mm_per_min=(900.0, 900.0, 60.0)),
-    )
+    lot = np.random.default_rng(seed)
+    spec = replace(FINE, corner_radius_mm=corner_mm, max_rate_mm_per_min=(900.0, 900.0, 60.0))
     one, ends = np.ones(len(counts), dtype=np.int64), np.cumsum(counts)
     bite, tips_mm = lot.uniform(0.0, 0.3, (ends[-1], 3)), lot.uniform(-0.2, 0.0, ends[-1])
     runs = Runs(one, 0 * one, np.array(counts) - 1, lot.choice([-1, 1], one.size), -one)
