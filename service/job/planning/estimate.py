@@ -162,17 +162,17 @@ def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
     """Return what a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
-    image = decode_picture(path, limits, name)
+    decoded = decode_picture(path, limits, name)
     found: list[Array] = []
     for number, spec in enumerate(specs):
         if number and spec == specs[number - 1]:
             found.append(found[-1])
             continue
         width_mm, height_mm = spec.optics.screen_size_mm
-        picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
+        picture = picture_of(decoded, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
         found.append(aim_at_picture(spec, picture.linear).target)
         require_contrast(spec, found[-1])
-    return found, image.size
+    return found, decoded.image.size
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
