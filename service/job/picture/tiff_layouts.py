@@ -109,7 +109,9 @@ class TiffLayout:
         """Return whether Pillow puts bits, bytes and planes in their order."""
         if self.fill_order != 1 and (self.fill_order != 2 or self.bits != 1):
             return False
-        if self.separate and (self.photometric != _RGB or (self.bits == 16 and self.compression == _RAW)):
+        if self.separate and self.photometric != _RGB:
+            return False
+        if self.separate and self.compression == _RAW and (self.bits != 8 or self.extra):
             return False
         if not self.big_endian or self.bits <= 8 or self.photometric == _RGB:
             return True
