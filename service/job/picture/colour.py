@@ -24,6 +24,7 @@ _GREY_MODES = ("1", "L", "LA", "La", "I")
 _D50 = (0.9642, 1.0, 0.8249)  # ICC.1: what profiles call white
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _GAMMAS = (0.1, 10.0)
+_STEPS = 65535.0
 
 
 class ProfileError(Exception):
@@ -32,7 +33,7 @@ class ProfileError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conversion:
-    """grey: (n,) sRGB values in [0, 1] of n greys in equal steps; colour: pixels of 8 bits to sRGB. One is None."""
+    """grey: (65536,) sRGB values in [0, 1] of greys in equal steps; colour: pixels of 8 bits to sRGB. One is None."""
 
     grey: Array | None = None
     colour: ImageCms.ImageCmsTransform | None = None
@@ -41,7 +42,7 @@ class Conversion:
         """Return what values in [0, 1] are in sRGB."""
         if self.grey is None:
             return values
-        return np.interp(values, np.linspace(0.0, 1.0, self.grey.size), self.grey)
+        return np.asarray(self.grey[np.rint(values * _STEPS).astype(np.uint16)])
 
     def colours(self, image: Image.Image) -> Image.Image:
         """Return RGB or CMYK pixels as sRGB."""
@@ -79,7 +80,8 @@ def _convert_greys(profile: ImageCms.ImageCmsProfile, space: str) -> Array:
     exact = ImageCms.Flags.NOOPTIMIZE | ImageCms.Flags.NOCACHE
     mode = "I;16" if space == "GRAY" else "RGB"
     transform = ImageCms.buildTransform(profile, _grey_srgb(), mode, "I;16", flags=exact)
-    return np.asarray(transform.apply(greys)).ravel() / 65535.0
+    found = np.asarray(transform.apply(greys)).ravel() / _STEPS
+    return np.interp(np.arange(65536) / _STEPS, np.linspace(0.0, 1.0, found.size), found)
 
 
 @cache

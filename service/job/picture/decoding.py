@@ -63,7 +63,7 @@ _ADOBE_RGB = Colorimetry(
 )
 _SRGB = Colorimetry(gamma=1 / 0.45455, white=(0.3127, 0.3290), red=(0.64, 0.33), green=(0.30, 0.60), blue=(0.15, 0.06))
 _READABLE = ", ".join(FORMATS).replace("WEBP", "WebP")
-_EXIF_IFD, _INTEROP_IFD, _INTEROP_INDEX = 0x8769, 0xA005, 1
+_INTEROP_IFD, _INTEROP_INDEX = 0xA005, 1
 
 
 def decode_picture(path: Path, limits: PictureLimits, name: str) -> DecodedPicture:
@@ -159,8 +159,11 @@ def _is_adobe_rgb(image: Image.Image) -> bool:
     """Return whether a camera's note says so (DCF 2.0: interoperability "R03")."""
     if image.format not in ("JPEG", "MPO"):
         return False
-    notes = image.getexif().get_ifd(_EXIF_IFD).get(_INTEROP_IFD)
-    return isinstance(notes, dict) and str(notes.get(_INTEROP_INDEX, "")).strip("\0 ") == "R03"
+    try:
+        notes = image.getexif().get_ifd(_INTEROP_IFD)
+    except Exception:  # Pillow raises anything on damaged notes, which are no damage to the picture
+        return False
+    return str(notes.get(_INTEROP_INDEX, "")).strip("\0 ") == "R03"
 
 
 @contextmanager
