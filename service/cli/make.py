@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.options import QuietOption
-from service.errors import EXIT_FAILURE
+from service.errors import EXIT_FAILURE, printable
 from service.processes.kernel_cache import JOBS, LENSES
 
 PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any picture Pillow reads.")]
@@ -129,7 +129,7 @@ def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
     from service.cli.summary import summary_lines
 
     for line in summary_lines(folder, report):
-        print(line)
+        print(printable(line))
 
 
 def check(

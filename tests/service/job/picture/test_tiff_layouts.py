@@ -312,7 +312,7 @@ def test_of_several_pages_the_first_is_read_and_that_is_said(tmp_path: Path) -> 
     [
         ("uint16", 255, "8 bits"), ("uint16", 1023, "10 bits"), ("uint16", 4095, "12 bits"),
         ("uint16", 16383, "14 bits"),
-        ("int16", 4095, "12 bits"), ("int32", 255, "8 bits"), 
+        ("int16", 4095, "12 bits"), ("int32", 255, "8 bits"),
         ("int32", 65535, "16 bits"), ("uint32", 4095, "12 bits"),
         ("uint16", 65535, None), ("int16", 32767, None), ("int32", 2**31 - 1, None), ("uint32", 2**32 - 1, None),
     ],
