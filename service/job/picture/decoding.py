@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -63,6 +64,11 @@ _ADOBE_RGB = Colorimetry(
 )
 _SRGB = Colorimetry(gamma=1 / 0.45455, white=(0.3127, 0.3290), red=(0.64, 0.33), green=(0.30, 0.60), blue=(0.15, 0.06))
 _READABLE = ", ".join(FORMATS).replace("WEBP", "WebP")
+_BEGINNINGS = (
+    (rb"\x89PNG\r\n\x1a\n", "PNG"), (rb"\xff\xd8\xff", "JPEG"), (rb"II[*+]\0|MM\0[*+]", "TIFF"),
+    (rb"RIFF....WEBP", "WebP"), (rb"GIF8[79]a", "GIF"),
+)  # fmt: skip
+_UNKNOWN_KIND = ("unsupported", "not supported", "unknown")  # as Pillow says it
 _INTEROP_IFD, _INTEROP_INDEX = 0xA005, 1
 
 
@@ -92,12 +98,12 @@ def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[DecodedPictu
     """Open a picture. Every refusal that the header allows comes before decoding; its name says nothing of its kind."""
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
-        if not file.read(1):
+        if not (head := file.read(12)):
             raise PictureError(Phrase("{name}: the file is empty", name=name))
         chunks = find_chunks(file, name)
         layout = require_known_layout(file, name)
         source: Any = io.BufferedReader(PartsOfFile(file, chunks.parts)) if chunks else file
-        with Image.open(source, formats=FORMATS) as image:
+        with _open(source, head, name) as image:
             _require_size(name, limits, *image.size)
             units = _transparency_units(image, name)
             frames = _has_more_frames(image, layout)
@@ -112,6 +118,23 @@ def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[DecodedPictu
                 is_unsigned_32=layout is not None and layout.is_unsigned_32,
                 has_more_frames=frames,
             )
+
+
+def _open(source: Any, head: bytes, name: str) -> Image.Image:
+    try:
+        return Image.open(source, formats=FORMATS)
+    except UnidentifiedImageError:
+        kind = next((kind for pattern, kind in _BEGINNINGS if re.match(pattern, head, re.DOTALL)), None)
+        if kind is None:
+            words = Phrase("{name}: not a picture that can be read ({can} can)", name=name, can=_READABLE)
+        else:
+            words = Phrase(
+                "{name}: this {kind} is damaged, or of a rare kind that is not read; save it as PNG, grey or RGB of 8 "
+                "or 16 bits",
+                name=name,
+                kind=kind,
+            )
+        raise PictureError(words) from None
 
 
 def _has_more_frames(image: Image.Image, layout: TiffLayout | None) -> bool:
@@ -176,10 +199,6 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
         count, most = _bomb_pixels(error), limits.max_pixels
         words = Phrase("{name}: {count} pixels; allowed: at most {most}", name=name, count=count, most=most)
         raise PictureError(words) from None
-    except UnidentifiedImageError:
-        raise PictureError(
-            Phrase("{name}: not a picture that can be read ({can} can)", name=name, can=_READABLE)
-        ) from None
     except MemoryError:
         raise PictureError(Phrase("{name}: does not fit in memory", name=name)) from None
     except OSError as error:
@@ -192,6 +211,15 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
 
 
 def _tell_damage(name: str, error: Exception) -> PictureError:
+    if any(word in str(error).lower() for word in _UNKNOWN_KIND):
+        return PictureError(
+            Phrase(
+                "{name}: the picture is of a rare kind that is not read ({cause}); save it as PNG, grey or RGB of 8 or "
+                "16 bits",
+                name=name,
+                cause=one_line(error),
+            )
+        )
     return PictureError(Phrase("{name}: the picture is damaged ({cause})", name=name, cause=one_line(error)))
 
 

@@ -49,7 +49,7 @@ def test_a_lens_of_a_picture_of_any_name_in_a_folder_of_any_name(
         ("look", b"\xff", "--job", b"\xff"), ("check", b"\xff.nc", "--heightfield", b"\xff.npz"),
         ("plan", b"\xff.png"), ("stream", b"\xff.nc", "--port", b"\xff"), ("mill", "--data", b"\xff"),
         ("design", "a.png", "--spec", b"\xff.toml", "-o", "out"), ("design", "a.png", "-o", "out", "--set", b"\xff=1"),
-        ("jobs", "submit", b"\xff.png", "--server", "http://127.0.0.1:9"),
+        ("submit", b"\xff.png", "--server", "http://127.0.0.1:9"),
     ],
     ids=lambda words: words[0],
 )  # fmt: skip
