@@ -15,7 +15,7 @@ from service.cli.options import QuietOption
 from service.errors import EXIT_FAILURE, printable
 from service.processes.kernel_cache import JOBS, LENSES
 
-PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any picture Pillow reads.")]
+PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="PNG, JPEG, TIFF, WebP, BMP or GIF.")]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of an earlier design or make.")]
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all files of the job.")]
 SpecOption = Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")]
