@@ -296,7 +296,7 @@ class Order:
 
 def _make_held_error(lease: Lease, *, lost: bool = False) -> OrderRefusedError:
     begin = "you have lost control: " if lost else ""
-    since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(lease.since_s))
+    since = time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(lease.since_s))
     words = f"{begin}{lease.operator} has had control since {since}; ask them, or take over"
     return OrderRefusedError(Refusal.HELD, words, lease)
 

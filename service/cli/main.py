@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import os
 import signal
 import sys
@@ -24,6 +25,9 @@ _SOON_S = 0.01
 
 def main() -> None:
     """Run what the installed command calls."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a file may have a name that this terminal cannot show
     gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
     code = run(sys.argv[1:])
     for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.options import QuietOption
-from service.errors import EXIT_FAILURE
+from service.errors import EXIT_FAILURE, printable
 from service.processes.kernel_cache import JOBS, LENSES
 
-PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any picture Pillow reads.")]
+PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="PNG, JPEG, TIFF, WebP, BMP or GIF.")]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of an earlier design or make.")]
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all files of the job.")]
 SpecOption = Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")]
@@ -129,7 +129,7 @@ def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
     from service.cli.summary import summary_lines
 
     for line in summary_lines(folder, report):
-        print(line)
+        print(printable(line))
 
 
 def check(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from typing import Any
 
 from service.client.server import ServerClient, clean
@@ -71,8 +72,11 @@ def program_lines(job: dict[str, Any]) -> list[str]:
 
 
 def when(text: object) -> str:
-    """Return 2026-11-21T08:00:00.123Z without what nobody reads."""
-    return clean(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
+    """Return a server's 2026-11-21T08:00:00.123Z as the clock on this wall shows it, with its offset."""
+    try:
+        return datetime.fromisoformat(str(text)).astimezone().isoformat(" ", "seconds") if text else ""
+    except (ValueError, OverflowError, OSError):
+        return clean(text)
 
 
 def _seconds(stage: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 from service.client.follow import LeftError
 from service.client.server import ServerClient, make_mismatch_error
-from service.errors import InputError, sentence_of_os_error
+from service.errors import InputError, printable, sentence_of_os_error
 from service.job.spec.loading import spec_data, wishes_where_untold
 
 PRIORITIES = ("low", "normal", "high")
@@ -49,7 +49,7 @@ def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, A
                 "POST",
                 "/v1/jobs",
                 data=form,
-                files={"image": (order.picture.name, picture)},
+                files={"image": (printable(order.picture.name), picture)},
                 headers={"Idempotency-Key": key},
             )
     except OSError as error:

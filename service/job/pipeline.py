@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from phrases.phrase import Phrase
+from service.errors import printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
 from service.job.errors import translate_errors
@@ -62,7 +63,7 @@ class FolderJob:
             so_far=self.so_far.report,
             earlier_notes=self.so_far.notes,
             picture=self.picture,
-            picture_name=self.picture.name,
+            picture_name=printable(self.picture.name),
             desk=self.desk,
         )
         with translate_errors():

@@ -21,7 +21,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.picture.decoding import decode_picture, too_large_for_memory, unreadable
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.linear_light import linearise_strip, value_scale
+from service.job.picture.linear_light import ToneReader
 
 PIXELS_PER_MM = 40
 _CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above
@@ -68,9 +68,10 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
     path.
     """
     name = name or str(path)
-    image = decode_picture(path, limits, name)
+    decoded = decode_picture(path, limits, name)
+    image = decoded.image
     try:
-        light = linearise_strip(image, image.info, tone="srgb", scale=value_scale(image))
+        light = ToneReader.of(decoded, tone="srgb").read_strip(0, image.height)
         colours = np.asarray(image.convert("RGB"))
     except ValueError as error:
         raise unreadable(name, error) from None

@@ -15,6 +15,7 @@ from optics.photograph.rays import ORDERS
 from optics.photograph.views import area_average
 from optics.photograph.wall import Estimate, WallFit, fit_wall, surface_error_um
 from optics.spline import Array
+from service.errors import printable
 from service.job.finite_json import plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
 from service.job.photo.foretold import ForetoldLight, foretold_of
@@ -270,4 +271,4 @@ def look_at_photo(
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("reading"):
         photo, foretold = read_wall_photo(path), foretold_of(job)
-    return look_at(photo, foretold, name=str(path), picture_width_mm=picture_width_mm, reporter=reporter)
+    return look_at(photo, foretold, name=printable(str(path)), picture_width_mm=picture_width_mm, reporter=reporter)

@@ -8,7 +8,7 @@ target pixel is the mean over the exact area it covers (Catmull-Rom only where t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -18,9 +18,9 @@ from PIL import Image
 
 from phrases.phrase import Phrase
 from service.errors import PictureError
-from service.job.picture.decoding import decode_picture, too_large_for_memory, unreadable
+from service.job.picture.decoding import DecodedPicture, decode_picture, too_large_for_memory, unreadable
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.linear_light import invert_tones, linearise_strip, value_scale
+from service.job.picture.linear_light import ToneReader, has_alpha, invert_tones, is_deep
 from service.job.picture.resampling import Span, weights_to_resample
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +30,6 @@ _BLACK = 1e-7  # far below the first step of 16 bits, above rounding
 _ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
 _PHOTO_PIXELS = 1600  # along the longer side: several for each one that a prediction is compared in
 _CLIPPED_BYTE = 252  # of any channel: what the camera's colours hide, too
-_DEEP = ("I", "F")
 _MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stays readable
 
 
@@ -84,14 +83,13 @@ def read_picture(
     return picture_of(decode_picture(path, limits, name), settings, rows=rows, aspect=aspect, name=name)
 
 
-def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
+def picture_of(decoded: DecodedPicture, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
     """Make the same of a picture that is decoded already, as often as it is wanted."""
-    width, height = image.size
+    width, height = decoded.image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
-        linear = resample_picture(
-            image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert
-        )
+        tones = ToneReader.of(decoded, tone=settings.tone)
+        linear = resample_picture(tones, (rows, settings.pixels), across, down, invert=settings.invert)
     except MemoryError:
         raise too_large_for_memory(name, width, height) from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
@@ -104,24 +102,37 @@ def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: floa
         else:
             words = Phrase("{name}: the picture is black everywhere, there is no light to aim", name=name)
         raise PictureError(words)
-    picture = Picture(linear=linear, width=width, height=height, mode=image.mode, warnings=())
+    picture = Picture(linear=linear, width=width, height=height, mode=decoded.image.mode, warnings=tones.warnings)
+    if linear.min() > 1.0 - _ONE_TONE and _has_clear_parts(decoded):
+        words = Phrase(
+            "{name}: clear parts count as white, and so the picture is white all over: put it on a dark background",
+            name=name,
+        )
+        raise PictureError(words)
     return _with_warnings(picture, settings)
 
 
+def _has_clear_parts(decoded: DecodedPicture) -> bool:
+    image = decoded.image
+    if is_deep(image):
+        return "transparency" in image.info
+    if not has_alpha(image):
+        return False
+    pixels = (image.convert("LA") if image.mode == "La" else image).convert("RGBA")
+    return pixels.getchannel("A").getextrema()[0] != 255
+
+
 def _with_warnings(picture: Picture, settings: Reading) -> Picture:
-    notes = []
+    notes = list(picture.warnings)
     if picture.is_one_tone:
         notes.append(Phrase("is one tone all over: the light will be even, with nothing to see in it"))
     if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
         ny, nx = picture.linear.shape
-        notes.append(word_enlarged((picture.width, picture.height), (nx, ny)))
-    return Picture(
-        linear=picture.linear, width=picture.width, height=picture.height,
-        mode=picture.mode, warnings=tuple(notes),
-    )  # fmt: skip
+        notes.append(_word_enlarged((picture.width, picture.height), (nx, ny)))
+    return replace(picture, warnings=tuple(notes))
 
 
-def word_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
+def _word_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
     """Return a warning without its subject, the picture; sizes as columns and rows."""
     (width, height), (columns, rows) = size, to
     return Phrase(
@@ -145,21 +156,20 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
 
 
 def resample_picture(
-    image: Image.Image, shape: tuple[int, int], across: Span, down: Span, *, tone: str, invert: bool = False
+    tones: ToneReader, shape: tuple[int, int], across: Span, down: Span, *, invert: bool = False
 ) -> Array:
     """Return (rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a
     whole.
     """
-    width, height = image.size
+    width, height = tones.picture.image.size
     columns, lines = weights_to_resample(width, across, shape[1]), weights_to_resample(height, down, shape[0])
-    scale = value_scale(image)
     result = np.zeros(shape)
     step = max(1, _STRIP_PIXELS // width)
     for top in range(0, height, step):
         bottom = min(height, top + step)
-        strip = linearise_strip(image.crop((0, top, width, bottom)), image.info, tone=tone, scale=scale)
+        strip = tones.read_strip(top, bottom)
         if invert:
-            strip = invert_tones(strip, tone)
+            strip = invert_tones(strip, tones.tone)
         result += lines[:, top:bottom] @ (columns @ strip.T).T
     return np.clip(result, 0.0, 1.0)
 
@@ -179,13 +189,14 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
     Pixels in which one colour alone is clipped count as white: how much light there was is not known.
     """
     name = name or str(path)
-    image = decode_picture(path, limits, name)
-    width, height = image.size
+    decoded = decode_picture(path, limits, name)
+    image, (width, height) = decoded.image, decoded.image.size
     share = min(1.0, _PHOTO_PIXELS / max(width, height))
     shape = max(1, round(height * share)), max(1, round(width * share))
     try:
-        light = resample_picture(image, shape, Span(0.0, float(width)), Span(0.0, float(height)), tone="srgb")
-        if image.mode not in _DEEP and not image.mode.startswith("I;16"):
+        tones = ToneReader.of(decoded, tone="srgb")
+        light = resample_picture(tones, shape, Span(0.0, float(width)), Span(0.0, float(height)))
+        if not is_deep(image):
             light = np.where(_mask_clipped(image, shape), 1.0, light)
     except MemoryError:
         raise too_large_for_memory(name, width, height) from None
@@ -212,15 +223,18 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
     Each value is the mean over the box around its point, so that noise and dust are averaged away; at the rims it is
     half a box. The picture shows exactly the aperture.
     """
-    image = decode_picture(path, OWN_PICTURE, str(path))
-    (columns, across), (rows, down) = (_points(size) for size in image.size)
+    decoded = decode_picture(path, OWN_PICTURE, str(path))
+    size = decoded.image.size
+    (columns, across), (rows, down) = (_points(side) for side in size)
     covered = [
-        np.asarray(weights_to_resample(size, span, count).sum(axis=1)).ravel()
-        for size, span, count in ((image.size[0], across, columns), (image.size[1], down, rows))
+        np.asarray(weights_to_resample(side, span, count).sum(axis=1)).ravel()
+        for side, span, count in ((size[0], across, columns), (size[1], down, rows))
     ]
-    light = resample_picture(image, (rows, columns), across, down, tone=tone) / (
-        covered[1][:, None] * covered[0][None, :]
-    )
+    try:
+        light = resample_picture(ToneReader.of(decoded, tone=tone), (rows, columns), across, down)
+    except ValueError as error:  # values that are no tones
+        raise unreadable(str(path), error) from None
+    light /= covered[1][:, None] * covered[0][None, :]
     if not light.max() > 0:
         raise PictureError(Phrase("{path}: the picture of the light is black everywhere", path=path))
     return [[round(float(value), 4) for value in row] for row in light / light.max()]

@@ -36,7 +36,7 @@ from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
-from service.job.picture.reading import picture_of, word_enlarged
+from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
 from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
@@ -114,7 +114,7 @@ def estimate(
     exactly = exactly or coarse == fine
     with translate_errors():
         specs = [fine, spec] if exactly else [coarse, fine, spec]
-        targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
+        targets, picture = _targets(path, *specs, limits=limits, name=name)
         whole, own = targets[-2:]
         quick = quick_lens(job.with_spec(with_branch(specs[0], own)), targets[0], None if exactly else whole)
         passes = _with_around(quick.job, list(_hours(quick, exactly=exactly)))
@@ -123,7 +123,7 @@ def estimate(
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
-    warnings = [Phrase("{picture} {sentence}", picture=name, sentence=one) for one in _of_picture(width, height, spec)]
+    warnings = [Phrase("{picture} {sentence}", picture=name, sentence=one) for one in picture.warnings]
     answer = {
         "relief_mm": quick.lens.relief_mm,
         "max_slope_deg": quick.facts.max_slope_deg,
@@ -140,7 +140,7 @@ def estimate(
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*warnings, *_warnings(quick), *blur.words(own_px_mm)])),
         "changes": [asdict(change) for change in changes_of(job, detail_mm)],
-        "picture": {"width": width, "height": height},
+        "picture": {"width": picture.width, "height": picture.height},
         "spec": spec.model_copy(update={"passes": quick.spec.passes}).plain(),
     }
     return {**answer, "phrases": phrases_in(answer)}
@@ -160,19 +160,19 @@ def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
             yield change, found
 
 
-def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
-    """Return what a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
-    image = decode_picture(path, limits, name)
+def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], Picture]:
+    """Return what a lens of each spec aims at, and the picture of the last one; decoded once, and not kept."""
+    decoded = decode_picture(path, limits, name)
     found: list[Array] = []
     for number, spec in enumerate(specs):
         if number and spec == specs[number - 1]:
             found.append(found[-1])
             continue
         width_mm, height_mm = spec.optics.screen_size_mm
-        picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
+        picture = picture_of(decoded, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
         found.append(aim_at_picture(spec, picture.linear).target)
         require_contrast(spec, found[-1])
-    return found, image.size
+    return found, picture
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
@@ -401,8 +401,3 @@ def _warnings(quick: QuickLens) -> Iterator[Phrase]:
         )
     if blocked := explain_blocked_light(quick.spec):
         yield blocked
-
-
-def _of_picture(width: int, height: int, spec: JobSpec) -> Iterator[Phrase]:
-    if width < spec.image.pixels // 2 or height < spec.pixel_rows // 2:
-        yield word_enlarged((width, height), (spec.image.pixels, spec.pixel_rows))

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from service.job.picture.limits import UPLOAD_FORMATS, PictureLimits
+from service.job.picture.limits import PictureLimits
 
 __all__ = [
-    "UPLOAD_FORMATS",
     "FileRef",
     "PictureLimits",
     "StageOrder",
@@ -62,7 +61,7 @@ class StageOrder:
             **{
                 **data,
                 "inputs": _files(data["inputs"]),
-                "limits": PictureLimits(max_pixels=limits["max_pixels"], formats=tuple(limits["formats"])),
+                "limits": PictureLimits(max_pixels=limits["max_pixels"]),
             }
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -46,6 +47,19 @@ def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(workin
             kinds[kind].append(stage)
     assert kinds["stage.reused"] == ["image", "irradiance", "map", "heightfield", "caustic", "pass-1"]
     assert kinds["stage.committed"] == ["pass-2", "check", "as-milled", "report"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [(b"caf\xe9.png", "caf_.png"), ("猫 Ж ü.png".encode(), "猫 Ж ü.png"), (b'say "ah".png', "say _ah_.png")],
+)
+def test_a_picture_of_any_name_is_taken(shop: ShopWithoutWorker, tmp_path: Path, name: bytes, kept: str) -> None:
+    picture = tmp_path / os.fsdecode(name)
+    picture.write_bytes(shop.picture(2).read_bytes())
+    done = run("submit", str(picture), *SMALL, server=shop.url)
+    assert done.returncode == 0, done.stderr
+    job = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}", trust_env=False, timeout=PATIENCE_S).json()
+    assert job["name"] == kept
 
 
 def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: ShopWithoutWorker) -> None:

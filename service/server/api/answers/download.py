@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from starlette.responses import RedirectResponse, Response, StreamingResponse
 
 from phrases.phrase import Phrase
+from service.http.disposition import name_download
 from service.http.problems import Problem
 from service.server.api.answers.job_views import media_type
 from service.server.database.records import Artifact
@@ -80,12 +81,11 @@ async def iterate_in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
 
 
 def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
-    where = "inline" if kind in _INLINE else "attachment"
     headers = {
         "ETag": tag,
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, no-cache",
-        "Content-Disposition": f'{where}; filename="{file.name}"',
+        "Content-Disposition": name_download("inline" if kind in _INLINE else "attachment", file.name),
         "X-Content-Type-Options": "nosniff",
     }
     return headers | ({"Content-Security-Policy": _PAGE_POLICY} if kind.startswith("text/html") else {})

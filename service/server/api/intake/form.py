@@ -11,12 +11,14 @@ import asyncio
 import contextlib
 import fcntl
 import hashlib
+import re
 import secrets
 import unicodedata
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
+from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
@@ -38,6 +40,8 @@ _LOOK_BYTES = 4_000_000
 _CONTENT_TYPE_CHARS = 300
 _LONGEST = 100
 _KEPT_ENDING = 12
+_QUOTED = re.compile(rb'"(?:[^"\\]|\\.)*"')
+_EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*(utf-8|iso-8859-1)'[^';]*'([^\s;]+)", re.IGNORECASE)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -177,7 +181,7 @@ class _Reader:
         self._seen.append(name)
         self._part = name
         if name == self.picture:
-            self._form.image_name = harmless_name(options.get(b"filename", b""), default="picture")
+            self._form.image_name = harmless_name(_file_name(self._disposition, options), default="picture")
         else:
             self._form.texts[name] = bytearray()
 
@@ -224,6 +228,14 @@ def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
     except (ValueError, LookupError, TypeError):
         return b"", {}
     return kind, options
+
+
+def _file_name(disposition: bytes, options: Mapping[bytes, bytes]) -> bytes | str:
+    """Return a part's file name: as RFC 8187 spells it, else the quoted one, where %22 is a quote (WHATWG)."""
+    if extended := _EXTENDED_NAME.search(_QUOTED.sub(b'""', disposition)):
+        charset, name = extended.groups()
+        return unquote_to_bytes(name).decode(charset.decode("ascii"), "replace")
+    return options.get(b"filename", b"").replace(b"%22", b'"')
 
 
 def _require_fitting(request: Request, most: int, picture: str) -> None:

@@ -23,7 +23,7 @@ from PIL import (  # noqa: F401
 
 from service.errors import PictureError
 from service.job.picture.decoding import check_picture
-from service.job.picture.limits import UPLOAD_FORMATS, PictureLimits
+from service.job.picture.limits import PictureLimits
 from service.processes.line_child import answer_lines
 
 _BYTES_PER_PIXEL = 16  # a progressive CMYK JPEG holds its coefficients beside its pixels; an animation two canvases
@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    limits = PictureLimits(max_pixels=asked["max_pixels"], formats=UPLOAD_FORMATS)
+    limits = PictureLimits(max_pixels=asked["max_pixels"])
     try:
         return {"facts": dataclasses.asdict(check_picture(Path(asked["path"]), limits, asked["name"]))}
     except PictureError as error:

@@ -11,9 +11,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request
 from starlette.responses import Response, StreamingResponse
 
+from service.http.disposition import name_download
 from service.job.files import is_drawing, zip_entry
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.download import iterate_in_threads, matches
+from service.server.api.intake.form import harmless_name
 from service.server.api.openapi import Responses, refusals
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
@@ -56,11 +58,11 @@ async def archive(
     listed = await asyncio.to_thread(services.book.list_artifacts, str(job_id))
     files = [file for file in listed if not is_drawing(file.name)]
     job = await asyncio.to_thread(services.book.get, str(job_id))
-    stem = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in job.name.rpartition(".")[0])
+    stem = harmless_name(job.name.rpartition(".")[0], default="job")[:60]
     headers = {
         "ETag": _etag(files),
         "Cache-Control": "private, no-cache",
-        "Content-Disposition": f'attachment; filename="{stem[:60] or "job"}-{job.id[:8]}.zip"',
+        "Content-Disposition": name_download("attachment", f"{stem}-{job.id[:8]}.zip"),
     }
     if matches(if_none_match, headers["ETag"]):
         return Response(status_code=304, headers=headers)

@@ -19,6 +19,7 @@ from fastapi import Path as InPath
 from machines.profile import profile_names
 from phrases.phrase import Phrase, phrases_in
 from service.errors import PictureError
+from service.http.disposition import name_download
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
 from service.job.report.pictures import FORETOLD
@@ -111,7 +112,7 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
         ) from None
     headers = {
         "Cache-Control": "private, no-cache",
-        "Content-Disposition": f'attachment; filename="{job_files.COUPON_ARCHIVE}"',
+        "Content-Disposition": name_download("attachment", job_files.COUPON_ARCHIVE),
     }
     return Response(archive, headers=headers, media_type="application/zip")
 

@@ -50,7 +50,7 @@ def request(body: bytes, *headers: str, content_type: str | None = None, length:
 
 def part(content: bytes, name: str = "image", *, filename: str | None = "a.png", headers: bytes = b"") -> bytes:
     shown = "" if filename is None else f'; filename="{filename}"'
-    disposition = f'Content-Disposition: form-data; name="{name}"{shown}\r\n'.encode()
+    disposition = f'Content-Disposition: form-data; name="{name}"{shown}\r\n'.encode(errors="surrogateescape")
     return f"--{_BOUNDARY}\r\n".encode() + disposition + headers + b"\r\n" + content + b"\r\n"
 
 

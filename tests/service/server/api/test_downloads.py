@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-from tests.service.server.api.server import ApiServer, problem, sha256
+from tests.service.server.api.server import ApiServer, png, problem, sha256
 
 CONTENT = os.urandom(3_000_000)
 PROGRAM = b"G21 G90\nM2\n" * 1000
@@ -153,3 +153,23 @@ def test_a_file_that_the_store_lost_is_a_problem_before_anything_is_sent(server:
     problem(server.client.get(f"/v1/jobs/{job_id}/artifacts/lens.stl"), 503)
     problem(server.client.get(f"/v1/jobs/{job_id}/archive.zip"), 503)
     assert server.client.head(f"/v1/jobs/{job_id}/artifacts/lens.stl").status_code == 503
+
+
+@pytest.mark.parametrize(
+    ("picture", "plain", "extended"),
+    [
+        ("cat.png", "cat", None),
+        ("鳥 Ж.png", "_ _", "%E9%B3%A5%20%D0%96"),
+        ("קנ.é.png", "__._", "%D7%A7%D7%A0.%C3%A9"),
+    ],
+)
+def test_an_archive_is_named_like_the_picture_in_any_script(
+    server: ApiServer, picture: str, plain: str, extended: str | None
+) -> None:
+    answer = server.client.post("/v1/jobs", files={"image": (picture, png(), "image/png")})
+    job = answer.json()
+    assert job["name"] == picture
+    shown = server.client.head(f"/v1/jobs/{job['id']}/archive.zip").headers["content-disposition"]
+    tail = f"-{job['id'][:8]}.zip"
+    more = f"; filename*=UTF-8''{extended}{tail}" if extended else ""
+    assert shown == f'attachment; filename="{plain}{tail}"{more}'

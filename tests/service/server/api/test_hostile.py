@@ -90,6 +90,13 @@ def test_every_hostile_upload_is_refused_and_leaves_nothing(small: ApiServer) ->
         ("n" * 300 + ".png", "n" * 96 + ".png"),
         ("..", "picture"),
         ("", "picture"),
+        ("a.png\"; filename*=\"UTF-8''b.png", "a.png"),
+        ("a.png\"; filename*=UTF-8''%E9%B3%A5%20%D0%96.png; x=\"", "鳥 Ж.png"),
+        ("a.png\"; filename*=iso-8859-1'de'%FC.png; x=\"", "ü.png"),
+        ("a.png\"; filename*=UTF-8''%FF.png; x=\"", "\ufffd.png"),
+        ("a.png\"; filename*=UTF-8''..%2F..%2Fetc%2Fpasswd; x=\"", "passwd"),
+        ("what %22he%22 said.png", "what _he_ said.png"),
+        (b"caf\xe9.png".decode(errors="surrogateescape"), "caf\ufffd.png"),
     ],
 )
 def test_a_good_picture_keeps_a_harmless_name(small: ApiServer, given: str, kept: str) -> None:

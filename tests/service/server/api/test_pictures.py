@@ -125,7 +125,7 @@ def test_what_passes_here_passes_in_the_image_stage(facts, tmp_path: Path) -> No
     found = facts(data)
     assert (found.width, found.height) == (64, 32)
     (tmp_path / "again").write_bytes(data)
-    assert decode_picture(tmp_path / "again", OWN_PICTURE, "again").size == (32, 64)
+    assert decode_picture(tmp_path / "again", OWN_PICTURE, "again").image.size == (32, 64)
 
 
 # --- what cannot ---------------------------------------------------------------------------------------------------
@@ -206,16 +206,13 @@ def resident_mb(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def test_bombs_in_the_notes_of_a_png_do_no_harm(refused, facts) -> None:
+def test_bombs_in_the_notes_of_a_png_do_no_harm(facts) -> None:
     rows = zlib.compress(bytes(65 * 64))
     flood = zlib.compress(bytes(60_000_000), 9)
-    for note in (png_chunk(b"zTXt", b"k\0\0" + flood), png_chunk(b"iCCP", b"k\0\0" + flood)):
-        try:
-            assert facts(png(64, 64, rows, note)).format == "PNG"
-        except PictureError as error:
-            assert str(error).startswith(NAME)
+    for kind in (b"zTXt", b"iCCP"):
+        assert facts(png(64, 64, rows, png_chunk(kind, b"k\0\0" + flood))).format == "PNG"
     notes = [png_chunk(b"tEXt", b"k%d\0" % number + bytes(900_000)) for number in range(80)]
-    assert refused(png(64, 64, rows, *notes)).startswith(NAME)
+    assert facts(png(64, 64, rows, *notes)).format == "PNG"
 
 
 def test_a_tiff_whose_directories_form_a_circle_is_answered(facts) -> None:

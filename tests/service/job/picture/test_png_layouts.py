@@ -1,0 +1,179 @@
+"""One picture in every layout of PNG, written here byte by byte: read with its tones, or refused by name."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from service.errors import PictureError
+from service.job.picture.reading import Picture, read_picture
+from service.job.spec.model import ImageSpec
+from service.server.api.intake.picture_check import PictureChecker
+
+Array = npt.NDArray[Any]
+ROWS, COLUMNS = 24, 40
+_Y, _X = np.mgrid[0:ROWS, 0:COLUMNS]
+GREY = 0.7 * _X / (COLUMNS - 1) + 0.3 * _Y / (ROWS - 1)
+GREY[4:9, 6:20], GREY[14:20, 25:36] = 1.0, 0.0
+COLOURS = np.stack([GREY, GREY[::-1], GREY[:, ::-1]], axis=-1)
+OPACITY = 0.4 + 0.6 * GREY[::-1, ::-1]
+SHARES = np.array([0.2126, 0.7152, 0.0722])
+GREY_TYPE, RGB_TYPE, PALETTE_TYPE, GREY_ALPHA_TYPE, RGBA_TYPE = 0, 2, 3, 4, 6
+
+
+def linear_of(values: Array) -> Array:
+    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(samples: Array, bits: int, colour_type: int, *extra: bytes, after: bytes = b"") -> bytes:
+    """samples (rows, columns, channels) as numbers of so many bits; extra: chunks before the pixels."""
+    rows, columns = samples.shape[:2]
+    flat = samples.reshape(rows, -1)
+    if bits == 16:
+        packed = flat.astype(">u2").view(np.uint8)
+    else:
+        spread = (flat[:, :, None] >> np.arange(bits - 1, -1, -1)) & 1
+        packed = np.packbits(spread.reshape(rows, -1).astype(np.uint8), axis=1)
+    lines = b"".join(b"\0" + row.tobytes() for row in packed.reshape(rows, -1))
+    header = struct.pack(">IIBBBBB", columns, rows, bits, colour_type, 0, 0, 0)
+    pixels = chunk(b"IDAT", zlib.compress(lines))
+    return b"".join([b"\x89PNG\r\n\x1a\n", chunk(b"IHDR", header), *extra, pixels, after, chunk(b"IEND", b"")])
+
+
+def stored(values: Array, bits: int) -> Array:
+    whole = np.round(values * (2**bits - 1)).astype(np.int64)
+    return whole if whole.ndim == 3 else whole[..., None]
+
+
+def read(path: Path, **settings: Any) -> Picture:
+    spec = ImageSpec(pixels=COLUMNS, **settings)
+    return read_picture(path, spec, rows=ROWS, aspect=COLUMNS / ROWS)
+
+
+def layouts() -> Iterator[tuple[str, bytes, Array, float]]:
+    """Name, file, light, allowed error."""
+    for bits in (1, 2, 4, 8, 16):
+        grey = stored(GREY, bits)
+        light = linear_of(grey[..., 0] / (2**bits - 1))
+        yield f"grey {bits}", png(grey, bits, GREY_TYPE), light, 1e-9
+        clear = int(grey[2, 30, 0])
+        transparency = chunk(b"tRNS", struct.pack(">H", clear))
+        yield (
+            f"grey {bits} one clear", png(grey, bits, GREY_TYPE, transparency),
+            np.where(grey[..., 0] == clear, 1.0, light), 1e-9,
+        )  # fmt: skip
+    for bits in (8, 16):
+        for name, kind, values, light in (
+            ("rgb", RGB_TYPE, COLOURS, linear_of(COLOURS) @ SHARES),
+            ("grey alpha", GREY_ALPHA_TYPE, np.dstack([GREY, OPACITY]), OPACITY * linear_of(GREY) + 1 - OPACITY),
+            ("rgba", RGBA_TYPE, np.dstack([COLOURS, OPACITY]), OPACITY * (linear_of(COLOURS) @ SHARES) + 1 - OPACITY),
+        ):
+            yield f"{name} {bits}", png(stored(values, bits), bits, kind), light, 0.012
+        rgb = stored(COLOURS, bits)
+        clear = rgb[2, 30]
+        transparency = chunk(b"tRNS", struct.pack(">HHH", *clear))
+        whole = linear_of(COLOURS) @ SHARES
+        yield (
+            f"rgb {bits} one clear", png(rgb, bits, RGB_TYPE, transparency),
+            np.where((rgb == clear).all(axis=-1), 1.0, whole), 0.012,
+        )  # fmt: skip
+    for bits in (1, 2, 4, 8):
+        count = 2**bits
+        indices = stored(GREY, bits)
+        palette = np.stack([np.arange(count)[::-1], np.arange(count), np.full(count, 40)], axis=-1) * 255 // (count - 1)
+        palette = np.clip(palette, 0, 255).astype(np.uint8)
+        opacity = np.linspace(1.0, 0.0, count)
+        table = linear_of(palette / 255.0) @ SHARES
+        colours = chunk(b"PLTE", palette.tobytes())
+        yield f"palette {bits}", png(indices, bits, PALETTE_TYPE, colours), table[indices[..., 0]], 1e-9
+        clear_table = np.round(opacity * 255) / 255
+        transparency = chunk(b"tRNS", np.round(opacity * 255).astype(np.uint8).tobytes())
+        mixed = clear_table * table + 1 - clear_table
+        file = png(indices, bits, PALETTE_TYPE, colours, transparency)
+        yield f"palette {bits} clear", file, mixed[indices[..., 0]], 1e-9
+
+
+@pytest.mark.parametrize(("name", "file", "light", "error"), list(layouts()), ids=lambda one: str(one)[:24])
+def test_each_layout_is_read_with_its_tones_or_refused_by_name(
+    tmp_path: Path, name: str, file: bytes, light: Array, error: float
+) -> None:
+    (tmp_path / "a.png").write_bytes(file)
+    imagecodecs.png_decode(file)  # a good file
+    if name == "rgb 16 one clear":
+        with pytest.raises(PictureError, match="this PNG stores one clear colour for RGB of 16 bits"):
+            read(tmp_path / "a.png")
+        return
+    np.testing.assert_allclose(read(tmp_path / "a.png").linear, light, atol=error)
+
+
+GOOD = (stored(GREY, 8), 8, GREY_TYPE)
+TEXT = b"Comment\0" + b"x" * 3_000_000
+NOTES = {
+    "text": chunk(b"tEXt", TEXT),
+    "many texts": chunk(b"tEXt", TEXT) * 30,
+    "compressed text": chunk(b"zTXt", b"Comment\0\0" + zlib.compress(b"x" * 70_000_000)),
+    "international text": chunk(b"iTXt", b"XML:com.adobe.xmp\0\1\0\0\0" + zlib.compress(b"x" * 3_000_000)),
+    "broken text": chunk(b"zTXt", b"Comment\0\0" + b"no zlib"),
+    "wrong sum": b"\0\0\0\4tEXtabcdwron",
+    "odd chunk": chunk(b"vpAg", bytes(20_000_000)),
+    "long profile": chunk(b"iCCP", b"p\0\0" + zlib.compress(bytes(3_000_000))),
+    "bomb of a profile": chunk(b"iCCP", b"p\0\0" + zlib.compress(bytes(500_000_000))),
+    "no profile": chunk(b"iCCP", b"p\0\0no zlib"),
+}
+
+
+@pytest.mark.parametrize(("note", "after"), itertools.product(NOTES, (False, True)))
+def test_notes_of_any_length_never_stop_a_good_picture(tmp_path: Path, note: str, after: bool) -> None:
+    extra = () if after else (NOTES[note],)
+    file = png(*GOOD, *extra, after=NOTES[note] if after else b"")
+    (tmp_path / "a.png").write_bytes(file)
+    np.testing.assert_allclose(read(tmp_path / "a.png").linear, linear_of(stored(GREY, 8)[..., 0] / 255))
+
+
+def test_the_server_takes_a_picture_with_long_notes(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(png(*GOOD, NOTES["many texts"], NOTES["bomb of a profile"]))
+    checker = PictureChecker()
+    try:
+        assert checker.check(tmp_path / "a", "a.png", 40_000_000).format == "PNG"
+    finally:
+        checker.close()
+
+
+@pytest.mark.parametrize("code", [(9, 16, 0, 1), (9, 18, 0, 1), (12, 13, 0, 1)])
+def test_wide_and_high_dynamic_range_colours_are_refused_by_name(tmp_path: Path, code: tuple[int, ...]) -> None:
+    (tmp_path / "a.png").write_bytes(png(*GOOD, chunk(b"cICP", bytes(code))))
+    with pytest.raises(PictureError, match="cICP"):
+        read(tmp_path / "a.png")
+    (tmp_path / "a.png").write_bytes(png(*GOOD, chunk(b"cICP", bytes((1, 13, 0, 1)))))
+    read(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_white_on_clear_says_that_clear_counts_as_white(tmp_path: Path, seed: int) -> None:
+    opacity = np.random.default_rng(seed).integers(0, 2, (ROWS, COLUMNS)) * 255
+    (tmp_path / "a.png").write_bytes(png(np.dstack([np.full_like(opacity, 255), opacity]), 8, GREY_ALPHA_TYPE))
+    with pytest.raises(PictureError, match="clear parts count as white"):
+        read(tmp_path / "a.png")
+    (tmp_path / "a.png").write_bytes(png(np.dstack([np.zeros_like(opacity), opacity]), 8, GREY_ALPHA_TYPE))
+    np.testing.assert_allclose(read(tmp_path / "a.png").linear, opacity == 0)
+
+
+def test_cut_short_it_is_damaged(tmp_path: Path) -> None:
+    file = png(stored(np.random.default_rng(0).random((64, 64)), 8), 8, GREY_TYPE, NOTES["text"])
+    for length in (len(file) - 2000, 3_000_000, 2000, 40):
+        (tmp_path / "a.png").write_bytes(file[:length])
+        with pytest.raises(PictureError):
+            read(tmp_path / "a.png")
