@@ -334,7 +334,7 @@ def test_a_program_that_would_begin_straight_down_beside_the_block_is_not_starte
     shop.facts = framed(shop.facts)
     run_id = shop.mill.park(shop.facts, shop.path, "high").id
     shop.bench.command_done(Jog((-30.0, 0.0, 20.0), 2000.0))
-    with pytest.raises(NotAllowedError, match=r"first goes to Z5, and the tool stands at X-30.0 Y0.0 Z20.0"):
+    with pytest.raises(NotAllowedError, match=r"goes to Z5, and the tool stands at X-30.0 Y0.0 Z20.0"):
         shop.mill.start(run_id, YES)
     shop.bench.command_done(Jog((42.0, 10.2, 0.0), 2000.0))  # over the block that is in no one's way
     shop.mill.start(run_id, YES)
