@@ -5,8 +5,9 @@ pre-flight and by `check`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from cam.moves import cut, rapid
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
 from cam.posts.setup import ProgramSetup
+from cam.program import generate_program
 from machines.errors import ProgramRefusedError
 from machines.preflight.limits import MillLimits, limits_of
 from machines.preflight.rules import RULES
@@ -26,6 +28,9 @@ from machines.profile import load_profile
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes
 from service.job.checking import CheckSettings, check_programs
+from service.job.spec.loading import resolve_job
+from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.stages.programs import first_stock
 from service.milling.preflight_child import examine
 from service.progress import report_progress
 
@@ -107,7 +112,7 @@ def _without_first_lift(lines: list[bytes]) -> list[bytes]:
 
 
 def _without_last_lifts(lines: list[bytes]) -> list[bytes]:
-    cuts = [k for k, line in enumerate(lines) if re.match(rb"(N\d+)?(G0?1|X|Y).*Z-|Z\d+,\d+,-", line)]
+    cuts = [k for k, line in enumerate(lines) if re.match(rb"(N\d+)?(G0?1(?!\d)|X|Y).*Z-|Z\d+,\d+,-", line)]
     return lines[: cuts[-1] + 1] + [line for line in lines[cuts[-1] + 1 :] if not _LIFT.match(line)]
 
 
@@ -152,3 +157,85 @@ def test_pre_flight_names_each_planted_fault(tmp_path: Path, name: str, dialect:
     assert text != before
     codes, words = named(tmp_path / "p.nc", text, limits(dialect, top_z_mm=top_z_mm))
     assert told in codes if told in CODES else told in words, (codes, words)
+
+
+@dataclass(frozen=True)
+class Written:
+    """A pass over a small lens, written for a mill of the dialect, and what `check` must be told of it."""
+
+    folder: Path
+    text: bytes
+    settings: CheckSettings
+
+    def faults(self, text: bytes) -> str:
+        program, lens = self.folder / "pass.nc", self.folder / "heightfield.npz"
+        program.write_bytes(text)
+        with report_progress(True) as reporter:
+            (verdict,) = check_programs([program], lens, self.settings, reporter=reporter)
+        assert verdict.ok is not bool(verdict.faults)
+        return " ".join(verdict.faults)
+
+
+@pytest.fixture(scope="module")
+def write(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Written]]:
+    with pytest.MonkeyPatch.context() as patch:
+        top = tmp_path_factory.mktemp("config")
+        patch.setenv("CAUSTICMILL_CONFIG_DIR", str(top))
+        (top / "machines").mkdir()
+
+        @cache
+        def written(dialect: str) -> Written:
+            mill = f'extends = "grbl"\ndialect = "{dialect}"\nspindle_rpm = [4500, 15000]\n'
+            (top / "machines" / f"mill-{dialect}.toml").write_text(mill)
+            folder = tmp_path_factory.mktemp(dialect)
+            x, y = np.linspace(0, 4, 41), np.linspace(0, 3, 31)
+            lens = Heightfield(z_mm=-0.3 - 0.01 * np.add.outer(y, x), x_mm=x, y_mm=y)
+            (folder / "heightfield.npz").write_bytes(heightfield_bytes(lens))
+            job = resolve_job(
+                base={
+                    "optics": {"width_mm": 4.0, "height_mm": 3.0},
+                    "stock": {"thickness_mm": 10.0, "margin_mm": 2.0},
+                    "machine": {"profile": f"mill-{dialect}"},
+                    "passes": [{"radius_mm": 1.0, "pitch_mm": 0.5, "spindle_rpm": 12000.0, "feed_mm_per_min": 600.0}],
+                }
+            )
+            (spec,), stock = cam_passes_of(job.spec), cam_stock_of(job.spec)
+            pieces = generate_program(lens, spec, stock, stock_top=first_stock(stock), post=POSTS[dialect])
+            settings = CheckSettings(
+                radius_mm=(1.0,),
+                pitch_mm=(0.5,),
+                stock_to_leave_mm=(),
+                step_down_mm=(),
+                thickness_mm=10.0,
+                margin_mm=2.0,
+                machine=f"mill-{dialect}",
+            )
+            return Written(folder, b"".join(pieces), settings)
+
+        yield written
+
+
+CHECKED = [
+    pytest.param(name, dialect, marks=() if dialect in ("grbl", "rml-1") else pytest.mark.thorough)
+    for name, dialect in PLANTED
+    if not name.startswith("too wide")  # which moves of X4 it has, the pass decides
+]
+
+
+@pytest.mark.parametrize(("name", "dialect"), CHECKED)
+def test_the_check_command_names_each_planted_fault(
+    write: Callable[[str], Written], tmp_path: Path, name: str, dialect: str
+) -> None:
+    plant, told, _ = FAULTS[name]
+    written = write(dialect)
+    assert written.faults(written.text) == ""
+    text = plant(written.text)
+    assert text != written.text
+    words = written.faults(text)
+    if told not in CODES:
+        assert told in words
+        return
+    (file := tmp_path / "p.nc").write_bytes(text)
+    profile = load_profile(f"mill-{dialect}")
+    found = [one for one in examine(file, limits_of(profile), lambda share: None).findings if one.code == told]
+    assert found and found[0].words in words
