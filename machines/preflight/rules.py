@@ -270,9 +270,7 @@ def _judge_numbers(reading: Reading) -> Phrase | None:
     dialect = reading.dialect
     if dialect is None or not dialect.tapes or not dialect.numbered or reading.events[tally.NUMBERED][1]:
         return None
-    return Phrase(
-        "the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle"
-    )
+    return Phrase("the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle")
 
 
 def _judge_link(reading: Reading) -> Phrase | None:
@@ -393,4 +391,3 @@ RULES = (
     Rule("link", _WARN, _judge_link),
 )
 """In the order in which a person reads them."""
-

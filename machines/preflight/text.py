@@ -43,7 +43,11 @@ def require_plain_text(chunks: Iterable[bytes], *, lone_returns: bool = False) -
 def _name_encoding(beginning: bytes) -> Phrase | None:
     every_second_is_zero = len(beginning) >= 4 and (not any(beginning[::2]) or not any(beginning[1::2]))
     if beginning.startswith(_UTF16_MARKS) or every_second_is_zero:
-        return Phrase("the file is text in UTF-16, two bytes a letter; save it as plain text (ASCII, or UTF-8 without BOM)")
+        return Phrase(
+            "the file is text in UTF-16, two bytes a letter; save it as plain text (ASCII, or UTF-8 without BOM)"
+        )
     if beginning.startswith(_UTF8_MARK):
-        return Phrase("the file begins with a byte order mark (UTF-8 with BOM); save it as UTF-8 without BOM, or as ASCII")
+        return Phrase(
+            "the file begins with a byte order mark (UTF-8 with BOM); save it as UTF-8 without BOM, or as ASCII"
+        )
     return None

@@ -191,9 +191,7 @@ def _count_motion(move: Step, line: int, tally: _Tally) -> None:
         tally.way_in.append(Motion(line, move, "".join(sorted(moved | ({"Z"} if move.machine_mm else set())))))
 
 
-def _count_command(
-    command: Command, line: int, mill: RmlInterpreter, tally: _Tally, profile: MachineProfile
-) -> None:
+def _count_command(command: Command, line: int, mill: RmlInterpreter, tally: _Tally, profile: MachineProfile) -> None:
     if command.name == "!RC":
         slowest, fastest = profile.spindle_rpm
         speed = spindle_rpm(command.numbers[0], slowest, fastest)

@@ -4,7 +4,7 @@ removal that they simulate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +15,7 @@ from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.limits import limits_of
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
@@ -91,7 +91,11 @@ def check_programs(
     for paths, spec in tasks:
         path = paths[0]
         with watch.stage(f"pre-flight {path.name}") as reached:
-            broken = [words for one in paths for words in _find_broken_rules(one, limits, reached)]
+            try:
+                broken = [words for one in paths for words in examine(one, limits, reached).faults]
+            except ProgramRefusedError as error:  # no mill is sent it
+                verdicts.append(_judge_unreadable(path, [str(error)]))
+                break
         with watch.stage(f"check {path.name}") as reached:
             try:
                 result: PassCheck | AroundCheck
@@ -101,7 +105,7 @@ def check_programs(
                     assert job is not None  # nothing else knows of these
                     result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that no mill should be given
-                verdicts.append(_judge_unreadable(path, broken or [" ".join(str(error).split())]))
+                verdicts.append(_judge_unreadable(path, broken or [str(error)]))
                 break
         stock_top = result.stock_top
         verdicts.append(
@@ -125,15 +129,8 @@ def _require_programs(paths: Sequence[Path]) -> None:
             raise InputError(f"{path}: there is no such program")
 
 
-def _find_broken_rules(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
-    """Return what the mill's rules have against a program, refusals and faults alike."""
-    try:
-        return examine(path, limits, on_share).faults
-    except ProgramRefusedError as error:
-        return (" ".join(str(error).split()),)
-
-
 def _judge_unreadable(path: Path, faults: Sequence[str]) -> Verdict:
+    faults = [" ".join(fault.split()) for fault in faults]
     return Verdict(program=path, ok=False, faults=tuple(faults), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 

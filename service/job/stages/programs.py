@@ -125,7 +125,6 @@ def simulate(
         stock=stock,
         stock_top=stock_top,
         kinematics=kinematics_of(machine),
-        travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits_of(machine).z_mm,

@@ -43,7 +43,11 @@ def test_after_a_program_z_is_to_be_touched_off_until_it_was(shop: Shop) -> None
 
 def test_what_is_said_of_the_work_zero_is_forgotten_when_it_is_set_again(shop: Shop) -> None:
     lasting, passing = Phrase("the feed is high"), Phrase(f"{AT_PRESENT_ZERO} X would go from -3 to 23 mm")
-    second = shop.mill.park(replace(shop.facts, findings=(Finding("feed", False, lasting), Finding("placement", False, passing))), shop.path, "part 2").id
+    second = shop.mill.park(
+        replace(shop.facts, findings=(Finding("feed", False, lasting), Finding("placement", False, passing))),
+        shop.path,
+        "part 2",
+    ).id
 
     def warnings() -> tuple[str, ...]:
         return next(one.warnings for one in shop.mill.snapshot.runs if one.id == second)

@@ -131,7 +131,11 @@ FAULTS: dict[str, tuple[Callable[[bytes], bytes], str, list[str]]] = {
     "S0": (_words(rb"(?<=S)12000", rb"0"), "spindle-off", [d for d in GCODE if d != "roland-nc"]),
     "no G21": (_words(rb"G21", rb"", 1), "units", GCODE),
     "no G90": (_words(rb"G90", rb"", 1), "distance", GCODE),
-    "G91": (_words(rb"G90", rb"G91", 1), "blind-relative", ["grbl", "grblhal", "fluidnc", "linuxcnc", "okuma", "fanuc"]),
+    "G91": (
+        _words(rb"G90", rb"G91", 1),
+        "blind-relative",
+        ["grbl", "grblhal", "fluidnc", "linuxcnc", "okuma", "fanuc"],
+    ),
     "no spindle": (_words(rb"M0?3", rb"", 1), "spindle-off", [d for d in GCODE if d != "roland-nc"]),
     "no spindle where it faults": (_words(rb"M03", rb"", 1), "needs S and M03", ["roland-nc"]),
     "no !MC1": (_words(rb"!MC1;", rb""), "with the spindle off", ["rml-1"]),
@@ -210,7 +214,9 @@ def write(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], 
                 margin_mm=2.0,
                 machine=f"mill-{dialect}",
             )
-            return Written(folder, b"".join(pieces), settings)
+            made = Written(folder, b"".join(pieces), settings)
+            assert made.faults(made.text) == ""
+            return made
 
         yield written
 
@@ -228,7 +234,6 @@ def test_the_check_command_names_each_planted_fault(
 ) -> None:
     plant, told, _ = FAULTS[name]
     written = write(dialect)
-    assert written.faults(written.text) == ""
     text = plant(written.text)
     assert text != written.text
     words = written.faults(text)
