@@ -6,6 +6,7 @@ What a mill asks of a program whatever the stock is in `machines.preflight.rules
 from __future__ import annotations
 
 import math
+
 import numpy as np
 from numba import njit
 

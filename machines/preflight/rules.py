@@ -202,8 +202,8 @@ def _judge_feed(reading: Reading) -> Phrase | None:
     if feeds is None or feeds[1] <= fastest + 1:
         return None
     return Phrase(
-        "F goes up to {most_mm_per_min:g} mm/min, {machine} in no direction beyond {limit_mm_per_min:.0f} mm/min: is it "
-        "the feed that was meant?",
+        "F goes up to {most_mm_per_min:g} mm/min, {machine} in no direction beyond {limit_mm_per_min:.0f} mm/min: is "
+        "it the feed that was meant?",
         most_mm_per_min=feeds[1],
         machine=limits.profile,
         limit_mm_per_min=fastest,

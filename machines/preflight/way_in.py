@@ -105,8 +105,9 @@ def find_risk(
             if not across and end < begin - _REPORTED_MM and not inside and not placed.issuperset("XY"):
                 x, y, _ = step.start_mm
                 return Phrase(
-                    "line {line} goes to Z{to_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} Z{z_mm:.1f}: that is "
-                    "straight down beside what the program mills; bring the tool over the block, or no higher than that",
+                    "line {line} goes to Z{to_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} Z{z_mm:.1f}: that "
+                    "is straight down beside what the program mills; bring the tool over the block, or no higher than "
+                    "that",
                     line=line,
                     to_mm=end,
                     x_mm=x,
@@ -135,8 +136,8 @@ def _say_across(line: int, lowest_mm: float, safe_z_mm: float) -> Phrase:
             safe_z_mm=safe_z_mm,
         )
     return Phrase(
-        "line {line} goes across at Z{lowest_mm:g} before X, Y and Z are given, and may hit a clamp or the block; begin "
-        "with Z alone: up to Z{safe_z_mm:g} or higher, or to the top of the mill (G53 G0 Z)",
+        "line {line} goes across at Z{lowest_mm:g} before X, Y and Z are given, and may hit a clamp or the block; "
+        "begin with Z alone: up to Z{safe_z_mm:g} or higher, or to the top of the mill (G53 G0 Z)",
         line=line,
         lowest_mm=lowest_mm,
         safe_z_mm=safe_z_mm,
@@ -146,8 +147,8 @@ def _say_across(line: int, lowest_mm: float, safe_z_mm: float) -> Phrase:
 def _say_low(line: int, end_mm: float, safe_z_mm: float) -> Phrase:
     if end_mm == -inf:
         return Phrase(
-            "line {line} begins with a way to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} or "
-            "higher, or to the top of the mill (G53 G0 Z)",
+            "line {line} begins with a way to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} "
+            "or higher, or to the top of the mill (G53 G0 Z)",
             line=line,
             safe_z_mm=safe_z_mm,
         )

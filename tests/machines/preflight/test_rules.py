@@ -1,5 +1,5 @@
-"""The one table of machine rules: what our posts write keeps them all; each planted fault is named, in every dialect, by
-pre-flight and by `check`.
+"""The one table of machine rules: what our posts write keeps them all; each planted fault is named, in every dialect,
+by pre-flight and by `check`.
 """
 
 from __future__ import annotations

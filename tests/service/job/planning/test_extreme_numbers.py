@@ -1,5 +1,5 @@
-"""Every number of a spec has a range that makes sense in a shop: what lies beyond is refused by name, and at its ends an
-estimate answers or refuses in words, but never breaks.
+"""Every number of a spec has a range that makes sense in a shop: what lies beyond is refused by name, and at its ends
+an estimate answers or refuses in words, but never breaks.
 """
 
 from __future__ import annotations
