@@ -134,6 +134,13 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
         minutes = _round_minutes(process.minutes_to(k0, area_mm2))
     if k0 is None:
         k0 = round(process.k0_rad_per_mm(minutes, area_mm2), 4)
+        if k0 < LEAST_K0_RAD_PER_MM:
+            words = Phrase(
+                "{minutes:g} level the whole lens away; allowed: at most {most:.3g} minutes on a lens of this size",
+                minutes=minutes,
+                most=process.minutes_to(LEAST_K0_RAD_PER_MM, area_mm2),
+            )
+            raise SpecError([("finish.minutes", words)])
     filled = {
         "k0_rad_per_mm": k0,
         "order": process.order if finish.order is None else finish.order,

@@ -240,8 +240,8 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
     plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
     return {
         "spindle_rpm": spindle,
-        "feed_mm_per_min": row.feed_mm_per_min or float(round(feed)),
-        "plunge_mm_per_min": row.plunge_mm_per_min or float(round(plunge)),
+        "feed_mm_per_min": row.feed_mm_per_min or max(1.0, float(round(feed))),
+        "plunge_mm_per_min": row.plunge_mm_per_min or max(1.0, float(round(plunge))),
         "step_down_mm": row.step_down_mm or start.step_down_mm,
     }
 
