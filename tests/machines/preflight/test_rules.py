@@ -244,3 +244,27 @@ def test_the_check_command_names_each_planted_fault(
     profile = load_profile(f"mill-{dialect}")
     found = [one for one in examine(file, limits_of(profile), lambda share: None).findings if one.code == told]
     assert found and found[0].words in words
+
+
+HEAD = "G21 G90\n"
+CASES = {  # text: codes that are among the findings, and that are not
+    HEAD + "G0 Z5\nM3\nG1 X9 F100\nM30\n": ({"spindle-off", "blind-cut"}, {"motion", "way-in", "way-out"}),
+    HEAD + "G0 Z5\nM3 S8000\nG4 P3000\nG1 X9 F100\nM30\n": ({"pause", "blind-cut"}, {"motion", "spindle-off"}),
+    HEAD + "G0 X0\nM2\n": ({"way-in"}, {"motion"}),
+    HEAD + "G91 G0 Z1\nM2\n": ({"blind-relative"}, {"motion"}),
+    HEAD + "G28\nM2\n": ({"home"}, {"motion"}),
+    HEAD + "G91 G28 Z0\nG90 G0 X0 Y0\nG0 Z5\nM2\n": ({"home"}, {"motion", "way-in", "way-out"}),
+    HEAD + "G53 G0 Z-60\nG0 X0 Y0\nG0 Z5\nM2\n": ({"way-in"}, {"motion"}),
+    HEAD + "G53 G0 Z-1\nG0 X0 Y0\nG0 Z1\nG53 G0 Z-1\nM2\n": (set(), {"way-in", "way-out"}),
+    HEAD + "M5\nM2\n": ({"motion"}, {"way-in", "way-out"}),
+    "": ({"motion", "end"}, set()),
+    "G21 G90 G55\nG0 Z5\nX0 Y0\nM2\n": ({"offset"}, {"units", "distance"}),
+}
+
+
+@pytest.mark.parametrize("text", CASES)
+def test_what_is_said_of_programs_written_by_hand(tmp_path: Path, text: str) -> None:
+    (file := tmp_path / "p.nc").write_text(text)
+    codes = {one.code for one in examine(file, limits("grbl"), lambda share: None).findings}
+    there, absent = CASES[text]
+    assert there <= codes and not absent & codes, codes
