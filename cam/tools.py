@@ -70,8 +70,8 @@ class Speeds:
         part = min(1.0, rpm / start.spindle_rpm) * tool.flutes / start.flutes
         return cls(
             spindle_rpm=rpm,
-            feed_mm_per_min=float(round(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2]))),
-            plunge_mm_per_min=float(round(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2]))),
+            feed_mm_per_min=max(1.0, float(round(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2])))),
+            plunge_mm_per_min=max(1.0, float(round(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2])))),
             step_down_mm=start.step_down_mm,
         )
 

@@ -7,7 +7,7 @@ and by the distance of every move in stock from the outline, which knows no cell
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.checking.clamps import Clamps
 from cam.checking.findings import Finding
 from cam.checking.flat_removal import removal_of
-from cam.checking.move_rules import say_no_end, say_nothing_moved, say_spindle_off, say_too_wide
+from cam.checking.move_rules import say_spindle_off
 from cam.cutters import CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
@@ -80,7 +80,6 @@ class CheckedMill:
     """What the check must know of the mill. digit_mm, xy_digit_mm: the raster of the positions written."""
 
     kinematics: Kinematics
-    travel_mm: Sequence[float]
     safe_z_mm: float
     language: Language = GRBL
     digit_mm: float = 0.0
@@ -186,7 +185,7 @@ class _FlatRun:
         self._clamps = Clamps(stock.clamps, radius_mm=spec.radius_mm)
         self._lines = self._bytes = self._moves = self._entries = 0
         self._length_mm = self._bite_mm = 0.0
-        self._ended, self._airborne = False, True
+        self._airborne = True
         self._least, self._most = np.full(3, np.inf), np.full(3, -np.inf)
         self._kinds = {
             "rapid": Finding(
@@ -218,7 +217,7 @@ class _FlatRun:
 
     def add(self, batch: MoveBatch) -> None:
         """Cut one batch and judge its moves."""
-        self._lines, self._bytes, self._ended = batch.lines_read, batch.bytes_read, batch.ended
+        self._lines, self._bytes = batch.lines_read, batch.bytes_read
         if len(batch) == 0:
             return
         self._duration.add(batch)
@@ -277,13 +276,6 @@ class _FlatRun:
         self, *, gouge_mm: float, left_mm: float, clear_um: float | None = None, tabs: tuple[Tab, ...] = ()
     ) -> AroundCheck:
         faults = [sentence for kind in self._kinds.values() for sentence in kind.sentences]
-        if not self._moves:
-            faults.append(say_nothing_moved())
-        if not self._ended:
-            faults.append(say_no_end(self._lines))
-        for axis, low, high, travel_mm in zip(_AXES, self._least, self._most, self._mill.travel_mm, strict=True):
-            if self._moves and high - low > travel_mm + 1e-9:
-                faults.append(say_too_wide(axis, low, high, travel_mm))
         return AroundCheck(
             faults=(*faults, *self.faults, *self._clamps.faults),
             lines=self._lines,

@@ -10,7 +10,7 @@ the tracks of a contour pass, 9 bytes a move (`path_quality`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import chain
@@ -153,7 +153,6 @@ def check_program(
     stock: Stock,
     stock_top: StockGrid,
     kinematics: Kinematics,
-    travel_mm: Sequence[float],
     safe_z_mm: float,
     language: Language = GRBL,
     digit_mm: float = 0.0,
@@ -163,7 +162,6 @@ def check_program(
 ) -> PassCheck:
     """Cut the program into stock_top and judge it. Raises ProgramError where the text itself is not allowed.
 
-    travel_mm   : (3,) what the mill's axes can travel
     digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
     further     : programs that go on where this one ends, when a pass is split
     total_bytes : length of the program if known; then on_progress is told the share done
@@ -181,7 +179,7 @@ def check_program(
                 report(cutting * min(1.0, batch.bytes_read / total_bytes))
         if waiting is not None:
             run.finish(waiting)
-    return run.verdict(travel_mm, lambda share: report(cutting + (1.0 - cutting) * share))
+    return run.verdict(lambda share: report(cutting + (1.0 - cutting) * share))
 
 
 class _Pending:
@@ -266,12 +264,11 @@ class _Run:
         for other in pending.others:
             other.result()
 
-    def verdict(self, travel_mm: Sequence[float], report: Progress) -> PassCheck:
+    def verdict(self, report: Progress) -> PassCheck:
         depth, cell = self.whole.cut_at_rest()
-        idle = self.rest is not None and not self.rest.core.any()
-        if idle:
+        if self.rest is not None and not self.rest.core.any():
             self.rules.notes.append(Phrase("the ball before has left nothing to this one: the program only lifts"))
-        self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole, may_idle=idle)
+        self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole)
         for window in self.windows:
             window.cut_at_rest()
         after = self.whole.stock()
@@ -283,7 +280,6 @@ class _Run:
         gap_mm = self._row_gap(left) if measures is None else self._contour_gap(measures)
         self._judge_excess(excess)
         rules = self.rules
-        rules.judge_bounds(travel_mm)
         for sentence in (*self.collisions.faults, *self.clamps.faults, *self.engagement.faults):
             rules.add_fault(sentence)
         regular = left.in_aperture & ~left.suspicious(self.spec)

@@ -1,9 +1,11 @@
-"""Rules every move must keep: depth of cut, rapids clear of stock, spindle, gouge, bounds; and the running totals."""
+"""Rules every move must keep on the stock: depth of cut, rapids clear of it, spindle, gouge; and the running totals.
+
+What a mill asks of a program whatever the stock is in `machines.preflight.rules`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -46,26 +48,6 @@ def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
 def say_spindle_off(depth_mm: float) -> Phrase:
     """Return the words of a `Finding`."""
     return Phrase("cuts {depth_mm:.3f} mm with the spindle off (allowed: only after M3)", depth_mm=depth_mm)
-
-
-def say_nothing_moved() -> Phrase:
-    return Phrase("the program moves nothing (allowed: at least one move)")
-
-
-def say_no_end(lines: int) -> Phrase:
-    return Phrase("the program stops after line {line} without M2 or M30 (allowed: only with one)", line=lines)
-
-
-def say_too_wide(axis: str, low_mm: float, high_mm: float, travel_mm: float) -> Phrase:
-    return Phrase(
-        "the program spans {span_mm:.3f} mm in {axis}, from {low_mm:.3f} to {high_mm:.3f} mm (allowed: the mill's "
-        "travel of {travel_mm:g} mm)",
-        span_mm=high_mm - low_mm,
-        axis=axis.upper(),
-        low_mm=low_mm,
-        high_mm=high_mm,
-        travel_mm=travel_mm,
-    )
 
 
 class MoveRules:
@@ -141,7 +123,7 @@ class MoveRules:
         self.path_length_mm = self.max_engagement_mm = self.gouge_mm = 0.0
         self._low_corner, self._high_corner = np.full(3, np.inf), np.full(3, -np.inf)
         self._low_cut, self._high_cut = np.full(3, np.inf), np.full(3, -np.inf)
-        self._airborne, self._ended, self._spindle_left_on = True, False, False
+        self._airborne = True
         # The last move of the batch before: line, is rapid, spindle on, in the air, end point.
         self._last_line, self._last_rapid, self._last_spindle, self._last_clear = 0, True, False, True
         self._last_point = np.zeros(3)
@@ -169,7 +151,7 @@ class MoveRules:
         return {a: [float(self._low_cut[d]), float(self._high_cut[d])] for d, a in enumerate(_AXES)}
 
     def judge(self, batch: MoveBatch, drops: Drops, overlaps: Overlaps, whole: RemovalGrid) -> None:
-        self.lines, self.bytes, self._ended = batch.lines_read, batch.bytes_read, batch.ended
+        self.lines, self.bytes = batch.lines_read, batch.bytes_read
         if len(batch) == 0:
             return
         start, end = batch.start_mm, batch.end_mm
@@ -202,12 +184,9 @@ class MoveRules:
             k = moving[-1]
             self._last_line, self._last_clear = int(batch.line[k]), bool(clear[k])
             self._last_rapid, self._last_spindle = bool(batch.is_rapid[k]), bool(batch.spindle_on[k])
-        self._spindle_left_on = bool(batch.spindle_on[-1]) and not batch.ended
 
-    def judge_rest(self, drops: Drops, whole: RemovalGrid, *, may_idle: bool = False) -> None:
-        """Judge what the ball still removes where it stops. may_idle: the program need not move, nothing was left to
-        cut.
-        """
+    def judge_rest(self, drops: Drops, whole: RemovalGrid) -> None:
+        """Judge what the ball still removes where it stops."""
         one = np.array([True])
         self._judge_drops(
             drops,
@@ -217,10 +196,6 @@ class MoveRules:
             spindle=one & self._last_spindle,
             clear=one & self._last_clear,
         )
-        if not self.moves and not may_idle:
-            self.add_fault(say_nothing_moved())
-        if not self._ended:
-            self.add_fault(say_no_end(self.lines))
 
     def _judge_drops(
         self,
@@ -264,11 +239,3 @@ class MoveRules:
         if depth_mm > self._gouge_allowed_mm and depth_mm > self._gouge.worst:
             self._gouge.note(depth_mm, line, *place_mm)
         self.gouge_mm = max(self.gouge_mm, depth_mm)
-
-    def judge_bounds(self, travel_mm: Sequence[float]) -> None:
-        """Judge the extent of all coordinates against what the axes can travel."""
-        if not self.moves:
-            return
-        for axis, low, high, travel in zip(_AXES, self._low_corner, self._high_corner, travel_mm, strict=True):
-            if high - low > travel + 1e-9:
-                self.add_fault(say_too_wide(axis, low, high, travel))

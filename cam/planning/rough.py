@@ -95,8 +95,8 @@ class Roughing:
                 for tool in self.shop.tools
                 if self.shop.holds(tool)
                 and tool.radius_mm >= finish.radius_mm
-                and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM)
-                and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
+                and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM, 2 * self.shop.room_mm)
+                and self.shop.has_room_for(tool)
                 and tool.reaches(self.form.deepest_mm)
             ]
             flat = [one for one in tools if not one.is_ball and one.radius_mm <= 2 * finish.radius_mm]

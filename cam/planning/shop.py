@@ -33,6 +33,7 @@ class Shop:
     step_mm, noise_mm : smallest move of its axes; sigma of the height error from row to row
     whole_steps       : vertices of finishing passes are put where the path goes through whole steps
     margin_mm         : of the block around the lens
+    room_mm           : that the mill's travel leaves around the lens
     strategies        : that finishing passes may take
     collet_mm         : the thickest shank that the spindle takes
     removal_mm3_per_min : the most that spindle and frame take off
@@ -53,6 +54,7 @@ class Shop:
     removal_mm3_per_min: float = inf
     digits: Digits | None = None
     safe_z_mm: float = SAFE_Z_MM
+    room_mm: float = inf
 
     @property
     def balls(self) -> tuple[Tool, ...]:
@@ -70,6 +72,10 @@ class Shop:
     def holds(self, tool: Tool) -> bool:
         """Return whether the spindle takes its shank."""
         return 2 * tool.shank_radius_mm <= self.collet_mm
+
+    def has_room_for(self, tool: Tool) -> bool:
+        """Return whether block and travel leave room for its way around the lens."""
+        return 2 * tool.radius_mm + CLEAR_MM <= self.margin_mm and tool.radius_mm <= self.room_mm
 
     def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:
         """Return the material's step-down, or as much of it as the mill takes off in rows at the tool's feed."""
@@ -124,6 +130,12 @@ def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> Phrase | None:
             "it clears {diameter_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}",
             diameter_mm=2 * tool.radius_mm,
             need_mm=2 * tool.radius_mm + CLEAR_MM,
+        )
+    if tool.radius_mm > shop.room_mm:
+        return Phrase(
+            "it goes {radius_mm:g} mm beyond the lens on either side; the mill's travel leaves {room_mm:g} mm",
+            radius_mm=tool.radius_mm,
+            room_mm=shop.room_mm,
         )
     steepest = float(form.slopes[-1])
     if tool.shank_radius_mm > tool.radius_mm and steepest * tool.shank_radius_mm > tool.flute_length_mm:

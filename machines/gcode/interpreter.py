@@ -157,6 +157,9 @@ class Interpreter:
         if kind == language.ARC:
             u, v, w = _PLANES[self._vector[language.PLANE]]
             arc = Arc(u, v, w, *out[language.CENTRE_U : language.SWEEP + 1])
+        machine = None
+        if kind == language.MACHINE:
+            machine = _known(out[language.END], out[language.END + 1], out[language.END + 2])
         feed = out[language.BLOCK_FEED]
         return Step(
             _KINDS[kind],
@@ -171,6 +174,8 @@ class Interpreter:
             bool(flags & language.WRITES),
             kind == language.PROBE,
             arc,
+            machine,
+            kind == language.JUMP,
         )
 
     def _sync(self) -> list[float]:

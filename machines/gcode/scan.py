@@ -65,6 +65,7 @@ class ProgramScan:
         self.dialect = DIALECTS[dialect]
         self.totals = np.zeros(tally.TOTALS)
         self.totals[[tally.LEAST_FEED, tally.LEAST_RPM]] = np.inf
+        self.totals[tally.LAST_Z], self.totals[tally.LAST_MACHINE_Z] = np.nan, -np.inf
         self.events = np.zeros((tally.EVENTS, 2), dtype=np.int64)
         self.bounds = np.empty((tally.FRAMES, 6))
         self.bounds[:, :3], self.bounds[:, 3:] = np.inf, -np.inf

@@ -74,6 +74,7 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
     blind = False
     jumps = False
     moved = False
+    placed = False
     length2 = 0.0
     row = bounds[
         tally.SHIFTED_ROW if state[language.SHIFTED] > 0.0 else min(int(state[language.WCS]) - 54, tally.SHIFTED_ROW)
@@ -82,9 +83,11 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
         value = end[d]
         if start[d] != start[d]:
             blind = True
-            if value == value and value != place[d]:
-                place[d] = value
-                jumps = True
+            if value == value:
+                placed = True
+                if value != place[d]:
+                    place[d] = value
+                    jumps = True
         else:
             if start[d] != place[d]:  # the frame has moved
                 place[d] = start[d]
@@ -100,12 +103,17 @@ def add_straight(n, start, end, cut, feed, line, state, place, totals, events, b
         n = add_entry(n, place, False, 0.0, line, False, 0.0, totals[tally.SENT_BYTES], moves)
     length = math.sqrt(length2)
     totals[tally.PATH_MM] += length
+    totals[tally.LAST_Z] = end[2]
+    if moved or placed:
+        totals[tally.MOTIONS] += 1.0
     if cut:
         if blind:
             note_event(events, tally.BLIND_CUT, line)
         # A level move over the work zero, at the greatest height so far, is a way in the air: a trace, no cut.
         aloft = start[2] == row[5] and end[2] == row[5] and end[2] > 0.0
-        if (state[language.SPINDLE] == 5.0 or state[language.SPEED] == 0.0) and not aloft:
+        if (state[language.SPINDLE] == 5.0 and not aloft) or (
+            state[language.SPINDLE] != 5.0 and state[language.SPEED] == 0.0
+        ):
             note_event(events, tally.SPINDLE_OFF, line)
         totals[tally.CUT_MM] += length
         if feed < totals[tally.LEAST_FEED]:
@@ -169,6 +177,10 @@ def add_jump(n, out, kind, line, state, place, totals, events, bounds, moves):  
     note_event(events, tally.PLACE_UNKNOWN if kind == language.JUMP else tally.MACHINE_MOVES, line)
     for d in range(3):
         widen(row, d, out[language.END + d])
+    if kind == language.JUMP and state[language.Z] != state[language.Z]:
+        totals[tally.LAST_Z], totals[tally.LAST_MACHINE_Z] = math.nan, math.inf
+    elif kind == language.MACHINE and out[language.END + 2] == out[language.END + 2]:
+        totals[tally.LAST_Z], totals[tally.LAST_MACHINE_Z] = math.nan, out[language.END + 2]
     spindle = state[language.SPINDLE] != 5.0
     return add_entry(n, place, False, 0.0, line, spindle, 0.0, totals[tally.SENT_BYTES], moves)
 
@@ -200,11 +212,10 @@ def note_block(seen, m, n_m, out, line, state, totals, events):  # type: ignore[
         note_event(events, tally.SETTINGS_WRITTEN, line)
     if state[language.SHIFTED] > 0.0 and events[tally.FRAME_MOVED, 1] == 0:
         note_event(events, tally.FRAME_MOVED, line)
-    if state[language.WCS] != 54.0 and (seen >> 23) & 7:
-        note_event(events, tally.OTHER_OFFSET, line)
     for k in range(n_m):
         if m[k] == 70:
             note_event(events, tally.MIST, line)
+    totals[tally.LONGEST_PAUSE_S] = max(totals[tally.LONGEST_PAUSE_S], out[language.PAUSE])
     if state[language.SPINDLE] != 5.0:
         totals[tally.LEAST_RPM] = min(totals[tally.LEAST_RPM], state[language.SPEED])
         totals[tally.MOST_RPM] = max(totals[tally.MOST_RPM], state[language.SPEED])

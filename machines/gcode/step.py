@@ -23,6 +23,8 @@ class Step:
     ends_program  : M2, M30
     writes_settings : G10, G28.1, G30.1: the controller writes its EEPROM; to be sent alone, never counted ahead
     probes        : G38: ends anywhere between start and end
+    machine_mm    : of G53: where it goes, in machine coordinates; None for an axis that it leaves
+    goes_home     : G28, G30: goes on to a place that only the controller knows
     """
 
     kind: str
@@ -37,6 +39,8 @@ class Step:
     writes_settings: bool = False
     probes: bool = False
     arc: Arc | None = None
+    machine_mm: Position | None = None
+    goes_home: bool = False
 
     @property
     def moves(self) -> bool:

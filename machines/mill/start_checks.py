@@ -7,10 +7,9 @@ elsewhere what does not fit is said, and the operator decides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any
 
 from machines.driver import MillStatus, Triple
@@ -22,10 +21,10 @@ from machines.grbl.settings import ControllerSettings
 from machines.mill.run import Run
 from machines.preflight.limits import placement_problems, work_zero_mm
 from machines.preflight.preflight import Bounds, Preflight
+from machines.preflight.way_in import WAY_IN, find_risk, read_from_place, read_way_in
 from phrases.phrase import Phrase
 
 _PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
-_BEGINNING_LINES = 100
 _REPORTED_MM = 0.01  # half a step and the digits of a report
 LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
 
@@ -84,48 +83,38 @@ def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed:
     )
 
 
-def check_way_down(
+def check_way_in(
     facts: Preflight, reader: ProgramReader, place_mm: Triple | None, offsets: Mapping[str, Sequence[float]]
 ) -> None:
-    """Raise NotAllowedError where the program begins straight down from where the tool stands, beside what it mills.
+    """Raise NotAllowedError where the program may hit something on its way in from where the tool stands.
 
-    place_mm : of the tool, in machine coordinates; offsets: of the controller, by name
+    place_mm : of the tool, in machine coordinates, None: not known; offsets: of the controller, by name
+    A height that the program itself never exceeds is safe, as it goes across at it all the time.
     """
-    if place_mm is None or facts.dialect == "rml-1" or (first := _first_height(reader)) is None:
+    if facts.dialect == "rml-1":  # where the tool stands the mill does not tell: pre-flight has judged it from anywhere
+        for finding in facts.findings:
+            if finding.code == WAY_IN:
+                raise NotAllowedError(Phrase("start: {risk}", risk=finding.words))
         return
-    wcs, first_mm = first
-    box, zero_mm = facts.bounds_by_frame.get(wcs), work_zero_mm(offsets, wcs)
-    if box is None or zero_mm is None:
-        return
-    x, y, z = (place - zero for place, zero in zip(place_mm, zero_mm, strict=True))
-    over = all(
-        least is not None and most is not None and least <= value <= most
-        for value, least, most in zip((x, y), box.least_mm, box.most_mm, strict=False)
-    )
-    if z > first_mm + _REPORTED_MM and not over:
-        raise NotAllowedError(
-            Phrase(
-                "start: the program first goes to Z{first_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} "
-                "Z{z_mm:.1f}: that would be straight down beside the block; bring the tool over the block, or "
-                "no higher than that",
-                first_mm=first_mm,
-                x_mm=x,
-                y_mm=y,
-                z_mm=z,
-            )
-        )
+    lines, dialect = list[tuple[int, bytes]](), reader.index.dialect
+    way = read_way_in(_record(reader, lines), dialect=dialect)
+    box, zero_mm = facts.bounds_by_frame.get(way.frame), work_zero_mm(offsets, way.frame)
+    over = None
+    if place_mm is not None and box is not None and zero_mm is not None:
+        x, y, z = (place - zero for place, zero in zip(place_mm, zero_mm, strict=True))
+        way, over = read_from_place(lines, dialect=dialect, wcs=way.frame, place_mm=(x, y, z)), box
+    highest_mm = max((box.most_mm[2] or 0.0 for box in facts.bounds_by_frame.values()), default=0.0)
+    risk = find_risk(way.motions, safe_z_mm=highest_mm, top_z_mm=None, over=over)
+    if risk is not None:
+        raise NotAllowedError(Phrase("start: {risk}", risk=risk))
 
 
-def _first_height(reader: ProgramReader) -> tuple[str, float] | None:
-    """Return work offset and height to which the first move of a program goes, where it goes there straight."""
-    interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
+def _record(reader: ProgramReader, lines: list[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """Yield the program's lines, and keep those that are taken."""
     with suppress(ProgramChangedError):  # the run says so when it comes to that piece, and sends nothing of it
-        for line in islice(reader.lines(1), _BEGINNING_LINES):
-            step, state = interpreter.take(line.text), interpreter.state
-            if step.moves:
-                x, y, z = step.end_mm
-                return None if z is None or (x, y) != (None, None) or state.shifted else (state.wcs, z)
-    return None
+        for line in reader.lines(1):
+            lines.append((line.number, line.text))
+            yield lines[-1]
 
 
 def program_placement(

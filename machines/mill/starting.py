@@ -24,7 +24,7 @@ from machines.mill.start_checks import (
     check_file,
     check_homed,
     check_modes,
-    check_way_down,
+    check_way_in,
     program_placement,
     recovery_placement,
 )
@@ -112,7 +112,7 @@ class RunStarter:
         if settings is not None and (lack := find_missing_option(settings, mist_line=facts.mist_line)):
             raise NotAllowedError(Phrase("start: {words}", words=lack))
         check_homed(facts, settings, homed=link.setup.homed)
-        check_way_down(facts, reader, driver.status.machine_mm, (answer or {}).get("offsets") or {})
+        check_way_in(facts, reader, driver.status.machine_mm, (answer or {}).get("offsets") or {})
         placement = program_placement(facts, reader, settings, driver.status)
         if placement.certain and placement.problems:
             words = "; ".join(placement.problems)

@@ -24,6 +24,7 @@ class MillLimits:
 
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
     homing : machine coordinates mean something
+    safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
     """
 
     profile: str
@@ -36,7 +37,10 @@ class MillLimits:
     lines_per_s: float
     bytes_per_s: float | None
     spindle_rpm: tuple[float, float]
+    safe_z_mm: float
     homing: bool = False
+    top_z_mm: float | None = None
+    work_offset: int = 1
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -64,7 +68,10 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         lines_per_s=profile.lines_per_s,
         bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
         spindle_rpm=spindle,
+        safe_z_mm=profile.safe_z_mm,
         homing=profile.homing,
+        top_z_mm=profile.top_z_mm,
+        work_offset=profile.work_offset,
     )
 
 

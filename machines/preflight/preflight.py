@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from machines.gcode.program import ProgramIndex
 from phrases.phrase import Phrase, phrases_in, restore
@@ -20,6 +20,17 @@ class Bounds:
     def span_mm(self, axis: int) -> float:
         least, most = self.least_mm[axis], self.most_mm[axis]
         return 0.0 if least is None or most is None else most - least
+
+
+class Finding(NamedTuple):
+    """What is worth a person's eye: the rule by its name in `machines.preflight.rules`, and the sentence.
+
+    is_fault : a job with it fails, and `check`
+    """
+
+    code: str
+    is_fault: bool
+    words: Phrase
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,14 +63,24 @@ class Preflight:
     ends: bool
     mist_line: int = 0
     assumed: tuple[str, ...] = ()
-    warnings: tuple[Phrase, ...] = ()
+    findings: tuple[Finding, ...] = ()
     index: ProgramIndex
+
+    @property
+    def warnings(self) -> tuple[Phrase, ...]:
+        """What a person reads before a start, faults first."""
+        return tuple(one.words for one in sorted(self.findings, key=lambda one: not one.is_fault))
+
+    @property
+    def faults(self) -> tuple[Phrase, ...]:
+        return tuple(one.words for one in self.findings if one.is_fault)
 
     def to_json(self) -> str:
         plain = {name: getattr(self, name) for name in self.__slots__} | {
             "bounds_mm": _bounds_to_plain(self.bounds_mm),
             "bounds_by_frame": {name: _bounds_to_plain(box) for name, box in self.bounds_by_frame.items()},
             "index": self.index.to_dict(),
+            "findings": [list(one) for one in self.findings],
             "phrases": phrases_in(self.warnings),
         }
         return json.dumps(plain, separators=(",", ":"), allow_nan=False)
@@ -67,7 +88,7 @@ class Preflight:
     @staticmethod
     def from_json(text: str) -> Preflight:
         values = json.loads(text)
-        values["warnings"] = restore(values["warnings"], values.pop("phrases", {}))
+        findings = restore(values["findings"], values.pop("phrases", {}))
         feeds, spindle = values["feeds_mm_per_min"], values["spindle_rpm"]
         frames = values["bounds_by_frame"].items()
         values |= {
@@ -76,7 +97,7 @@ class Preflight:
             "feeds_mm_per_min": (feeds[0], feeds[1]) if feeds else None,
             "spindle_rpm": (spindle[0], spindle[1]) if spindle else None,
             "assumed": tuple(values["assumed"]),
-            "warnings": tuple(values["warnings"]),
+            "findings": tuple(Finding(*one) for one in findings),
             "index": ProgramIndex.from_dict(values["index"]),
         }
         return Preflight(**values)

@@ -1,49 +1,100 @@
-"""What a scan's figures mean for the person: modes relied on without being said, warnings, and the last refusals."""
+"""The rules that a program keeps on a mill, in one table: for `check`, for a job's last look, and before every start.
+
+Each row judges one `Reading` of the whole program. What it says is a refusal, a fault or a warning:
+    REFUSE  no mill is sent the program
+    FAULT   `check` and a job fail; before a start it is among the warnings that a person reads, as who wrote the
+            program by hand may want it so. The way in is judged once more then, from where the tool stands.
+    WARN    worth knowing
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from math import isfinite
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import hypot, isfinite, isnan
 
 from machines.errors import ProgramRefusedError
 from machines.gcode import tally
-from machines.gcode.dialects import Dialect
+from machines.gcode.dialects import DIALECTS, Dialect
 from machines.preflight.limits import MillLimits
-from machines.preflight.preflight import Bounds
+from machines.preflight.preflight import Bounds, Finding
+from machines.preflight.way_in import WAY_IN, Motion, find_risk, is_raised
 from phrases.phrase import Phrase
 
 _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "shifted", "machine")
 _AXES = "XYZ"
+_ROUNDING_MM = 1e-6
+_LONG_PAUSE_S = 1000.0  # a warm-up of an hour has four steps
 
 Events = Sequence[Sequence[int]]
+NO_EVENTS: Events = ((0, 0),) * tally.EVENTS
 STARVED_SHARE = 0.1  # of the time, from which waiting for lines is worth a word
 
-_WORDS = (
-    (tally.SPINDLE_OFF, Phrase("cuts with the spindle off or at S0")),
-    (tally.BLIND_CUT, Phrase("cuts before X, Y and Z are all given: it starts wherever the tool then stands")),
-    (
-        tally.BLIND_RELATIVE,
-        Phrase("moves relatively (G91) from a place the program does not tell; extents leave it out"),
-    ),
-    (
-        tally.FRAME_MOVED,
-        Phrase(
-            "moves the program's own frame (G10, G92, G43.1 or a tool's offset); "
-            "extents from there on are not held against the work zero"
-        ),
-    ),
-    (tally.OTHER_OFFSET, Phrase("works in another offset than G54 (G15 H1); see that it is set")),
-    (
-        tally.SETTINGS_WRITTEN,
-        Phrase("writes the controller's EEPROM (G10, G28.1, G30.1); it is sent alone, with a pause"),
-    ),
-    (tally.STOPS, Phrase("stops for the operator (M0, M1) until cycle start")),
-    (
-        tally.PLACE_UNKNOWN,
-        Phrase("goes to a place only the controller knows (G28, G30, G38); time and extents leave it out"),
-    ),
-    (tally.MACHINE_MOVES, Phrase("moves in machine coordinates (G53), which mean something only after homing")),
-)
+
+class Severity(StrEnum):
+    """What a broken rule means; see above."""
+
+    REFUSE = "refuse"
+    FAULT = "fault"
+    WARN = "warn"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """A whole program as it was read: what the rules look at.
+
+    events    : first line and count of each, by `machines.gcode.tally`
+    boxes     : of `find_boxes`
+    feeds_mm_per_min, spindle_rpm : least and most, of cuts and of a spindle that turns; None without
+    motions   : how many steps move anything
+    ends, spindle_left_on : by the last line
+    way_in    : the first motions, until X, Y and Z are given
+    last_z_mm : where the last motion ends, in the work frame; nan: in machine coordinates, at last_machine_z_mm
+    pause_s   : the longest
+    """
+
+    limits: MillLimits
+    events: Events = NO_EVENTS
+    boxes: dict[str, Bounds]
+    feeds_mm_per_min: tuple[float, float] | None
+    spindle_rpm: tuple[float, float] | None
+    motions: int
+    ends: bool
+    spindle_left_on: bool
+    way_in: tuple[Motion, ...]
+    last_z_mm: float
+    last_machine_z_mm: float
+    pause_s: float
+    path_length_mm: float
+    time_s: float
+    starved_s: float = 0.0
+
+    @property
+    def dialect(self) -> Dialect | None:
+        """Of G-code; None for another language."""
+        return DIALECTS.get(self.limits.dialect)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One row: its name, what it means where `judge` says something, and that."""
+
+    code: str
+    severity: Severity
+    judge: Callable[[Reading], Phrase | None]
+
+
+def judge_program(reading: Reading) -> tuple[Finding, ...]:
+    """Return what the program breaks of RULES; ProgramRefusedError for the first that no mill may be sent."""
+    found = []
+    for rule in RULES:
+        if (words := rule.judge(reading)) is None:
+            continue
+        if rule.severity is Severity.REFUSE:
+            raise ProgramRefusedError(0, "", words)
+        found.append(Finding(rule.code, rule.severity is Severity.FAULT, words))
+    return tuple(found)
 
 
 def list_assumed_modes(events: Events) -> tuple[str, ...]:
@@ -52,7 +103,7 @@ def list_assumed_modes(events: Events) -> tuple[str, ...]:
     return tuple(word for slot, word in pairs if events[slot][1])
 
 
-def bounds_by_frame(rows: Sequence[Sequence[float]]) -> dict[str, Bounds]:
+def find_boxes(rows: Sequence[Sequence[float]]) -> dict[str, Bounds]:
     """Return boxes of the frames that were used; infinite ends are axes that never were at a known place."""
     found = {}
     for name, row in zip(_FRAMES, rows, strict=True):
@@ -62,13 +113,18 @@ def bounds_by_frame(rows: Sequence[Sequence[float]]) -> dict[str, Bounds]:
     return found
 
 
-def require_travel(boxes: dict[str, Bounds], limits: MillLimits) -> None:
-    """Refuse a program that is larger than the machine, wherever its zero may be put."""
-    for frame, box in boxes.items():
+def _judge_event(slot: int, words: Phrase) -> Callable[[Reading], Phrase | None]:
+    return lambda reading: _at(reading.events, slot, words) if reading.events[slot][1] else None
+
+
+def _judge_travel(reading: Reading) -> Phrase | None:
+    """A program that is larger than the machine, wherever its zero may be put."""
+    limits = reading.limits
+    for frame, box in reading.boxes.items():
         for axis, name in enumerate(_AXES):
             span, travel = box.span_mm(axis), limits.travel_mm[axis]
-            if span > travel + 1e-6:
-                reason = Phrase(
+            if span > travel + _ROUNDING_MM:
+                return Phrase(
                     "the program goes from {axis} {least_mm:.3f} to {most_mm:.3f} mm ({frame}), {span_mm:.3f} mm; "
                     "{machine} travels {travel_mm:g} mm: use a larger machine or a smaller part",
                     axis=name,
@@ -79,95 +135,162 @@ def require_travel(boxes: dict[str, Bounds], limits: MillLimits) -> None:
                     machine=limits.profile,
                     travel_mm=travel,
                 )
-                raise ProgramRefusedError(0, "", reason)
+    return None
 
 
-def warnings(
-    events: Events,
-    *,
-    dialect: Dialect,
-    limits: MillLimits,
-    spindle: tuple[float, float] | None,
-    ends: bool,
-    moves: bool,
-) -> Iterator[Phrase]:
-    """Return what the person should know before a start, one sentence each."""
-    if not moves:
-        yield Phrase("the program moves nothing")
-    if events[tally.UNITS_ASSUMED][1]:
-        yield Phrase(
-            "line {line}: coordinates before G20 or G21; read as mm (G21), which the controller must be in",
-            line=events[tally.UNITS_ASSUMED][0],
-        )
-    if events[tally.DISTANCE_ASSUMED][1]:
-        yield Phrase(
-            "line {line}: coordinates before G90 or G91; read as absolute (G90), which the controller must be in",
-            line=events[tally.DISTANCE_ASSUMED][0],
-        )
-    for slot, words in _WORDS:
-        if events[slot][1] and not (slot == tally.MACHINE_MOVES and limits.homing):
-            yield _at(events, slot, words)
-    if events[tally.OVER_RATE][1]:
-        words = Phrase("asks for more feed than an axis can go; the controller cuts slower there")
-        yield _at(events, tally.OVER_RATE, words)
-    if events[tally.MIST][1] and not dialect.mist:
-        yield _at(events, tally.MIST, Phrase("M7 is error:20 on stock GRBL 1.1 (built without ENABLE_M7)"))
-    low, high = limits.spindle_rpm
-    if spindle is not None and spindle[1] > high:
-        yield Phrase(
-            "S goes up to {most_rpm:g} rpm, the spindle of {machine} to {limit_rpm:g}: it will turn slower",
-            most_rpm=spindle[1],
-            machine=limits.profile,
-            limit_rpm=high,
-        )
-    if spindle is not None and 0 < spindle[0] < low:
-        yield Phrase(
-            "S goes down to {least_rpm:g} rpm, the spindle of {machine} to {limit_rpm:g}: it will turn faster",
-            least_rpm=spindle[0],
-            machine=limits.profile,
-            limit_rpm=low,
-        )
-    if dialect.tapes and dialect.numbered and not events[tally.NUMBERED][1]:
-        yield Phrase(
-            "the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle"
-        )
-    if not ends:
-        yield Phrase("the program has no end (M2 or M30): the spindle stays as the last line leaves it")
+def _judge_spindle_of_control(reading: Reading) -> Phrase | None:
+    """A control that faults on a speed that it has not."""
+    (low, high), spindle, dialect = reading.limits.spindle_rpm, reading.spindle_rpm, reading.dialect
+    if dialect is None or not dialect.spindle_first or spindle is None or (low <= spindle[0] and spindle[1] <= high):
+        return None
+    return Phrase(
+        "S{least_rpm:g} to S{most_rpm:g}: {control} takes {low_rpm:g} to {high_rpm:g} rpm; change S",
+        least_rpm=spindle[0],
+        most_rpm=spindle[1],
+        control=dialect.title,
+        low_rpm=low,
+        high_rpm=high,
+    )
 
 
-def warn_of_starving(
-    limits: MillLimits, feeds: tuple[float, float] | None, *, path_length_mm: float, time_s: float, starved_s: float
-) -> Iterator[Phrase]:
-    """Yield what the link carries of the feed, where the mill stands for much of its time waiting for lines."""
-    if feeds is not None and starved_s >= STARVED_SHARE * time_s > 0:
-        lines = Phrase("{count:g} lines", count=limits.lines_per_s)
-        carried = lines
-        if limits.bytes_per_s is not None:
-            carried = Phrase("{lines} and {count:.0f} bytes", lines=lines, count=limits.bytes_per_s)
-        yield Phrase(
-            "the link is too slow: F{feed_mm_per_min:g} is asked for, and {carried} a second carry "
-            "F{average_mm_per_min:.0f} on average; the mill stands waiting for lines {percent:.0f} % of the time. "
-            "A faster link helps, or the control's own memory",
-            feed_mm_per_min=feeds[1],
-            carried=carried,
-            average_mm_per_min=60 * path_length_mm / time_s,
-            percent=100 * starved_s / time_s,
-        )
+def _judge_motion(reading: Reading) -> Phrase | None:
+    return None if reading.motions else Phrase("the program moves nothing")
 
 
-def require_spindle(dialect: Dialect, limits: MillLimits, spindle: tuple[float, float] | None) -> None:
-    """Refuse a program for a control that faults on one of its speeds."""
-    low, high = limits.spindle_rpm
-    if dialect.spindle_first and spindle is not None and not (low <= spindle[0] and spindle[1] <= high):
-        reason = Phrase(
-            "S{least_rpm:g} to S{most_rpm:g}: {control} takes {low_rpm:g} to {high_rpm:g} rpm; change S",
-            least_rpm=spindle[0],
-            most_rpm=spindle[1],
-            control=dialect.title,
-            low_rpm=low,
-            high_rpm=high,
+def _judge_way_in(reading: Reading) -> Phrase | None:
+    limits = reading.limits
+    return find_risk(reading.way_in, safe_z_mm=limits.safe_z_mm, top_z_mm=limits.top_z_mm)
+
+
+def _judge_way_out(reading: Reading) -> Phrase | None:
+    """The next program, or a hand on the jog keys, goes across from where this one leaves the tool."""
+    limits, z_mm, machine_z_mm = reading.limits, reading.last_z_mm, reading.last_machine_z_mm
+    if not reading.motions or z_mm >= limits.safe_z_mm - _ROUNDING_MM:
+        return None
+    if not isnan(z_mm):
+        return Phrase(
+            "the program leaves the tool at Z{z_mm:g}, below the safe height Z{safe_z_mm:g}; end it with a way up",
+            z_mm=z_mm,
+            safe_z_mm=limits.safe_z_mm,
         )
-        raise ProgramRefusedError(0, "", reason)
+    if is_raised(machine_z_mm, limits.top_z_mm):
+        return None
+    return Phrase(
+        "the program leaves the tool at a height that nobody knows; end it with a way up to Z{safe_z_mm:g} or higher",
+        safe_z_mm=limits.safe_z_mm,
+    )
+
+
+def _judge_offset(reading: Reading) -> Phrase | None:
+    dialect, wanted = reading.dialect, reading.limits.work_offset
+    others = [frame for frame in _FRAMES[:6] if frame in reading.boxes and frame != f"G{53 + wanted}"]
+    if not others:
+        return None
+    by_h = dialect is not None and dialect.name == "okuma"
+    names = [f"G15 H{int(frame[1:]) - 53}" if by_h else frame for frame in (*others, f"G{53 + wanted}")]
+    return Phrase(
+        "works in the offset {other}, and {wanted} is that of the job and the mill (machine.work_offset): its zero may "
+        "be anywhere",
+        other=", ".join(names[:-1]),
+        wanted=names[-1],
+    )
+
+
+def _judge_feed(reading: Reading) -> Phrase | None:
+    limits, feeds = reading.limits, reading.feeds_mm_per_min
+    fastest = hypot(*limits.max_rate_mm_per_min)
+    if feeds is None or feeds[1] <= fastest + 1:
+        return None
+    return Phrase(
+        "F goes up to {most_mm_per_min:g} mm/min, {machine} in no direction beyond {limit_mm_per_min:.0f} mm/min: is "
+        "it the feed that was meant?",
+        most_mm_per_min=feeds[1],
+        machine=limits.profile,
+        limit_mm_per_min=fastest,
+    )
+
+
+def _judge_fastest_spindle(reading: Reading) -> Phrase | None:
+    limits, spindle = reading.limits, reading.spindle_rpm
+    if spindle is None or spindle[1] <= limits.spindle_rpm[1]:
+        return None
+    return Phrase(
+        "S goes up to {most_rpm:g} rpm, the spindle of {machine} to {limit_rpm:g}: it will turn slower",
+        most_rpm=spindle[1],
+        machine=limits.profile,
+        limit_rpm=limits.spindle_rpm[1],
+    )
+
+
+def _judge_slowest_spindle(reading: Reading) -> Phrase | None:
+    limits, spindle = reading.limits, reading.spindle_rpm
+    if spindle is None or not 0 < spindle[0] < limits.spindle_rpm[0]:
+        return None
+    return Phrase(
+        "S goes down to {least_rpm:g} rpm, the spindle of {machine} to {limit_rpm:g}: it will turn faster",
+        least_rpm=spindle[0],
+        machine=limits.profile,
+        limit_rpm=limits.spindle_rpm[0],
+    )
+
+
+def _judge_end(reading: Reading) -> Phrase | None:
+    if reading.dialect is None or reading.ends:
+        return None
+    return Phrase("the program has no end (M2 or M30): the spindle stays as the last line leaves it")
+
+
+def _judge_spindle_left_on(reading: Reading) -> Phrase | None:
+    return Phrase("the program leaves the spindle on") if reading.spindle_left_on else None
+
+
+def _judge_pause(reading: Reading) -> Phrase | None:
+    if reading.pause_s <= _LONG_PAUSE_S:
+        return None
+    return Phrase(
+        "a dwell (G4) lasts {minutes:.0f} minutes: this control reads its number as {pause_s:g} seconds; are "
+        "milliseconds meant?",
+        minutes=reading.pause_s / 60,
+        pause_s=reading.pause_s,
+    )
+
+
+def _judge_machine_moves(reading: Reading) -> Phrase | None:
+    words = Phrase("moves in machine coordinates (G53), which mean something only after homing")
+    return None if reading.limits.homing else _judge_event(tally.MACHINE_MOVES, words)(reading)
+
+
+def _judge_mist(reading: Reading) -> Phrase | None:
+    if reading.dialect is None or reading.dialect.mist:
+        return None
+    return _judge_event(tally.MIST, Phrase("M7 is error:20 on stock GRBL 1.1 (built without ENABLE_M7)"))(reading)
+
+
+def _judge_numbers(reading: Reading) -> Phrase | None:
+    dialect = reading.dialect
+    if dialect is None or not dialect.tapes or not dialect.numbered or reading.events[tally.NUMBERED][1]:
+        return None
+    return Phrase("the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle")
+
+
+def _judge_link(reading: Reading) -> Phrase | None:
+    """What the link carries of the feed, where the mill stands for much of its time waiting for lines."""
+    limits, feeds = reading.limits, reading.feeds_mm_per_min
+    if feeds is None or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
+        return None
+    lines = Phrase("{count:g} lines", count=limits.lines_per_s)
+    carried = lines
+    if limits.bytes_per_s is not None:
+        carried = Phrase("{lines} and {count:.0f} bytes", lines=lines, count=limits.bytes_per_s)
+    return Phrase(
+        "the link is too slow: F{feed_mm_per_min:g} is asked for, and {carried} a second carry "
+        "F{average_mm_per_min:.0f} on average; the mill stands waiting for lines {percent:.0f} % of the time. "
+        "A faster link helps, or the control's own memory",
+        feed_mm_per_min=feeds[1],
+        carried=carried,
+        average_mm_per_min=60 * reading.path_length_mm / reading.time_s,
+        percent=100 * reading.starved_s / reading.time_s,
+    )
 
 
 def _at(events: Events, slot: int, words: Phrase) -> Phrase:
@@ -175,3 +298,96 @@ def _at(events: Events, slot: int, words: Phrase) -> Phrase:
     if count > 1:
         return Phrase("line {line} (and {count} more): {words}", line=line, count=count - 1, words=words)
     return Phrase("line {line}: {words}", line=line, words=words)
+
+
+def _judge_units(reading: Reading) -> Phrase | None:
+    if not reading.events[tally.UNITS_ASSUMED][1]:
+        return None
+    return Phrase(
+        "line {line}: coordinates before G20 or G21; read as mm (G21), which the controller must be in",
+        line=reading.events[tally.UNITS_ASSUMED][0],
+    )
+
+
+def _judge_distance(reading: Reading) -> Phrase | None:
+    if not reading.events[tally.DISTANCE_ASSUMED][1]:
+        return None
+    return Phrase(
+        "line {line}: coordinates before G90 or G91; read as absolute (G90), which the controller must be in",
+        line=reading.events[tally.DISTANCE_ASSUMED][0],
+    )
+
+
+_REFUSE, _FAULT, _WARN = Severity.REFUSE, Severity.FAULT, Severity.WARN
+RULES = (
+    Rule("travel", _REFUSE, _judge_travel),
+    Rule("spindle-of-control", _REFUSE, _judge_spindle_of_control),
+    Rule("motion", _FAULT, _judge_motion),
+    Rule("units", _FAULT, _judge_units),
+    Rule("distance", _FAULT, _judge_distance),
+    Rule(WAY_IN, _FAULT, _judge_way_in),
+    Rule("way-out", _FAULT, _judge_way_out),
+    Rule("offset", _FAULT, _judge_offset),
+    Rule("feed", _FAULT, _judge_feed),
+    Rule("spindle-fast", _FAULT, _judge_fastest_spindle),
+    Rule("spindle-slow", _FAULT, _judge_slowest_spindle),
+    Rule("spindle-off", _FAULT, _judge_event(tally.SPINDLE_OFF, Phrase("cuts with the spindle off or at S0"))),
+    Rule(
+        "blind-cut",
+        _FAULT,
+        _judge_event(
+            tally.BLIND_CUT, Phrase("cuts before X, Y and Z are all given: it starts wherever the tool then stands")
+        ),
+    ),
+    Rule(
+        "blind-relative",
+        _FAULT,
+        _judge_event(
+            tally.BLIND_RELATIVE,
+            Phrase("moves relatively (G91) from a place the program does not tell; extents leave it out"),
+        ),
+    ),
+    Rule(
+        "frame",
+        _FAULT,
+        _judge_event(
+            tally.FRAME_MOVED,
+            Phrase(
+                "moves the program's own frame (G10, G92, G43.1 or a tool's offset); "
+                "extents from there on are not held against the work zero"
+            ),
+        ),
+    ),
+    Rule("end", _FAULT, _judge_end),
+    Rule("spindle-left-on", _FAULT, _judge_spindle_left_on),
+    Rule(
+        "settings",
+        _WARN,
+        _judge_event(
+            tally.SETTINGS_WRITTEN,
+            Phrase("writes the controller's EEPROM (G10, G28.1, G30.1); it is sent alone, with a pause"),
+        ),
+    ),
+    Rule("stops", _WARN, _judge_event(tally.STOPS, Phrase("stops for the operator (M0, M1) until cycle start"))),
+    Rule(
+        "home",
+        _WARN,
+        _judge_event(
+            tally.PLACE_UNKNOWN,
+            Phrase("goes to a place only the controller knows (G28, G30, G38); time and extents leave it out"),
+        ),
+    ),
+    Rule("machine", _WARN, _judge_machine_moves),
+    Rule("pause", _WARN, _judge_pause),
+    Rule(
+        "rate",
+        _WARN,
+        _judge_event(
+            tally.OVER_RATE, Phrase("asks for more feed than an axis can go; the controller cuts slower there")
+        ),
+    ),
+    Rule("mist", _WARN, _judge_mist),
+    Rule("numbers", _WARN, _judge_numbers),
+    Rule("link", _WARN, _judge_link),
+)
+"""In the order in which a person reads them."""

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from math import dist, inf
+from math import dist, inf, nan
 
 from machines.driver import Triple
 from machines.errors import ProgramRefusedError
 from machines.gcode.modal import UNKNOWN, Position
 from machines.gcode.step import Step
 from machines.gcode.words import shown, strip_ends
+from machines.preflight.way_in import Motion
 from machines.profile import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, NO_HEIGHT, UNIT_MM, Command, RmlFault, parse, spindle_rpm
 from phrases.phrase import Phrase
@@ -76,9 +77,9 @@ class RmlInterpreter:
     def _to(self, numbers: tuple[float, ...]) -> Step:
         x, y, z = (n * UNIT_MM for n in numbers)
         if self.relative and x == y == 0 and z > 0:  # the usual lift off the part: the mill stops it at its top
-            return self._move((*self.position_mm[:2], None))
+            return self._move((*self.position_mm[:2], None), at_top=numbers[2] >= NO_HEIGHT)
         if not self.relative and numbers[2] >= NO_HEIGHT:  # across along the top
-            return self._move((x, y, None))
+            return self._move((x, y, None), at_top=True)
         return self._move(
             (self._along(0, x, self.relative), self._along(1, y, self.relative), self._along(2, z, self.relative))
         )
@@ -91,7 +92,7 @@ class RmlInterpreter:
             raise RmlFault(Phrase("moves relative to a position that no command before it has given"))
         return before + value_mm
 
-    def _move(self, end_mm: Position) -> Step:
+    def _move(self, end_mm: Position, *, at_top: bool = False) -> Step:
         if self.feed_mm_per_s is None:
             raise RmlFault(Phrase("moves before any speed was set (V)"))
         start_mm, self.position_mm = self.position_mm, end_mm
@@ -103,7 +104,8 @@ class RmlInterpreter:
             )
         known = [(a, b) for a, b in zip(start_mm, end_mm, strict=True) if a is not None and b is not None]
         length_mm = dist([a for a, _ in known], [b for _, b in known])
-        return Step("feed", start_mm, end_mm, self.feed_mm_per_s * 60, length_mm)
+        top = (None, None, inf) if at_top else None
+        return Step("feed", start_mm, end_mm, self.feed_mm_per_s * 60, length_mm, machine_mm=top)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +114,7 @@ class RmlFacts:
 
     time_s : way over speed, each axis at most at its rate; no acceleration, so the mill takes longer
     ends   : the program ends with the spindle off
+    motions, way_in, last_z_mm : as in `machines.preflight.rules.Reading`
     """
 
     bounds_mm: tuple[Triple, Triple] | None
@@ -123,7 +126,9 @@ class RmlFacts:
     feeds_mm_per_min: tuple[float, float] | None
     spindle_rpm: tuple[float, float] | None
     ends: bool
-    warnings: tuple[Phrase, ...] = ()
+    motions: int
+    way_in: tuple[Motion, ...]
+    last_z_mm: float
 
 
 @dataclass(slots=True)
@@ -131,6 +136,10 @@ class _Tally:
     low: list[float] = field(default_factory=lambda: [inf, inf, inf])
     high: list[float] = field(default_factory=lambda: [-inf, -inf, -inf])
     commands: int = 0
+    motions: int = 0
+    way_in: list[Motion] = field(default_factory=list)
+    given: set[str] = field(default_factory=set)
+    last_z_mm: float = -inf
     path_length_mm: float = 0.0
     time_s: float = 0.0
     feeds: tuple[float, float] | None = None
@@ -145,7 +154,7 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
             tally.commands += bool(text.strip())
             command = parse(text)
             if command is not None:
-                _count_command(command, mill, tally, profile)
+                _count_command(command, line, mill, tally, profile)
         except RmlFault as fault:
             where = Phrase("{fault} (command {count} of the program)", fault=str(fault), count=tally.commands)
             raise ProgramRefusedError(line, shown(text.lstrip().split(b"\n")[0][:60]), where) from None
@@ -164,11 +173,25 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
         feeds_mm_per_min=tally.feeds,
         spindle_rpm=tally.speeds,
         ends=not mill.spindle_on,
-        warnings=(Phrase("the program leaves the spindle on"),) if mill.spindle_on else (),
+        motions=tally.motions,
+        way_in=tuple(tally.way_in),
+        last_z_mm=tally.last_z_mm,
     )
 
 
-def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profile: MachineProfile) -> None:
+def _count_motion(move: Step, line: int, tally: _Tally) -> None:
+    """Note a motion's height at its end, and the motion itself where X, Y and Z are not all given yet."""
+    tally.motions += 1
+    z = move.end_mm[2]
+    tally.last_z_mm = nan if move.machine_mm is not None else tally.last_z_mm if z is None else z
+    if len(tally.given) < 3:
+        ends = zip("XYZ", move.start_mm, move.end_mm, strict=True)
+        moved = {axis for axis, start, end in ends if end is not None and end != start}
+        tally.given |= moved
+        tally.way_in.append(Motion(line, move, "".join(sorted(moved | ({"Z"} if move.machine_mm else set())))))
+
+
+def _count_command(command: Command, line: int, mill: RmlInterpreter, tally: _Tally, profile: MachineProfile) -> None:
     if command.name == "!RC":
         slowest, fastest = profile.spindle_rpm
         speed = spindle_rpm(command.numbers[0], slowest, fastest)
@@ -185,6 +208,7 @@ def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profil
     for move in mill.take(command):
         feed = move.feed_mm_per_min
         assert feed is not None  # or the move would have been refused
+        _count_motion(move, line, tally)
         tally.path_length_mm += move.length_mm
         tally.time_s += _move_time_s(move, feed, profile)
         tally.feeds = _widen(tally.feeds, feed)

@@ -150,7 +150,7 @@ def check(
     machine: Annotated[str | None, typer.Option("--machine", help="Machine profile.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Simulate the removal of written programs; exit code 1 on a gouge or a crash.
+    """Hold written programs against the rules of the mill and simulate what they remove; exit code 1 on a fault.
 
     Beside a job's spec.json all settings come from there, and the job's earlier passes are run first.
     """

@@ -1,4 +1,6 @@
-"""Removal simulation of programs that already exist, ours or edited by hand."""
+"""Check of programs that already exist, ours or edited by hand: the rules of the mill, as before a start, and the
+removal that they simulate.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,8 @@ from cam.around.specs import CutOut, Facing
 from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
+from machines.errors import ProgramRefusedError
+from machines.preflight.limits import limits_of
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
@@ -22,6 +26,7 @@ from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, fa
 from service.job.spec.resolved import ResolvedJob
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
+from service.milling.preflight_child import examine
 from service.progress import Reporter, Stopwatch
 from service.wording import duration
 
@@ -81,10 +86,16 @@ def check_programs(
         job = None
         tasks, stock, machine = _make_option_tasks(programs, heightfield, settings)
     _require_programs([path for paths, _ in tasks for path in paths])  # the job's earlier ones, too
-    watch, verdicts = Stopwatch(reporter), []
+    watch, verdicts, limits = Stopwatch(reporter), [], limits_of(machine)
     stock_top = first_stock(stock) if job is None else around.raw_stock(job.spec)
     for paths, spec in tasks:
         path = paths[0]
+        with watch.stage(f"pre-flight {path.name}") as reached:
+            try:
+                broken = [words for one in paths for words in examine(one, limits, reached).faults]
+            except ProgramRefusedError as error:  # no mill is sent it
+                verdicts.append(_judge_unreadable(path, [str(error)]))
+                break
         with watch.stage(f"check {path.name}") as reached:
             try:
                 result: PassCheck | AroundCheck
@@ -94,20 +105,20 @@ def check_programs(
                     assert job is not None  # nothing else knows of these
                     result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that no mill should be given
-                verdicts.append(_judge_unreadable(path, error))
+                verdicts.append(_judge_unreadable(path, broken or [str(error)]))
                 break
         stock_top = result.stock_top
         verdicts.append(
             Verdict(
                 program=path,
-                ok=result.ok,
-                faults=result.faults,
+                ok=result.ok and not broken,
+                faults=(*broken, *result.faults),
                 gouge_um=result.gouge_um,
                 max_engagement_mm=result.max_engagement_mm,
                 time_s=result.time_s,
             )
         )
-        if not result.ok:
+        if not verdicts[-1].ok:
             break
     return verdicts
 
@@ -118,9 +129,9 @@ def _require_programs(paths: Sequence[Path]) -> None:
             raise InputError(f"{path}: there is no such program")
 
 
-def _judge_unreadable(path: Path, error: CamError) -> Verdict:
-    sentence = " ".join(str(error).split())
-    return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
+def _judge_unreadable(path: Path, faults: Sequence[str]) -> Verdict:
+    faults = [" ".join(fault.split()) for fault in faults]
+    return Verdict(program=path, ok=False, faults=tuple(faults), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
 def _read_job_tasks(

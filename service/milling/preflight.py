@@ -22,7 +22,7 @@ from typing import Any
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
 from machines.preflight.limits import MillLimits, limits_of, placement_problems, word_at_present_zero
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import Finding, Preflight
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase, restore
 from service.errors import sentence_of_os_error
@@ -77,7 +77,8 @@ def run_preflight(
         words = Phrase("{reason}", reason=sentence_of_os_error(error, doing="pre-flight"))
         raise PreflightError(words) from None
     problems = placement_problems(found, settings) if settings else ()
-    return replace(found, warnings=(*found.warnings, *map(word_at_present_zero, problems)))
+    placed = (Finding("placement", False, word_at_present_zero(problem)) for problem in problems)
+    return replace(found, findings=(*found.findings, *placed))
 
 
 def _compute(

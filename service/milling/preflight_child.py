@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,8 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     from machines.gcode.scan import ProgramScan
     from machines.preflight import rules
     from machines.preflight.preflight import Preflight
+    from machines.preflight.text import require_plain_text
+    from machines.preflight.way_in import read_way_in
 
     model = DurationModel(
         Kinematics(
@@ -75,7 +78,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     digest = hashlib.sha256()
     with ThreadPoolExecutor(1) as helper:  # one batch's time is planned while the next is read
         busy: Future[None] | None = None
-        for batch in scan.read_batches(_chunks(path, digest, on_share)):
+        for batch in scan.read_batches(require_plain_text(_chunks(path, digest, on_share))):
             if busy is not None:
                 busy.result()
             busy = helper.submit(model.add, batch)
@@ -84,16 +87,26 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     events, totals = scan.events.tolist(), scan.totals.tolist()
     feeds = (totals[tally.LEAST_FEED], totals[tally.MOST_FEED]) if totals[tally.MOST_FEED] else None
     spindle = (totals[tally.LEAST_RPM], totals[tally.MOST_RPM]) if totals[tally.MOST_RPM] else None
-    boxes = rules.bounds_by_frame(scan.bounds.tolist())
-    rules.require_travel(boxes, limits)
-    rules.require_spindle(scan.dialect, limits, spindle)
-    ends = scan.state.ended
-    warnings = rules.warnings(
-        events, dialect=scan.dialect, limits=limits, spindle=spindle, ends=ends, moves=totals[tally.PATH_MM] > 0
-    )
-    length_mm = totals[tally.PATH_MM]
-    starving = rules.warn_of_starving(
-        limits, feeds, path_length_mm=length_mm, time_s=model.seconds, starved_s=model.starved_s
+    boxes = rules.find_boxes(scan.bounds.tolist())
+    unplaced = (tally.BLIND_RELATIVE, tally.PLACE_UNKNOWN, tally.MACHINE_MOVES)
+    with path.open("rb") as lines:
+        way_in = read_way_in(enumerate(lines, 1), dialect=limits.dialect)
+    reading = rules.Reading(
+        limits=limits,
+        events=events,
+        boxes=boxes,
+        feeds_mm_per_min=feeds,
+        spindle_rpm=spindle,
+        motions=int(totals[tally.MOTIONS]) + sum(events[slot][1] for slot in unplaced),
+        ends=scan.state.ended,
+        spindle_left_on=False,  # M2 switches it off, and a program without it is told of that
+        way_in=way_in.motions,
+        last_z_mm=totals[tally.LAST_Z],
+        last_machine_z_mm=totals[tally.LAST_MACHINE_Z],
+        pause_s=totals[tally.LONGEST_PAUSE_S],
+        path_length_mm=totals[tally.PATH_MM],
+        time_s=model.seconds,
+        starved_s=model.starved_s,
     )
     return Preflight(
         sha256=digest.hexdigest(),
@@ -106,19 +119,21 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         bounds_by_frame=boxes,
         feeds_mm_per_min=feeds,
         spindle_rpm=spindle,
-        path_length_mm=length_mm,
+        path_length_mm=totals[tally.PATH_MM],
         time_s=model.seconds,
-        ends=ends,
+        ends=scan.state.ended,
         mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
         assumed=rules.list_assumed_modes(events),
-        warnings=(*warnings, *starving),
+        findings=rules.judge_program(reading),
         index=scan.index,
     )
 
 
 def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
     from machines.gcode.program import TextIndex
+    from machines.preflight import rules
     from machines.preflight.preflight import Bounds, Preflight
+    from machines.preflight.text import require_plain_text
     from machines.profile import MachineProfile
     from machines.roland.rml import check_rml
 
@@ -134,10 +149,26 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
         planner_blocks=limits.planner_blocks,
         lines_per_s=limits.lines_per_s,
         spindle_rpm=limits.spindle_rpm,
-        safe_z_mm=0.0,
+        safe_z_mm=limits.safe_z_mm,
     )
-    facts = check_rml(index.cut_into_pieces(_chunks(path, digest, on_share)), profile)
+    text = require_plain_text(_chunks(path, digest, on_share), lone_returns=True)
+    facts = check_rml(index.cut_into_pieces(text), profile)
     box = Bounds(*facts.bounds_mm) if facts.bounds_mm else None
+    reading = rules.Reading(
+        limits=limits,
+        boxes={},
+        feeds_mm_per_min=facts.feeds_mm_per_min,
+        spindle_rpm=facts.spindle_rpm,
+        motions=facts.motions,
+        ends=facts.ends,
+        spindle_left_on=not facts.ends,
+        way_in=facts.way_in,
+        last_z_mm=facts.last_z_mm,
+        last_machine_z_mm=inf,
+        pause_s=0.0,
+        path_length_mm=facts.path_length_mm,
+        time_s=facts.time_s,
+    )
     return Preflight(
         sha256=digest.hexdigest(),
         bytes=facts.bytes,
@@ -152,7 +183,7 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
         path_length_mm=facts.path_length_mm,
         time_s=facts.time_s,
         ends=facts.ends,
-        warnings=facts.warnings,
+        findings=rules.judge_program(reading),
         index=index.index,
     )
 

@@ -37,7 +37,7 @@ ZIGZAG = [(row % 2 * 20.0, 0.5 * row, -1.0 - 0.01 * row) for row in range(1, 40)
 
 def rml() -> bytes:
     moves = "".join(f"Z{100 * x:.0f},{100 * y:.0f},{100 * z:.0f};\r\n" for x, y, z in ZIGZAG)
-    head = ";;^DF;\r\n!MC0;V50.0;\r\n!RC15;!MC1;\r\nZ0,0,500;\r\nV20.0;Z0,0,-100;\r\n"
+    head = ";;^DF;\r\n!MC0;V50.0;\r\n^PR;Z0,0,10500;^PA;\r\n!RC15;!MC1;\r\nZ0,0,500;\r\nV20.0;Z0,0,-100;\r\n"
     return f"{head}{moves}!MC0;\r\n^PR;Z0,0,10500;^PA;\r\n^DF;\r\n\x1a".encode()
 
 
@@ -49,8 +49,8 @@ def nc() -> bytes:
 
 def osp() -> bytes:
     moves = "".join(f"N{n} G1 X{x:.1f} Y{y:.3f} Z{z:.3f}\r\n" for n, (x, y, z) in enumerate(ZIGZAG, 10))
-    head = "%\r\nOLENS (the lens)\r\nN1 G15 H1\r\nN2 G90 G17\r\nN3 G56 H1\r\nN4 S5000 M3\r\nN5 G0 X0. Y0. Z5.\r\n"
-    return f"{head}N6 G1 Z-1. F1200.\r\n{moves}N90 G0 Z5.\r\nN91 M5\r\nN92 M2\r\n%\r\n".encode()
+    head = "%\r\nOLENS (the lens)\r\nN1 G15 H1\r\nN2 G90 G17\r\nN3 G56 H1\r\nN4 S5000 M3\r\nN5 G0 Z10.\r\nX0. Y0.\r\n"
+    return f"{head}N6 G1 Z-1. F1200.\r\n{moves}N90 G0 Z10.\r\nN91 M5\r\nN92 M2\r\n%\r\n".encode()
 
 
 @dataclass

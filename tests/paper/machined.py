@@ -103,7 +103,6 @@ def three_passes(lens: Heightfield, corner_mm: float, sides_mm: tuple[float, ...
             stock=stock,
             stock_top=before,
             kinematics=kinematics_of(machine),
-            travel_mm=machine.travel_mm,
             safe_z_mm=machine.safe_z_mm,
         )
         place = _cut(text, spec, _bare(corner_mm, side_mm / 400, 400, 400))

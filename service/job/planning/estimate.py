@@ -41,12 +41,13 @@ from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
 from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
 from service.job.planning.finished_light import blur_of
-from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
+from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
+from service.job.spec.envelope import require_travel
 from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import (
     branch_of,
@@ -58,7 +59,7 @@ from service.job.spec.lens_task import (
     with_branch,
 )
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal, with_plan
+from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.stock import MIN_FLOOR_MM
 from service.wording import ball, cutter
@@ -382,7 +383,7 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
         )
         yield from SpecError([("stock.thickness_mm", words)], {"stock.thickness_mm": need_mm}).rows()
     try:
-        require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
+        require_travel(spec, quick.job.machine, depth_mm=quick.form.deepest_mm)
         require_flutes(quick.lens, passes)
         check_ball_fit(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except SpecError as error:

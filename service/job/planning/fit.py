@@ -1,4 +1,4 @@
-"""Does the job fit: the ball into the lens, the moves into the mill, the programs onto the disk?
+"""Does the job fit: the ball into the lens, the programs onto the disk?
 
 All of this is asked before the first block is written.
 """
@@ -6,14 +6,13 @@ All of this is asked before the first block is written.
 from __future__ import annotations
 
 import shutil
-from math import ceil, floor, isfinite
+from math import ceil, isfinite
 from pathlib import Path
 
 from cam.checking.check import SEEN_SHARE
 from cam.checking.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
-from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from phrases.phrase import Phrase, join
 from service.errors import FailedError, SpecError
@@ -99,33 +98,6 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
                 least_mm=least_mm,
             )
             raise SpecError([(key, words)], {key: least_mm})
-
-
-def require_travel(
-    heightfield: Heightfield, stock: Stock, passes: tuple[PassSpec, ...], machine: MachineProfile
-) -> None:
-    """Raise SpecError when the block, or what the tip travels over it, is longer than an axis of the mill."""
-    around_mm = max(spec.radius_mm for spec in passes)
-    lowest_mm = float(heightfield.z_mm.min())
-    needed = (
-        ("optics.width_mm", "X", stock.width_mm + 2 * around_mm, stock.width_mm),
-        ("optics.height_mm", "Y", stock.height_mm + 2 * around_mm, stock.height_mm),
-        ("machine.travel_mm.2", "Z", machine.safe_z_mm - lowest_mm, None),
-    )
-    for (key, axis, need_mm, side_mm), (number, have_mm) in zip(needed, enumerate(machine.travel_mm), strict=True):
-        if need_mm > have_mm:
-            words = Phrase(
-                "the job moves {need_mm:.1f} mm along {axis}; machine.travel_mm.{number} of {machine} is {travel_mm:g} "
-                "mm; allowed: at least {least_mm:.1f} mm",
-                need_mm=need_mm,
-                axis=axis,
-                number=number,
-                machine=machine.name,
-                travel_mm=have_mm,
-                least_mm=need_mm,
-            )
-            most_mm = 0 if side_mm is None else floor(have_mm - need_mm + side_mm)
-            raise SpecError([(key, words)], {key: most_mm} if most_mm > 0 else {})
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:

@@ -20,7 +20,7 @@ from cam.planning.planner import (
     plan_among,
     time_by_lens,
 )
-from cam.planning.shop import CLEAR_MM, Shop
+from cam.planning.shop import Shop
 from cam.posts.dialects import POSTS
 from machines.profile import MachineProfile
 from optics.heightfield import Array, Heightfield
@@ -104,7 +104,8 @@ def shop_of(job: ResolvedJob) -> Shop:
     """Return tools, material and mill of a job."""
     machine = mill_of(job)
     digit_mm = POSTS[machine.dialect].digits.z_mm
-    narrowest_mm = min(job.spec.optics.width_mm, job.spec.optics.height_mm)
+    optics = job.spec.optics
+    narrowest_mm = min(optics.width_mm, optics.height_mm)
     return Shop(
         tools=job.figures.tools,
         material=MATERIALS[job.spec.stock.material],
@@ -119,6 +120,7 @@ def shop_of(job: ResolvedJob) -> Shop:
         removal_mm3_per_min=most_removal_mm3_per_min(machine, MATERIALS[job.spec.stock.material]),
         digits=digits_of(machine),
         safe_z_mm=machine.safe_z_mm,
+        room_mm=min(machine.travel_mm[0] - optics.width_mm, machine.travel_mm[1] - optics.height_mm) / 2,
     )
 
 
@@ -127,8 +129,7 @@ def _radii(shop: Shop) -> list[float]:
     each is refused by name.
     """
     radii = {tool.radius_mm for tool in shop.balls}
-    held = {tool.radius_mm for tool in shop.balls if shop.holds(tool)}
-    return sorted({r for r in held if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
+    return sorted({tool.radius_mm for tool in shop.balls if shop.holds(tool) and shop.has_room_for(tool)} or radii)
 
 
 @contextmanager

@@ -52,9 +52,9 @@ def join_place(place: Place) -> str:
 
 
 def word_allowed(place: Place) -> Phrase:
-    """Return the allowed values of a key, in words: 'a number more than 0 and at most 2000 (mm)'."""
-    schema = _schema_at(place)
-    return _words(schema, str(place[-1]) if place else "") if schema else Phrase("see the documentation")
+    """Return the allowed values of a key, in words: 'a number from 0.5 to 2000 mm'."""
+    schema, keys = _schema_at(place), [step for step in place if isinstance(step, str)]
+    return _words(schema, keys[-1] if keys else "") if schema else Phrase("see the documentation")
 
 
 def known_keys(place: Place) -> list[str]:
@@ -142,7 +142,4 @@ def _number(schema: Mapping[str, Any]) -> Phrase:
     if "minimum" in schema:
         least, most = schema["minimum"], schema["maximum"]
         return Phrase("{kind} from {least:g} to {most:g}", kind=kind, least=least, most=most)
-    if "exclusiveMinimum" in schema:
-        least, most = schema["exclusiveMinimum"], schema["maximum"]
-        return Phrase("{kind} more than {least:g} and at most {most:g}", kind=kind, least=least, most=most)
     return kind

@@ -21,7 +21,7 @@ from service.job.spec.finish_library import (
     built_in_processes,
     load_processes,
 )
-from service.job.spec.section import Section, shown, unknown_name
+from service.job.spec.section import Section, none_or_from, shown, unknown_name
 
 NONE, BEST = "none", "best"
 _PROCESSES = {
@@ -64,10 +64,11 @@ class FinishSpec(Section):
         shown("Order", "1 soft pad, 2 sanding, 4 a film that levels.", usual="usual"),
     ] = None
     depth_um: Annotated[
-        Annotated[float, Field(ge=DEPTH_RANGE_UM[0], le=DEPTH_RANGE_UM[1])] | None, shown("Comes off", usual="usual")
+        Annotated[float, Field(ge=DEPTH_RANGE_UM[0], le=DEPTH_RANGE_UM[1]), none_or_from(0.001)] | None,
+        shown("Comes off", usual="usual"),
     ] = None
     minutes: Annotated[
-        Annotated[float, Field(gt=0, le=100_000)] | None,
+        Annotated[float, Field(ge=1e-4, le=100_000)] | None,
         shown(
             "Work",
             "On the whole lens. Empty: planned with “Recommended”, else as the process takes.",
@@ -133,6 +134,13 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
         minutes = _round_minutes(process.minutes_to(k0, area_mm2))
     if k0 is None:
         k0 = round(process.k0_rad_per_mm(minutes, area_mm2), 4)
+        if k0 < LEAST_K0_RAD_PER_MM:
+            words = Phrase(
+                "{minutes:g} level the whole lens away; allowed: at most {most:.3g} minutes on a lens of this size",
+                minutes=minutes,
+                most=process.minutes_to(LEAST_K0_RAD_PER_MM, area_mm2),
+            )
+            raise SpecError([("finish.minutes", words)])
     filled = {
         "k0_rad_per_mm": k0,
         "order": process.order if finish.order is None else finish.order,

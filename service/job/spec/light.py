@@ -10,14 +10,15 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator
 
 from phrases.phrase import Phrase
-from service.job.spec.section import OneOf, RuleError, Section, shown
+from service.job.spec.section import OneOf, RuleError, Section, none_or_from, shown
 from service.wording import number
 
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
+_LEAST_PROFILE = 1e-6  # the greatest of them is at least so much: no ratio of them overflows
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
 _RANGE = {
-    "size_deg": Phrase("a number more than 0 and at most 10 degrees"),
+    "size_deg": Phrase("a number from 0.001 to 10 degrees"),
     "distance_mm": Phrase("a number from 10 to 100000 mm"),
     "size_mm": Phrase("a number from 0 to 1000 mm"),
 }
@@ -109,7 +110,7 @@ class LightSpec(Section):
 
     kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = "collimated"
     size_deg: Annotated[
-        Annotated[float, Field(gt=0, le=10)] | None,
+        Annotated[float, Field(ge=0.001, le=10)] | None,
         shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when=_when("size_deg")),
     ] = Field(default=None, validate_default=True)
     distance_mm: Annotated[
@@ -117,12 +118,12 @@ class LightSpec(Section):
         shown("Lamp to the lens", card="light", usual="needed", start="1000", when=_when("distance_mm")),
     ] = Field(default=None, validate_default=True)
     size_mm: Annotated[
-        Annotated[float, Field(ge=0, le=1000)] | None,
+        Annotated[float, Field(ge=0, le=1000), none_or_from(0.001)] | None,
         shown("Size of the lamp", "Its diameter; 0 is a point.", card="light", usual="0", when=_when("size_mm")),
     ] = Field(default=None, validate_default=True)
     profile: list[list[float]] | None = None
     gaussian_mm: Annotated[
-        Annotated[float, Field(gt=0, le=20_000)] | None,
+        Annotated[float, Field(ge=0.25, le=20_000)] | None,
         shown("Beam diameter", "Where a laser's beam has fallen to 1/e² of its middle.", usual="even light"),
     ] = None
 
@@ -201,4 +202,4 @@ def _profile_fault(rows: Any) -> Phrase | None:
         for value in row:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e12:
                 return Phrase("row {number} holds {value}", number=at, value=" ".join(repr(value)[:40].split()))
-    return None if any(value > 0 for row in rows for value in row) else Phrase("it is dark everywhere")
+    return None if max(map(max, rows)) >= _LEAST_PROFILE else Phrase("it is dark everywhere")

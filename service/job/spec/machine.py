@@ -8,9 +8,12 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from phrases.phrase import Phrase
-from service.job.spec.section import RuleError, Section, Speed, shown
+from service.job.spec.section import RuleError, Section, Speed, none_or_from, shown
 
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Three = Field(min_length=3, max_length=3)
+Travel = Annotated[list[Annotated[float, Field(ge=1, le=100_000)]], Three]
+Rates = Annotated[list[Annotated[float, Field(ge=1, le=1_000_000)]], Three]
+Accelerations = Annotated[list[Annotated[float, Field(ge=0.1, le=100_000)]], Three]
 Pair = Annotated[list[Speed], Field(min_length=2, max_length=2)]
 _XYZ = ("X", "Y", "Z")
 _USUAL_PROFILE = "grbl"
@@ -23,11 +26,11 @@ class MachineSpec(Section):
     profile: Annotated[
         str, shown("Machine", choices={_USUAL_PROFILE: _USUAL_PROFILE}, card="main", first=True, wide=True)
     ] = _USUAL_PROFILE
-    travel_mm: Annotated[Triple | None, shown("Travel", names=_XYZ)] = None
-    max_rate_mm_per_min: Annotated[Triple | None, shown("Fastest", names=_XYZ)] = None
-    acceleration_mm_per_s2: Annotated[Triple | None, shown("Acceleration", names=_XYZ)] = None
-    step_mm: Annotated[Annotated[float, Field(gt=0, le=1)] | None, _shown("Smallest step")] = None
-    z_noise_mm: Annotated[Annotated[float, Field(ge=0, le=0.1)] | None, _shown("Noise in Z")] = None
+    travel_mm: Annotated[Travel | None, shown("Travel", names=_XYZ)] = None
+    max_rate_mm_per_min: Annotated[Rates | None, shown("Fastest", names=_XYZ)] = None
+    acceleration_mm_per_s2: Annotated[Accelerations | None, shown("Acceleration", names=_XYZ)] = None
+    step_mm: Annotated[Annotated[float, Field(ge=1e-6, le=1)] | None, _shown("Smallest step")] = None
+    z_noise_mm: Annotated[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)] | None, _shown("Noise in Z")] = None
     whole_steps: Annotated[bool | None, _shown("On whole steps")] = None
     most_program_mb: Annotated[
         Annotated[float, Field(ge=0.1, le=1_000_000)] | None, shown("Largest program", usual="no limit")
@@ -35,9 +38,9 @@ class MachineSpec(Section):
     most_program_hours: Annotated[
         Annotated[float, Field(ge=0.05, le=10_000)] | None, shown("Longest program", usual="no limit")
     ] = None
-    junction_deviation_mm: Annotated[Annotated[float, Field(gt=0, le=1)] | None, _shown("Junction deviation")] = None
+    junction_deviation_mm: Annotated[Annotated[float, Field(ge=1e-5, le=1)] | None, _shown("Junction deviation")] = None
     planner_blocks: Annotated[Annotated[int, Field(ge=1, le=100_000)] | None, _shown("Blocks planned ahead")] = None
-    lines_per_s: Annotated[Annotated[float, Field(gt=0, le=1_000_000)] | None, _shown("Lines per second")] = None
+    lines_per_s: Annotated[Annotated[float, Field(ge=0.1, le=1_000_000)] | None, _shown("Lines per second")] = None
     safe_z_mm: Annotated[Annotated[float, Field(ge=0.5, le=200)] | None, _shown("Safe height")] = None
     spindle_rpm: Annotated[Pair | None, shown("Spindle", names=("slowest", "fastest"))] = None
     collet_mm: Annotated[
@@ -52,14 +55,15 @@ class MachineSpec(Section):
         Annotated[int, Field(ge=1, le=6)] | None, _shown("Work offset", "1 to 6: G54 to G59, Okuma's G15 H1 to H6.")
     ] = None
     blend_tolerance_mm: Annotated[
-        Annotated[float, Field(ge=0, le=1)] | None, _shown("Corners rounded by", "LinuxCNC only; 0: exact stop.")
+        Annotated[float, Field(ge=0, le=1), none_or_from(1e-5)] | None,
+        _shown("Corners rounded by", "LinuxCNC only; 0: exact stop."),
     ] = None
     high_precision: Annotated[
         Literal["none", "g05.1", "g08"] | None,
         _shown("High-precision mode", choices={"none": "none", "g05.1": "G05.1", "g08": "G08"}),
     ] = None
     warm_up_s: Annotated[
-        Annotated[float, Field(ge=0, le=3600)] | None,
+        Annotated[float, Field(ge=0, le=3600), none_or_from(0.1)] | None,
         _shown("Spindle warm-up", "In the first program, in steps of speed."),
     ] = None
     trace_outline: Annotated[bool | None, _shown("Trace the block first")] = None
@@ -70,16 +74,3 @@ class MachineSpec(Section):
         if speeds is not None and speeds[0] > speeds[1]:
             raise RuleError(Phrase("{speeds} must hold the slowest speed, then the fastest", speeds=speeds))
         return speeds
-
-    @field_validator("travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2")
-    @classmethod
-    def _each_positive(cls, values: list[float] | None) -> list[float] | None:
-        if values is not None and not all(0 < value <= 1_000_000 for value in values):
-            raise RuleError(
-                Phrase(
-                    "{values} must hold three numbers X, Y, Z, each more than 0 and at most {most}",
-                    values=values,
-                    most=1_000_000,
-                )
-            )
-        return values

@@ -92,7 +92,7 @@ class ImageSpec(Section):
         ),
     ] = "none"
     prepare_detail_mm: Annotated[
-        Annotated[float, Field(gt=0, le=1000)] | None,
+        Annotated[float, Field(ge=0.01, le=1000)] | None,
         shown(
             "Smallest detail that will show",
             "As the estimate says it. Empty: about 1 mm for every 100 mm to the wall.",
@@ -124,15 +124,15 @@ class PlanSpec(Section):
     """
 
     hours: Annotated[
-        Annotated[float, Field(gt=0, le=10_000)] | None,
+        Annotated[float, Field(ge=0.01, le=10_000)] | None,
         shown("Time at most", "On the mill, all passes.", card="main", usual="no limit", when=_WHEN_PLANNED),
     ] = None
     blur_mm: Annotated[
-        Annotated[float, Field(gt=0, le=100)] | None,
+        Annotated[float, Field(ge=0.001, le=100)] | None,
         shown("Blur at most", "On the wall. Instead of a time.", card="mill", usual="any", when=_WHEN_PLANNED),
     ] = None
     psnr_db: Annotated[
-        Annotated[float, Field(gt=0, le=100)] | None,
+        Annotated[float, Field(ge=1, le=100)] | None,
         shown(
             "Likeness to reach",
             "Of the wall to the picture. Instead of a time.",

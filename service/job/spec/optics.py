@@ -16,14 +16,14 @@ from pydantic import Field, ValidationInfo, field_validator
 from cam.materials import PMMA
 from phrases.phrase import Phrase
 from service.job.spec.light import LightSpec
-from service.job.spec.section import Distance, Length, RuleError, Section, shown
+from service.job.spec.section import Distance, Length, RuleError, Section, none_or_from, shown
 
 _SHAPES = ("rectangle", "ellipse")
 _LEAST_GAUSSIAN = 0.5  # of the aperture's longer side: in the corners of a square 3e-7 of the middle is left
 
-Shift = Annotated[float, Field(ge=-20_000, le=20_000)]
-Blur = Annotated[float, Field(ge=0, le=100)]
-Screen = Annotated[float, Field(gt=0, le=20_000)]
+Shift = Annotated[float, Field(ge=-20_000, le=20_000), none_or_from(0.001)]
+Blur = Annotated[float, Field(ge=0, le=100), none_or_from(1e-4)]
+Screen = Annotated[float, Field(ge=0.5, le=20_000)]
 Corner = Sequence[float]
 
 MOST_CORNERS = 256
@@ -140,7 +140,7 @@ class OpticsSpec(Section):
         "rectangle"
     )
     min_radius_mm: Annotated[
-        Annotated[float, Field(ge=0, le=25)] | None,
+        Annotated[float, Field(ge=0, le=25), none_or_from(0.01)] | None,
         shown("Smallest ball to fit", "Valleys tighter than this are filled; 0: none.", usual="of the finish"),
     ] = None
     creases: Annotated[bool, shown("Leave creases sharp")] = False

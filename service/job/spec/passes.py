@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from cam.cutters import BALL, cutter_shape
 from phrases.phrase import Phrase
-from service.job.spec.section import Radius, Rate, RuleError, Section, Speed, StepDown, shown
+from service.job.spec.section import Radius, Rate, RuleError, Section, Speed, StepDown, none_or_from, shown
 
 
 class PassRow(Section):
@@ -20,7 +20,7 @@ class PassRow(Section):
     name: Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=24), shown("Name")] = "finish"
     radius_mm: Annotated[Radius, shown("Ball radius")]
     pitch_mm: Annotated[float, Field(ge=0.002, le=25), shown("Pitch")]
-    stock_to_leave_mm: Annotated[float, Field(ge=0, le=10), shown("Stock to leave")] = 0.0
+    stock_to_leave_mm: Annotated[float, Field(ge=0, le=10), none_or_from(0.0005), shown("Stock to leave")] = 0.0
     strategy: Annotated[
         Literal["raster", "contour"], shown("Strategy", choices={"raster": "rows", "contour": "contour lines"})
     ] = "raster"
@@ -36,14 +36,14 @@ class PassRow(Section):
     plunge_mm_per_min: Annotated[Rate | None, shown("Plunge", usual="usual")] = None
     spindle_rpm: Annotated[Speed | None, shown("Spindle", usual="usual")] = None
     flute_length_mm: Annotated[
-        Annotated[float, Field(gt=0, le=200)] | None, shown("Flute length", usual="not checked")
+        Annotated[float, Field(ge=0.01, le=200)] | None, shown("Flute length", usual="not checked")
     ] = None
     shank_radius_mm: Annotated[
-        Annotated[float, Field(gt=0, le=50)] | None, shown("Shank radius", usual="not checked")
+        Annotated[float, Field(ge=0.01, le=50)] | None, shown("Shank radius", usual="not checked")
     ] = None
 
     corner_radius_mm: Annotated[
-        Annotated[float, Field(ge=0, le=50)] | None,
+        Annotated[float, Field(ge=0, le=50), none_or_from(0.01)] | None,
         shown("Corner radius", "0: a flat end mill. Empty: a ball.", usual="ball"),
     ] = None
 

@@ -9,13 +9,14 @@ from dataclasses import asdict
 from math import inf
 from typing import Any
 
-from cam.around.specs import BESIDE_MM, CutOut, Facing
+from cam.around.specs import CutOut, Facing
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, SLOT_FEED, Material, limit_step_down_mm
 from cam.passes import PRESETS, Clamp, PassSpec, Stock
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase
 from service.errors import SpecError
+from service.job.spec.envelope import find_beyond_travel
 from service.job.spec.finish import FinishSpec, resolve_finish
 from service.job.spec.model import JobSpec, PassRow
 from service.job.spec.resolved import ResolvedJob
@@ -54,7 +55,8 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += [*_beyond_the_mill(tool, machine, f"stock.{name}"), *_unheld(tool, machine, f"stock.{name}")]
-    problems += _beyond_the_travel(spec, machine)
+    beyond = list(find_beyond_travel(spec, machine, _radii_mm(job)))
+    problems += [problem for problem, _ in beyond]
     if spec.finish.finishes and spec.optics.polish:
         problems.append(
             (
@@ -63,7 +65,7 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
             )
         )
     if problems:
-        raise SpecError(problems)
+        raise SpecError(problems, {key: use for (key, _), use in beyond if use is not None})
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
     finish = resolve_finish(spec.finish, job.figures.processes, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
@@ -72,6 +74,15 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     if not spec.to_be_planned:
         spec = _with_optics(spec, min_radius_mm=spec.lens_radius_mm).model_copy(update={"passes": tuple(rows)})
     return job.with_spec(spec)
+
+
+def _radii_mm(job: ResolvedJob) -> list[float]:
+    """Return the radii of the job's cutters; of passes that are still to be planned the least that they can have."""
+    if not job.spec.to_be_planned:
+        return [row.radius_mm for row in job.spec.passes]
+    collet_mm = job.machine.collet_mm or inf
+    balls = [tool.radius_mm for tool in job.figures.tools if tool.is_ball and 2 * tool.shank_radius_mm <= collet_mm]
+    return [min(balls, default=0.0)]
 
 
 def _with_optics(spec: JobSpec, **values: float | None) -> JobSpec:
@@ -169,34 +180,6 @@ def cut_out_of(spec: JobSpec) -> CutOut | None:
     return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
 
 
-def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, Phrase]]:
-    """Return where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
-    stock, width_mm, height_mm = spec.stock, spec.optics.width_mm, spec.optics.height_mm
-    if not machine.trace_outline and stock.face is None and stock.cut_out is None:
-        return []
-    beside_mm = 0.0 if stock.face is None else stock.face.radius_mm + BESIDE_MM
-    depth_mm = 0.0 if stock.cut_out is None else stock.thickness_mm + stock.cut_out.through_mm
-    needed = (
-        ("X", width_mm + 2 * (stock.margin_mm + beside_mm)),
-        ("Y", height_mm + 2 * stock.margin_mm),
-        ("Z", machine.safe_z_mm + depth_mm),
-    )
-    return [
-        (
-            f"machine.travel_mm.{number}",
-            Phrase(
-                "{travel_mm:g} is not enough; allowed: at least {need_mm:g} mm, which stock.face, stock.cut_out or "
-                "machine.trace_outline move along {axis} around the lens",
-                travel_mm=machine.travel_mm[number],
-                need_mm=need_mm,
-                axis=axis,
-            ),
-        )
-        for number, (axis, need_mm) in enumerate(needed)
-        if need_mm > machine.travel_mm[number]
-    ]
-
-
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
     """Fill in facing and cutting out with pitch, steps, feeds and speeds. The whole slot is cut at half the feed."""
     material = MATERIALS[stock.material]
@@ -257,8 +240,8 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
     plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
     return {
         "spindle_rpm": spindle,
-        "feed_mm_per_min": row.feed_mm_per_min or float(round(feed)),
-        "plunge_mm_per_min": row.plunge_mm_per_min or float(round(plunge)),
+        "feed_mm_per_min": row.feed_mm_per_min or max(1.0, float(round(feed))),
+        "plunge_mm_per_min": row.plunge_mm_per_min or max(1.0, float(round(plunge))),
         "step_down_mm": row.step_down_mm or start.step_down_mm,
     }
 

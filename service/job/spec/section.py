@@ -10,17 +10,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from phrases.phrase import Phrase
 
-Length = Annotated[float, Field(gt=0, le=2000)]
-Distance = Annotated[float, Field(gt=0, le=100_000)]
-Radius = Annotated[float, Field(gt=0, le=25)]
+Length = Annotated[float, Field(ge=0.5, le=2000)]
+Distance = Annotated[float, Field(ge=1, le=100_000)]
+Radius = Annotated[float, Field(ge=0.01, le=25)]
 StepDown = Annotated[float, Field(ge=0.01, le=50)]
-Rate = Annotated[float, Field(gt=0, le=50_000)]
-Speed = Annotated[float, Field(gt=0, le=200_000)]
+Rate = Annotated[float, Field(ge=1, le=50_000)]
+Speed = Annotated[float, Field(ge=1, le=200_000)]
 _UNITS = (
     ("_mm_per_min", "mm/min"), ("_mm_per_s2", "mm/s²"), ("_rad_per_mm", "rad/mm"), ("_per_s", ""), ("_mm", "mm"),
     ("_um", "µm"), ("_w", "W"), ("_rpm", "rpm"), ("_deg", "°"), ("_db", "dB"), ("_mb", "MB"),
@@ -92,6 +92,19 @@ class RuleError(ValueError):
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)
         self.words = words
+
+
+def none_or_from(least: float) -> AfterValidator:
+    """Return the rule of a number that is 0, for none, or at least so much: what lies between is a slip."""
+
+    def check(value: float) -> float:
+        if 0 < abs(value) < least:
+            raise RuleError(
+                Phrase("{value:g} is not allowed; allowed: 0, or at least {least:g}", value=value, least=least)
+            )
+        return value
+
+    return AfterValidator(check)
 
 
 class Section(BaseModel):

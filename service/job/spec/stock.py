@@ -16,7 +16,18 @@ from pydantic import Field, model_validator
 from cam.cutters import CUTTERS
 from cam.materials import MATERIALS, PMMA
 from phrases.phrase import Phrase
-from service.job.spec.section import Length, OneOf, Radius, Rate, RuleError, Section, Speed, StepDown, shown
+from service.job.spec.section import (
+    Length,
+    OneOf,
+    Radius,
+    Rate,
+    RuleError,
+    Section,
+    Speed,
+    StepDown,
+    none_or_from,
+    shown,
+)
 
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
@@ -33,7 +44,7 @@ class FaceSpec(Section):
     shank_radius_mm : of what the collet holds; left out: as thick as the cutter
     """
 
-    above_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    above_mm: Annotated[float, Field(ge=0.01, le=20)] = 1.0
     tool: Annotated[str, OneOf({name: {} for name in CUTTERS})] = "flat"
     radius_mm: Radius = 3.0
     shank_radius_mm: Radius | None = None
@@ -67,9 +78,9 @@ class CutOutSpec(Section):
     radius_mm: Radius = 1.5
     shank_radius_mm: Radius | None = None
     tabs: Annotated[int, Field(ge=0, le=50)] = 4
-    tab_width_mm: Annotated[float, Field(gt=0, le=100)] = 4.0
-    tab_height_mm: Annotated[float, Field(gt=0, le=100)] = 1.5
-    through_mm: Annotated[float, Field(ge=0, le=5)] = 0.0
+    tab_width_mm: Annotated[float, Field(ge=0.1, le=100)] = 4.0
+    tab_height_mm: Annotated[float, Field(ge=0.1, le=100)] = 1.5
+    through_mm: Annotated[float, Field(ge=0, le=5), none_or_from(0.001)] = 0.0
     step_down_mm: StepDown | None = None
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
@@ -79,11 +90,11 @@ class CutOutSpec(Section):
 class ClampSpec(Section):
     """What holds the block, as a box on its top that no program may come near; corner in the work frame."""
 
-    x_mm: Annotated[float, Field(ge=-2000, le=2000)]
-    y_mm: Annotated[float, Field(ge=-2000, le=2000)]
+    x_mm: Annotated[float, Field(ge=-2000, le=2000), none_or_from(0.001)]
+    y_mm: Annotated[float, Field(ge=-2000, le=2000), none_or_from(0.001)]
     width_mm: Length
     depth_mm: Length
-    height_mm: Annotated[float, Field(gt=0, le=200)]
+    height_mm: Annotated[float, Field(ge=0.1, le=200)]
 
 
 class StockSpec(Section):
@@ -93,10 +104,10 @@ class StockSpec(Section):
     clamps        : where they stand, if the check is to know; where they may stand is on the setup sheet
     """
 
-    thickness_mm: Annotated[float, Field(gt=0, le=500), shown("Thickness")] = 40.0
+    thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness")] = 40.0
     # The default keeps a ring that can be clamped beside the 6 mm that a 3 mm ball clears.
-    margin_mm: Annotated[float, Field(ge=0, le=200), shown("Margin around")] = 14.0
-    skim_mm: Annotated[float, Field(gt=0, le=10), shown("Skim off the top")] = 0.1
+    margin_mm: Annotated[float, Field(ge=0, le=200), none_or_from(0.01), shown("Margin around")] = 14.0
+    skim_mm: Annotated[float, Field(ge=0.001, le=10), shown("Skim off the top")] = 0.1
     material: Annotated[
         str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")
     ] = PMMA.name

@@ -83,7 +83,6 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, sto
     texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
     mill = CheckedMill(
         kinematics=kinematics_of(machine),
-        travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits.z_mm,

@@ -47,6 +47,8 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
         raise FailedError(
             Phrase("{name}: is not the program that was checked; its content has changed since", name=path.name)
         )
+    if found.faults:
+        raise FailedError(*(Phrase("{name}: {fault}", name=path.name, fault=fault) for fault in found.faults))
     return found.warnings
 
 

@@ -34,8 +34,9 @@ from service.job.files import (
     stock_name,
     write_program,
 )
-from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
+from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
+from service.job.spec.envelope import require_travel
 from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob, setup_of
@@ -84,9 +85,9 @@ def run_pass(context: StageContext) -> None:
 
 def require_millable(context: StageContext, heightfield: Heightfield) -> None:
     """Check everything about the balls of all passes and the travel that can be known before the first block."""
-    passes, stock = cam_passes_of(context.spec), cam_stock_of(context.spec)
+    passes = cam_passes_of(context.spec)
     with context.watch.stage("fit"):
-        require_travel(heightfield, stock, passes, context.machine)
+        require_travel(context.spec, context.machine, depth_mm=-float(heightfield.z_mm.min()))
         require_flutes(heightfield, passes)
         unfit = check_ball_fit(measure_lens(heightfield), passes, shaped_for_mm=context.spec.lens_radius_mm)
         if unfit:
@@ -125,7 +126,6 @@ def simulate(
         stock=stock,
         stock_top=stock_top,
         kinematics=kinematics_of(machine),
-        travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
         digit_mm=digits_of(machine).z_mm,

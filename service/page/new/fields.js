@@ -98,9 +98,7 @@ function rowOf(key, told, inner) {
   };
 }
 
-/** "more than 0, at most 2000 mm" */
-function limitsOf({ minimum, exclusiveMinimum, maximum }, unit = "") {
-  if (maximum === undefined) return "";
-  const range = minimum === undefined ? t`more than ${exclusiveMinimum}, at most ${maximum}` : t`${minimum} to ${maximum}`;
-  return `${range} ${unit}`.trim();
+/** "0.5 to 2000 mm" */
+function limitsOf({ minimum, maximum }, unit = "") {
+  return maximum === undefined ? "" : `${t`${minimum} to ${maximum}`} ${unit}`.trim();
 }

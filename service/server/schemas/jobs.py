@@ -31,7 +31,7 @@ class ProblemBody(BaseModel):
                     "type": "urn:causticmill:problem:spec",
                     "title": "Unusable value",
                     "status": 422,
-                    "detail": "optics.width_mm: 0 is not allowed; allowed: a number more than 0 and at most 2000 mm",
+                    "detail": "optics.width_mm: 0 is not allowed; allowed: a number from 0.5 to 2000 mm",
                     "field": "spec.optics.width_mm",
                 }
             ]

@@ -43,7 +43,7 @@ DIALECTS = sorted(POSTS)
 def mill_of(dialect: str) -> CheckedMill:
     digits = POSTS[dialect].digits
     return CheckedMill(
-        kinematics=MILL, travel_mm=(300, 300, 100), safe_z_mm=SAFE_Z, language=LANGUAGES[dialect],
+        kinematics=MILL, safe_z_mm=SAFE_Z, language=LANGUAGES[dialect],
         digit_mm=digits.z_mm, xy_digit_mm=digits.xy_mm,
     )  # fmt: skip
 

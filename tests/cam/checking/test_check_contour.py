@@ -58,7 +58,6 @@ def check(points, lens, spec=SPEC, told=None) -> PassCheck:
         stock=STOCK,
         stock_top=replace(block, top_mm=lens.spline_with_run_out(3.0).heights_mm(*grid) + 0.03),
         kinematics=MILL,
-        travel_mm=(300, 300, 100),
         safe_z_mm=5.0,
         total_bytes=len(text),
         on_progress=None if told is None else told.append,

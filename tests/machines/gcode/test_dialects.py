@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from machines.errors import ProgramRefusedError
 from machines.gcode import refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.scan import ProgramScan
+from machines.preflight.limits import limits_of
+from machines.profile import load_profile
+from service.milling.preflight_child import examine
 
 RATES = (5000.0, 5000.0, 1500.0)
 ROLAND = "%\nO00000001\nG90 G21\nS8000 M03\nG00 X0.0 Y0.0 Z5.0\nG01 Z-1.0 F100.0\nX8.5 Y.125\nM05\nM02\n%\n"
@@ -128,20 +133,12 @@ def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, tex
     assert read(dialect, text.replace(end, f"{line}\n{end}")).state.ended
 
 
-def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
-    from machines.preflight import rules
-    from machines.preflight.limits import limits_of
-    from machines.profile import load_profile
-
+def test_a_program_that_could_not_be_restarted_by_number_says_so(tmp_path: Path) -> None:
     limits = limits_of(load_profile("okuma-osp", ()))
     for text, told in ((OKUMA, True), (OKUMA.replace("G90", "N10 G90"), False)):
-        scan = read("okuma", text)
-        words = " ".join(
-            rules.warnings(
-                scan.events.tolist(), dialect=scan.dialect, limits=limits, spindle=None, ends=True, moves=True
-            )
-        )
-        assert ("sequence numbers" in words) is told
+        (file := tmp_path / "p.min").write_text(text)
+        found = examine(file, limits, lambda share: None)
+        assert ("numbers" in {one.code for one in found.findings}) is told
 
 
 def test_no_sentence_names_a_value_that_is_not_filled_in() -> None:

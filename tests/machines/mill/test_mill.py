@@ -14,7 +14,9 @@ from machines.driver import Jog, MillState, Override, SendBlock, SetZero, TrustP
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
 from machines.journal.journal import Journal, read_journal
 from machines.preflight.limits import AT_PRESENT_ZERO
+from machines.preflight.preflight import Finding
 from machines.runs import START_CHECKS, Confirmation, RunState
+from phrases.phrase import Phrase
 from tests.machines.inline_syncer import InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
@@ -40,8 +42,12 @@ def test_after_a_program_z_is_to_be_touched_off_until_it_was(shop: Shop) -> None
 
 
 def test_what_is_said_of_the_work_zero_is_forgotten_when_it_is_set_again(shop: Shop) -> None:
-    lasting, passing = "the feed is above what the profile knows", f"{AT_PRESENT_ZERO} X would go from -3 to 23 mm"
-    second = shop.mill.park(replace(shop.facts, warnings=(lasting, passing)), shop.path, "part 2").id
+    lasting, passing = Phrase("the feed is high"), Phrase(f"{AT_PRESENT_ZERO} X would go from -3 to 23 mm")
+    second = shop.mill.park(
+        replace(shop.facts, findings=(Finding("feed", False, lasting), Finding("placement", False, passing))),
+        shop.path,
+        "part 2",
+    ).id
 
     def warnings() -> tuple[str, ...]:
         return next(one.warnings for one in shop.mill.snapshot.runs if one.id == second)

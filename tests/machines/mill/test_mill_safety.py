@@ -334,11 +334,32 @@ def test_a_program_that_would_begin_straight_down_beside_the_block_is_not_starte
     shop.facts = framed(shop.facts)
     run_id = shop.mill.park(shop.facts, shop.path, "high").id
     shop.bench.command_done(Jog((-30.0, 0.0, 20.0), 2000.0))
-    with pytest.raises(NotAllowedError, match=r"first goes to Z5, and the tool stands at X-30.0 Y0.0 Z20.0"):
+    with pytest.raises(NotAllowedError, match=r"goes to Z5, and the tool stands at X-30.0 Y0.0 Z20.0"):
         shop.mill.start(run_id, YES)
     shop.bench.command_done(Jog((42.0, 10.2, 0.0), 2000.0))  # over the block that is in no one's way
     shop.mill.start(run_id, YES)
     shop.mill.hold()
+
+
+def test_a_program_that_would_begin_on_a_slant_is_started_only_from_over_what_it_mills(
+    tmp_path: Path, kill_trial: Any
+) -> None:
+    """Its first rapid ends a millimetre above the block: from beside it that may hit a clamp, from any height."""
+    lines = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 X10 Y10 Z1", "G1 Z-1 F200", *LINES[5:]]
+    shop = Shop(tmp_path, lines=lines, kill_trial=kill_trial)
+    shop.facts = framed(shop.facts)
+    run_id = shop.mill.park(shop.facts, shop.path, "slant").id
+    for jog in ((0.0, 0.0, 0.0), (0.0, 0.0, 30.0)):
+        if any(jog):
+            shop.bench.command_done(Jog(jog, 2000.0))
+        with pytest.raises(NotAllowedError, match="line 3 goes across at Z"):
+            shop.mill.start(run_id, YES)
+    shop.pass_s(2.0)
+    assert shop.mill.run(run_id).state is RunState.PARKED and shop.cuts == 0
+    shop.bench.command_done(Jog((10.0, 10.0, 0.0), 2000.0))
+    shop.mill.start(run_id, YES)
+    shop.mill.hold()
+    shop.mill.close()
 
 
 def test_a_program_that_begins_in_machine_coordinates_asks_for_a_homed_mill(shop: Shop) -> None:

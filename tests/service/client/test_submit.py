@@ -76,7 +76,7 @@ def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: ShopWithoutWork
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--set", "optics.width_mm=-3"), "optics.width_mm: -3 is not allowed; allowed: a number more than 0"),
+        (("--set", "optics.width_mm=-3"), "optics.width_mm: -3 is not allowed; allowed: a number from 0.5"),
         (("--set", "optics.widht_mm=3"), "did you mean 'width_mm'"),
         (("--set", "optics.width_mm=inf"), "optics.width_mm"),
         (("--preset", "golden"), "preset: 'golden' is not allowed"),

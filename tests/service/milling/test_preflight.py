@@ -140,9 +140,14 @@ def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
         (b"G21G90\nG0 X1\nT1M6\n", 3, "'T1M6': GRBL has no tool changes"),
         (b"G21G90\nG0 X0 Y0 Z5\nG0 X301\n", 0, "301.000 mm; grbl travels 300 mm"),
         (b"G21G90\nG0 X0 Y0 Z5\nG1 X5\n", 3, "needs a feed"),
-        (b"\xff\xfe\x00junk", 1, "letter"),
+        (b"\xff\x01junk", 1, "letter"),
         (b"x" * 70_000, 1, "characters"),
-        (bytes(range(256)), 1, "letter"),
+        (bytes(range(1, 256)).replace(b"\r", b""), 1, "letter"),
+        (b"\xef\xbb\xbfG21G90\n", 1, "byte order mark"),
+        ("G21G90\n".encode("utf-16"), 1, "UTF-16"),
+        ("G21G90\n".encode("utf-16-be"), 1, "UTF-16"),
+        (b"G21G90\rG0 Z5\rM2\r", 1, "CR alone"),
+        (b"G21G90\r\nG0 Z5 (up)\rX5\r\nM2\r\n", 2, "CR alone"),
         (b"$O100%\nG15 H1\n", 1, "settings are commands"),
         (b"^IN;!MC1;\n", 1, "letter"),
     ],
@@ -175,13 +180,13 @@ def test_warnings_and_assumptions(tmp_path: Path) -> None:
 
 
 def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> None:
-    """Vertices 0.0777 mm apart at F800 come to 172 lines a second; 35 of them carry F163."""
+    """Vertices 0.0777 mm apart at F800 come to 172 lines a second; 35 of them carry F173."""
     moves = "".join(f"X{0.0777 * k:.3f}Z-{1 + 0.001 * (k % 2):.3f}\r\n" for k in range(1, 5000))
-    begin = "%\r\nO0001\r\nN1 G21G90G94G17\r\nG15H1\r\nG0Z5.0\r\nX0.Y0.\r\nS5000M3\r\nG1Z-1.F800.\r\n"
+    begin = "%\r\nO0001\r\nN1 G21G90G94G17\r\nG15H1\r\nG0Z10.0\r\nX0.Y0.\r\nS5000M3\r\nG1Z-1.F800.\r\n"
     file, okuma = tmp_path / "p.min", load_profile("okuma-osp", [])
-    file.write_text(f"{begin}{moves}M5\r\nM2\r\n%\r\n")
+    file.write_text(f"{begin}{moves}G0Z10.0\r\nM5\r\nM2\r\n%\r\n")
     (told,) = examine_here(file, okuma).warnings
-    assert "F800 is asked for, and 35 lines and 873 bytes a second carry F16" in told
+    assert "F800 is asked for, and 35 lines and 873 bytes a second carry F17" in told
     assert not examine_here(file, replace(okuma, lines_per_s=1000.0, link=GRBL.link)).warnings
 
 

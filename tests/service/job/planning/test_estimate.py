@@ -196,16 +196,9 @@ def test_what_an_estimate_says_can_be_said_in_another_language() -> None:
     assert untold(found, "tool") == []
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("machine.travel_mm=[10, 300, 80]", "machine.travel_mm.0"),
-        ("passes.1.flute_length_mm=0.05", "flute_length_mm"),
-    ],
-)
-def test_what_will_not_fit_is_said_before(change: str, words: str) -> None:
-    found = estimated(small(change))
-    assert any(words in row["field"] + row["detail"] for row in found["refusals"])
+def test_what_will_not_fit_is_said_before() -> None:
+    found = estimated(small("passes.1.flute_length_mm=0.05"))
+    assert any("flute_length_mm" in row["field"] + row["detail"] for row in found["refusals"])
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,7 @@ def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[st
     ("options", "words"),
     [
         (["--hours", "0.0001"], ["plan.hours", "0.0001", "quickest"]),
-        (["--hours", "-1"], ["plan.hours", "more than 0"]),
+        (["--hours", "-1"], ["plan.hours", "from 0.01"]),
         (["--hours", "1", "--blur-mm", "1"], ["plan", "one of them"]),
         (["-o", "plan.jpg"], ["plan.jpg", ".png"]),
         (["--tools", "/nowhere.toml"], ["/nowhere.toml"]),

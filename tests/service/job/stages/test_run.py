@@ -107,7 +107,7 @@ def test_a_damaged_input_is_a_failure_not_the_persons_fault(job: StagedJob, tmp_
     ("values", "stage", "words"),
     [
         (("stock.thickness_mm=2.1",), "heightfield", "stock.thickness_mm"),
-        (("machine.travel_mm=[4.5,200,60]",), "pass-1", "machine.travel_mm.0"),
+        (("machine.travel_mm=[200,200,5.15]",), "pass-1", "machine.travel_mm.2"),
     ],
 )
 def test_what_does_not_fit_names_the_key(

@@ -162,7 +162,7 @@ def _another(key: str, value: Any) -> Any:
         return next(other for other in told["enum"] if other != value)
     if told["type"] == "boolean":
         return not value
-    low = told["minimum"] if "minimum" in told else told["exclusiveMinimum"]
+    low = told["minimum"]
     other = low + 0.01 * (told["maximum"] - low) if value in (None, low) else value - 0.1 * (value - low)
     return other if told["type"] == "number" else round(other) + (round(other) == value)
 

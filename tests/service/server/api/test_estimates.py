@@ -117,13 +117,21 @@ def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: Api
 
 
 def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path) -> None:
-    """A block too thin for the lens, and a mill too small for the block: a job would fail later."""
-    short = SMALL | {"stock": {"thickness_mm": 2.1}, "machine": {"travel_mm": [10, 300, 80]}}
+    """A block too thin for the lens: a job would fail later."""
+    short = SMALL | {"stock": {"thickness_mm": 2.1}}
     found = sent(estimating, "/v1/estimates", spec=short).json()
     assert found["thickness_ok"] is (found["relief_mm"] < 0.01)
-    (travel,) = [row for row in found["refusals"] if row["field"] == "spec.optics.width_mm"]
-    assert "machine.travel_mm.0" in travel["detail"]
     assert {row["detail"] for row in found["refusals"]} <= found["phrases"].keys()
+
+
+@pytest.mark.parametrize("address", ["/v1/estimates", "/v1/jobs"])
+def test_a_job_wider_than_the_mill_travels_is_refused_at_once(estimating: ApiServer, address: str) -> None:
+    """By the field, with the width that would do."""
+    answer = sent(estimating, address, spec=SMALL | {"machine": {"travel_mm": [10, 300, 80]}})
+    assert answer.status_code == 422
+    (row,) = answer.json()["problems"]
+    assert (row["field"], row["use"]) == ("spec.optics.width_mm", 4)
+    assert "machine.travel_mm.0" in row["detail"] and "at most 4 mm on this mill" in row["detail"]
 
 
 def test_a_wall_too_near_is_refused_beside_its_field_with_one_that_does(estimating: ApiServer) -> None:

@@ -55,7 +55,7 @@ def test_each_sentence_without_a_code_can_be_said_in_another_language(floor: Sho
     floor.server.put_artifact(job, "pass-2-odd.nc", b"G21 G90\nG0 X1 Y1 Z1\nM3 S99999\nG1 X2 F100\n")
     floor.server.put_artifact(job, "pass-3-bad.nc", b"G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
     answers = [floor.park(job, 422, program=3), floor.park(job, 422, program=9), odd := floor.park(job, program=2)]
-    assert len(odd["warnings"]) == 2
+    assert len(odd["warnings"]) == 4
     answers += [floor.park(job, 409), floor.post(f"/v1/runs/{odd['id']}:abort", 202)]
     run = floor.park(job, program=1)
     answers.append(floor.start(run, 409, checks=["tool"]))
