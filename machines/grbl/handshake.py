@@ -106,7 +106,9 @@ class Handshake:
     def _note_identity(self, failure: Phrase, _: dict[str, object], now_s: float) -> None:
         link = self.link
         if failure:
-            words = Phrase("'?' is answered as GRBL does, but nothing more can be asked: {failure}", failure=failure)
+            words = Phrase(
+                "'?' is answered as GRBL does, but this controller cannot be used: {failure}", failure=failure
+            )
             link.close(words, now_s, FaultCause.DEVICE)
             return
         link.view.identified = True

@@ -86,6 +86,11 @@ class Setting:
     number: int
     value: str
 
+    @property
+    def has_comma(self) -> bool:
+        """It is a number with a decimal comma."""
+        return _COMMA.match(self.value) is not None
+
 
 @dataclass(frozen=True, slots=True)
 class Startup:
@@ -123,6 +128,7 @@ _PUSH = re.compile(rb"\[([A-Z][A-Z0-9 .]*):([ -~]*)\]$")
 _MESSAGE = re.compile(rb"\[MSG(?::([^\x00-\x1f\x7f]*))?\]$", re.IGNORECASE)
 _BANNER = re.compile(rb"(?:Grbl|GrblHAL|grblHAL|FluidNC) [ -~]*\[[ -~]*'\$'[ -~]*\]$")
 _STARTUP = re.compile(rb">[ -~]*:(?:ok|error:\d{1,3})$")
+_COMMA = re.compile(r"-?\d+,\d{3}$")
 _NUMBERS = re.compile(r"-?\d+(?:\.\d*)?(?:,-?\d+(?:\.\d*)?)*$")
 _FIELD = re.compile(r"[A-Za-z]+\d*$")
 

@@ -54,8 +54,11 @@ def identify(banner: str) -> CommandSequence:
             break
     heard += version.heard
     settings = yield from ask_twice(b"$$", "$")
-    if version.failure and not banner and not settings:
+    if version.failure and not settings:
         raise SequenceFailedError(Phrase("neither $I nor $$ is answered ({failure})", failure=version.failure))
+    if commas := next((one for one in settings if isinstance(one, replies.Setting) and one.has_comma), None):
+        text = f"${commas.number}={commas.value}"
+        raise SequenceFailedError(Phrase("settings are written with decimal commas ({setting})", setting=text))
     heard += settings
     heard += yield from ask_twice(b"$#", OFFSET_TAG)
     heard += yield from ask_twice(b"$G", PARSER_TAG)

@@ -26,7 +26,6 @@ DELAYS_S = (0.0, 0.3, 0.4, 0.6, 1.0, 1.5)
 class DelayedLink(Tap):
     """Hands every byte over `delay_s` later, each way, in order; the throughput is whole."""
 
-
     def __init__(self, port: MemoryPort, delay_s: float) -> None:
         super().__init__(port)
         self.delay_s = delay_s
