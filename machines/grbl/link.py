@@ -31,7 +31,7 @@ class Greeting:
         self.recognised = recognised
         self.banner = False
         self._text = b""  # first bytes heard, for the message
-        self._foreign: tuple[Phrase, bytes] | None = None  # firmware that cannot be used, and the line that shows it
+        self._foreign: tuple[str, bytes] | None = None  # firmware that cannot be used, and the line that shows it
         self._rest = b""
         self._bytes = self._noise = 0
 

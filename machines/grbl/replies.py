@@ -157,19 +157,19 @@ def parse(line: bytes) -> Reply:
 
 
 # What other firmware says, and some that is like GRBL 1.1 but is not read here: told by name.
-_FOREIGN: tuple[tuple[re.Pattern[bytes], Phrase], ...] = (
+_FOREIGN: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"Grbl 0\.|<[A-Z]\w+,[MW]Pos:"), Phrase("GRBL 0.9 or older")),
-    (re.compile(rb"Smoothie|Build version: |<[A-Z]\w+\|MPos:[-\d.,]+\|WPos:"), Phrase("Smoothieware")),
-    (re.compile(rb"(echo: ?)?Marlin |echo:Unknown command|//action:|FIRMWARE_NAME:Marlin"), Phrase("Marlin")),
-    (re.compile(rb"RepRapFirmware|FIRMWARE_NAME: ?RepRap"), Phrase("RepRapFirmware")),
-    (re.compile(rb"// Klipper|Klipper state"), Phrase("Klipper")),
+    (re.compile(rb"Smoothie|Build version: |<[A-Z]\w+\|MPos:[-\d.,]+\|WPos:"), "Smoothieware"),
+    (re.compile(rb"(echo: ?)?Marlin |echo:Unknown command|//action:|FIRMWARE_NAME:Marlin"), "Marlin"),
+    (re.compile(rb"RepRapFirmware|FIRMWARE_NAME: ?RepRap"), "RepRapFirmware"),
+    (re.compile(rb"// Klipper|Klipper state"), "Klipper"),
     (re.compile(rb'\{"(r|sr|er|f)":'), Phrase("TinyG or g2core")),
     (re.compile(rb"<[A-Z]\w+(:\d+)?\|[MW]Pos:-?\d+,\d{3},-?\d+,\d{3},"), Phrase("firmware that writes decimal commas")),
 )
 _BOOT = re.compile(rb"ets [A-Z][a-z]{2} +\d|rst:0x|ESP-ROM:")
 
 
-def name_foreign(line: bytes) -> Phrase | None:
+def name_foreign(line: bytes) -> str | None:
     """Return the name of the firmware that says this line; None where nothing tells, or where we read it."""
     return next((name for pattern, name in _FOREIGN if pattern.match(line)), None)
 
