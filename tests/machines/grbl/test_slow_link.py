@@ -114,6 +114,17 @@ def test_an_abort_keeps_the_position(delay_s: float, resumed: bool) -> None:
     assert not blames(bench) and bench.mill.firmware.alarm == 0
 
 
+@pytest.mark.parametrize("delay_s", [1.2, 1.5])
+def test_an_abort_of_a_move_that_is_not_reported_yet_keeps_the_position(delay_s: float) -> None:
+    """The mill is said to be idle, but it moves by now, and takes long to stop."""
+    bench = slow_bench(delay_s, GRBL_11.with_settings({120: 10, 121: 10, 122: 10}))
+    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X150F5000", b"M2"])))
+    bench.pass_time(1.1 * delay_s)
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 60.0)
+    assert bench.of(Stopped)[0].position_kept and not blames(bench)
+
+
 @pytest.mark.parametrize("delay_s", DELAYS_S)
 @pytest.mark.parametrize("percent", [60, 111, 180])
 def test_an_override_goes_nowhere_beyond_what_was_asked(delay_s: float, percent: int) -> None:
