@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
+from machines.clock import make_running_clock
 from machines.errors import PortError, PortLostError
 from machines.profile import LinkSettings
 from phrases.phrase import Phrase
@@ -197,6 +198,7 @@ class SerialPort:
         self.wire_bytes_per_s = wire_bytes_per_s
         self._line = line
         self._gather_s = gather_s
+        self._clock = make_running_clock()
         self._woken = threading.Event()  # where the line is no file that can be selected
         self._file = _descriptor(line)
         self._bell, self._cord = os.pipe() if self._file >= 0 else (-1, -1)
@@ -205,7 +207,8 @@ class SerialPort:
             os.set_blocking(self._cord, False)
 
     def clock(self) -> float:
-        return time.monotonic()
+        """Return seconds of running time (`machines.clock`): nobody is blamed for a pause of ours."""
+        return self._clock()
 
     def read(self, timeout_s: float) -> bytes:
         """Return whatever has come; waits at most `timeout_s` for the first byte."""

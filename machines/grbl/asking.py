@@ -22,11 +22,14 @@ class Ask:
 
     expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer:
              one that comes earlier belongs to something sent before. "" takes any.
+    timeout_s : beside what the link takes (`SilenceClock.late_s`)
+    twice  : write it twice at once, for the time of one answer; the second answer is `Answer.again`
     """
 
     text: bytes
     timeout_s: float = REPLY_S
     expect: str = ""
+    twice: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,7 @@ class Answer:
 
     failure: Phrase = NO_WORDS
     heard: tuple[replies.Reply, ...] = ()
+    again: tuple[replies.Reply, ...] | None = None
     machine_mm: Triple | None = None
 
 
@@ -74,10 +78,14 @@ def require_ok(answer: Answer) -> Answer:
 def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
     """Ask until two answers running agree, and return it: a byte lost on the way makes 300 mm of travel 0 mm.
 
-    Nothing, where it does not answer twice running.
+    The first two questions go out at once, for a slow link takes as long for two as for one. Nothing, where it does not
+    answer twice running.
     """
-    last: tuple[replies.Reply, ...] | None = None
-    unanswered = 0
+    both = yield Ask(text, expect=expect, twice=True)
+    if not both.failure and both.heard == both.again:
+        return both.heard
+    last = both.again
+    unanswered = 1 if both.failure else 0
     for _ in range(TOLD_AT_MOST):
         answer = yield Ask(text, expect=expect)
         if answer.failure:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from machines.driver import CheckMode, Command, CommandDone, Home, JogCancel, MillState, Override, TrustPosition
 from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
 from machines.grbl.codes import error_words
 from machines.grbl.link import GrblLink
 from machines.grbl.overrides import OverrideControl
-from machines.grbl.replies import Push, Reply, Setting, Status
+from machines.grbl.replies import Push, Reply, Setting, Status, show
 from machines.grbl.sequences import make_sequence
 from machines.grbl.settings import is_parser_state
 from machines.grbl.states import Phase
@@ -38,8 +38,10 @@ class CommandChannel:
     banner_due_s: float = 0.0
     _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
     _waiting: Ask | WaitStill | None = None
-    _due_s: float = 0.0  # of our own time
+    _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
+    _first: Answer | None = None  # of a line that is asked twice
+    _odd: bytes = b""  # came meanwhile, and is nothing a controller says
     _still: int = 0
     _on_end: OnEnd = field(init=False)
 
@@ -74,7 +76,7 @@ class CommandChannel:
             link.hold_wanted = link.paused = False
             link.enter(Phase.COMMAND, now_s)
             if isinstance(command, CheckMode) and not command.on:
-                self.banner_due_s = now_s + BANNER_S
+                self.banner_due_s = now_s + BANNER_S + link.silence.late_s
             self.command = command
             self.run(make_sequence(command, link.view.settings), self._end_command, now_s)
 
@@ -100,7 +102,19 @@ class CommandChannel:
             if not any(isinstance(reply, Push) and reply.tag == ask.expect for reply in self._heard):
                 return
             failure = Phrase("{asked}: its answer was damaged on the way", asked=self.asked)
-        self._advance(Answer(failure, tuple(self._heard)), now_s)
+        answer, silence = Answer(failure, tuple(self._heard)), self.link.silence
+        if ask.expect and not failure and self._first is None:
+            silence.note_answer(silence.spent_s - self._begun_s)
+        if ask.twice and self._first is None:
+            self._first, self._heard = answer, []
+            return
+        if self._first is not None:
+            answer = replace(self._first, failure=self._first.failure or failure, again=answer.heard)
+        self._advance(answer, now_s)
+
+    def take_odd_line(self, raw: bytes) -> None:
+        """Keep a line that no controller says: it tells why nothing else answers."""
+        self._odd = raw
 
     def take_report(self, report: Status, now_s: float) -> None:
         """Count reports of standstill where that is waited for; bring an override on."""
@@ -112,16 +126,16 @@ class CommandChannel:
 
     def watch(self, now_s: float) -> None:
         """Give up where nothing comes."""
-        waiting = self._waiting
-        if waiting is not None and self.link.silence.spent_s >= self._due_s:
-            what = self.asked or Phrase("standstill")
-            self._advance(
-                Answer(
-                    Phrase("{what}: no answer in {timeout_s:g} s", what=what, timeout_s=waiting.timeout_s),
-                    tuple(self._heard),
-                ),
-                now_s,
+        waiting, silence = self._waiting, self.link.silence
+        if waiting is None or silence.spent_s < self._begun_s + waiting.timeout_s + silence.late_s:
+            return
+        what, waited_s = self.asked or Phrase("standstill"), silence.spent_s - self._begun_s
+        words = Phrase("{what}: no answer in {timeout_s:.0f} s", what=what, timeout_s=waited_s)
+        if self._odd:
+            words = Phrase(
+                "{words}, but '{text}', which is nothing a controller says", words=words, text=show(self._odd)
             )
+        self._advance(Answer(words, tuple(self._heard)), now_s)
 
     def end(self, words: Phrase) -> None:
         """End what is under way, for a reason; the override too."""
@@ -143,7 +157,7 @@ class CommandChannel:
         """Go on to the next line of the sequence, or to its end."""
         sequence = self._sequence
         assert sequence is not None
-        self._heard, self._still = [], 0
+        self._heard, self._first, self._still, self._odd = [], None, 0, b""
         try:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
         except StopIteration as stop:
@@ -151,9 +165,9 @@ class CommandChannel:
         except SequenceFailedError as failed:
             self._finish(Outcome(), failed.words, now_s)
         else:
-            self._due_s = self.link.silence.spent_s + waiting.timeout_s
+            self._begun_s = self.link.silence.spent_s
             if isinstance(waiting, Ask):
-                self.link.text += waiting.text + b"\n"
+                self.link.text += (waiting.text + b"\n") * (2 if waiting.twice else 1)
 
     def _finish(self, outcome: Outcome, failure: Phrase, now_s: float) -> None:
         """Take over what a sequence leaves behind."""

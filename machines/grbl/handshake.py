@@ -106,7 +106,9 @@ class Handshake:
     def _note_identity(self, failure: Phrase, _: dict[str, object], now_s: float) -> None:
         link = self.link
         if failure:
-            words = Phrase("something answers, but it is not a GRBL controller: {failure}", failure=failure)
+            words = Phrase(
+                "'?' is answered as GRBL does, but this controller cannot be used: {failure}", failure=failure
+            )
             link.close(words, now_s, FaultCause.DEVICE)
             return
         link.view.identified = True
@@ -117,16 +119,20 @@ class Handshake:
         elif not link.controller:
             link.controller = "Grbl"
         link.enter(Phase.READY, now_s)
+        if slow := self.stops.reporter.slow_link_words():
+            link.events.append(Notice(slow))
 
     def watch(self, now_s: float) -> None:
         """Look at the clock: nobody answers, or nobody does any more."""
         link, silent_s = self.link, self.link.silence.silent_s
         if link.phase is Phase.READY:
-            if silent_s > HANDSHAKE_SILENCE_S:
+            if silent_s > HANDSHAKE_SILENCE_S + link.silence.late_s:
                 link.events.append(Notice(Phrase("no answer to '?' for {silent_s:.0f} s", silent_s=silent_s)))
                 link.view.report = None
                 link.greet(now_s, recognised=True)
-        elif not link.greeting.recognised and link.silence.waited_s >= link.options.identify_s:
+        elif (
+            link.greeting.is_foreign or not link.greeting.recognised
+        ) and link.silence.waited_s >= link.options.identify_s:
             self.commands.end(Phrase("not connected"))
             link.close(link.greeting.verdict(), now_s, FaultCause.DEVICE)
 

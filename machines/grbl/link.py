@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from machines.driver import Event, FaultCause, Faulted, Restarted, Stopped
 from machines.grbl.options import GrblOptions
-from machines.grbl.replies import Empty, Reply
+from machines.grbl.replies import Empty, Reply, name_foreign, show
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
 from machines.grbl.view import MachineView
@@ -20,6 +20,7 @@ SILENT = Phrase(
     "nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not "
     "answer either: look at the mill; where it stands, send a reset"
 )
+QUICK_S = 0.1  # at most between '?', while something waits for what the next report shows
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
 
 
@@ -30,6 +31,7 @@ class Greeting:
         self.recognised = recognised
         self.banner = False
         self._text = b""  # first bytes heard, for the message
+        self._foreign: tuple[str, bytes] | None = None  # firmware that cannot be used, and the line that shows it
         self._rest = b""
         self._bytes = self._noise = 0
 
@@ -38,10 +40,17 @@ class Greeting:
         self._noise += len(line.translate(None, PLAIN))
         if not isinstance(reply, Empty) and not self._text:
             self._text = line[:60]
+        if self._foreign is None and (name := name_foreign(line)) is not None:
+            self._foreign = name, line[:60]
 
     def count_unended(self, rest: bytes) -> None:
         """Count what came after the last line end."""
         self._rest = rest
+
+    @property
+    def is_foreign(self) -> bool:
+        """Firmware has shown itself that cannot be used."""
+        return self._foreign is not None
 
     @property
     def speaks(self) -> bool:
@@ -55,7 +64,14 @@ class Greeting:
         return Phrase("asking '?'") if not self.recognised else Phrase("waiting for a report")
 
     def verdict(self) -> Phrase:
-        """Return why this is not a controller, after patience has run out."""
+        """Return why this is not a controller that can be used, after the time for it has run out."""
+        if self._foreign is not None:
+            name, line = self._foreign
+            return Phrase(
+                "this is {name} ('{shown}'), which is not supported: the board needs GRBL 1.1, grblHAL or FluidNC",
+                name=name,
+                shown=show(line),
+            )
         heard = self._bytes + len(self._rest)
         noise = self._noise + len(self._rest.translate(None, PLAIN))
         if not heard:
@@ -66,7 +82,7 @@ class Greeting:
             )
         if noise > NOISE_SHARE * heard:
             return Phrase("answers with noise, not text: wrong baud rate? (GRBL: 115200)")
-        shown = (self._text or self._rest[:60]).decode("ascii", "backslashreplace")
+        shown = show(self._text or self._rest[:60])
         return Phrase(
             "something answers ('{shown}'), but it is not a GRBL controller: is this the right port?", shown=shown
         )
@@ -100,6 +116,11 @@ class GrblLink:
     offers_reset: bool = False
     poll_at_s: float = 0.0
     watch_at_s: float = 0.0
+
+    @property
+    def reports_under_way(self) -> int:
+        """How many reports may be on their way that were made before a byte written now is there."""
+        return self.silence.unanswered + int(self.silence.round_trip_s / min(self.options.run_poll_s, QUICK_S))
 
     def enter(self, phase: Phase, now_s: float) -> None:
         """Begin a phase; its first '?' and its first look at the clock are due at once."""

@@ -17,6 +17,7 @@ _STEPS = {
 _RAPID = {100: 0x95, 50: 0x96, 25: 0x97}
 REPORTS_TO_CHANGE = 6  # reports without any change after which a step is sent again
 GIVE_UP_S = 15.0
+MOST_STEPS = 20  # from one end to the other, each the time of a round trip
 
 
 def find_refusal(what: str, percent: int) -> Phrase | None:
@@ -72,7 +73,8 @@ class OverrideControl:
 
     def begin(self, command: Override, now_s: float) -> None:
         self.end(Phrase("replaced by a newer override"))
-        self._command, self._until_s = command, now_s + GIVE_UP_S
+        self._command = command
+        self._until_s = now_s + GIVE_UP_S + MOST_STEPS * self.link.silence.round_trip_s
         self._reports = REPORTS_TO_CHANGE
         self.link.poll_at_s = now_s
 
@@ -98,4 +100,6 @@ class OverrideControl:
             self.end(Phrase("{what} override stays at {percent} %", what=command.what, percent=percent))
         elif self._reports >= 2:
             self.link.urgent += step
-            self._reports = 0
+            self._reports = (
+                -self.link.reports_under_way
+            )  # a step is relative: none goes by what was true before the last

@@ -75,10 +75,8 @@ def check_command(
     if phase is Phase.STREAMING and isinstance(command, Reset):
         raise NotAllowedError(Phrase("Reset: a program is under way; abort it"))
     sleeping = isinstance(command, Reset) and phase is Phase.HAILING
-    if phase is not Phase.READY and not isinstance(command, _BESIDE) and not sleeping:
-        raise NotAllowedError(
-            Phrase("{name}: the link is busy ({phase}); wait until it is done", name=name, phase=phase.value)
-        )
+    if not isinstance(command, _BESIDE) and not sleeping:
+        _require_ready(name, phase)
     if isinstance(command, SendBlock) and not _is_plain(command.text):
         words = f"{name}: '{command.text}' is not a plain block"
         raise NotAllowedError(words, code=MillCode.NO_BLOCK, values={"text": command.text})
@@ -86,10 +84,18 @@ def check_command(
         raise NotAllowedError(Phrase("{command}: {refusal}", command=name, refusal=refusal))
 
 
+def _require_ready(name: str, phase: Phase) -> None:
+    if phase is not Phase.READY:
+        raise NotAllowedError(
+            Phrase("{name}: the link is busy ({phase}); wait until it is done", name=name, phase=phase.value)
+        )
+
+
 def check_start(state: MillState, phase: Phase, settings: ControllerSettings) -> None:
     """Raise NotAllowedError unless a program may start now."""
-    if phase is not Phase.READY or state not in (MillState.IDLE, MillState.CHECK):
+    if state not in (MillState.IDLE, MillState.CHECK):
         raise NotAllowedError(Phrase("start: the mill is {state}, it must be idle", state=state.words))
+    _require_ready("start", phase)
     if settings.laser_mode:
         raise NotAllowedError(
             Phrase(

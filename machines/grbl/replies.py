@@ -1,6 +1,8 @@
 """A total grammar of what GRBL 1.1, grblHAL and FluidNC say: every line is one of these replies, the rest is Garbled.
 
 Strict on purpose: a line that is nearly right has been damaged on the way, and a damaged line is a fault of the link.
+What stands around a line is no part of it: blanks, a second CR, NULs that pad a line. `OK` is another spelling of a
+whole word, as it takes two damaged bytes to make one of `ok`. Words for the operator may hold anything.
 """
 
 from __future__ import annotations
@@ -8,8 +10,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from phrases.phrase import Phrase
+
 # Longest line a controller sends ($-help and board descriptions of grblHAL stay under 300 bytes).
 LONGEST_LINE = 1024
+_PADDING = b"\r\0 \t"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,11 @@ class Setting:
     number: int
     value: str
 
+    @property
+    def has_comma(self) -> bool:
+        """It is a number with a decimal comma."""
+        return _COMMA.match(self.value) is not None
+
 
 @dataclass(frozen=True, slots=True)
 class Startup:
@@ -115,15 +125,17 @@ STATES = frozenset({"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Hom
 _CODE = re.compile(rb"(error|ALARM):(\d{1,3})$")
 _SETTING = re.compile(rb"\$(\d{1,4})=([ -~]*)$")
 _PUSH = re.compile(rb"\[([A-Z][A-Z0-9 .]*):([ -~]*)\]$")
+_MESSAGE = re.compile(rb"\[MSG(?::([^\x00-\x1f\x7f]*))?\]$", re.IGNORECASE)
 _BANNER = re.compile(rb"(?:Grbl|GrblHAL|grblHAL|FluidNC) [ -~]*\[[ -~]*'\$'[ -~]*\]$")
 _STARTUP = re.compile(rb">[ -~]*:(?:ok|error:\d{1,3})$")
+_COMMA = re.compile(r"-?\d+,\d{3}$")
 _NUMBERS = re.compile(r"-?\d+(?:\.\d*)?(?:,-?\d+(?:\.\d*)?)*$")
 _FIELD = re.compile(r"[A-Za-z]+\d*$")
 
 
 def parse(line: bytes) -> Reply:
     """Return the reply in one line (without its line end). Never raises."""
-    if line == b"ok":
+    if line in (b"ok", b"OK"):
         return OK
     if not line:
         return EMPTY
@@ -144,14 +156,36 @@ def parse(line: bytes) -> Reply:
     return Garbled(line)
 
 
+# What other firmware says, and some that is like GRBL 1.1 but is not read here: told by name.
+_FOREIGN: tuple[tuple[re.Pattern[bytes], str], ...] = (
+    (re.compile(rb"Grbl 0\.|<[A-Z]\w+,[MW]Pos:"), Phrase("GRBL 0.9 or older")),
+    (re.compile(rb"Smoothie|Build version: |<[A-Z]\w+\|MPos:[-\d.,]+\|WPos:"), "Smoothieware"),
+    (re.compile(rb"(echo: ?)?Marlin |echo:Unknown command|//action:|FIRMWARE_NAME:Marlin"), "Marlin"),
+    (re.compile(rb"RepRapFirmware|FIRMWARE_NAME: ?RepRap"), "RepRapFirmware"),
+    (re.compile(rb"// Klipper|Klipper state"), "Klipper"),
+    (re.compile(rb'\{"(r|sr|er|f)":'), Phrase("TinyG or g2core")),
+    (re.compile(rb"<[A-Z]\w+(:\d+)?\|[MW]Pos:-?\d+,\d{3},-?\d+,\d{3},"), Phrase("firmware that writes decimal commas")),
+)
+_BOOT = re.compile(rb"ets [A-Z][a-z]{2} +\d|rst:0x|ESP-ROM:")
+
+
+def name_foreign(line: bytes) -> str | None:
+    """Return the name of the firmware that says this line; None where nothing tells, or where we read it."""
+    return next((name for pattern, name in _FOREIGN if pattern.match(line)), None)
+
+
+def is_boot_text(line: bytes) -> bool:
+    """Return whether an ESP32 says this when it starts."""
+    return _BOOT.match(line) is not None
+
+
 def _bracket(line: bytes) -> Reply:
     if line.startswith(b"[echo:") and line.endswith(b"]"):
         return Echo(line[6:-1].strip())
+    if found := _MESSAGE.match(line):
+        return Message((found[1] or b"").decode("utf-8", "backslashreplace"))
     found = _PUSH.match(line)
-    if not found:
-        return Garbled(line)
-    tag, body = found[1].decode("ascii"), found[2].decode("ascii")
-    return Message(body) if tag == "MSG" else Push(tag, body)
+    return Push(found[1].decode("ascii"), found[2].decode("ascii")) if found else Garbled(line)
 
 
 def _status(line: bytes) -> Reply:
@@ -215,13 +249,19 @@ def _numbers(values: dict[str, str], key: str, at_least: int) -> tuple[float, ..
     if len(text) > 200 or not _NUMBERS.match(text):
         raise ValueError(key)
     numbers = tuple(map(float, text.split(",")))
-    if len(numbers) < at_least:
+    if len(numbers) < at_least or (len(numbers) > 4 and "." not in text):  # decimal commas: 30,000 is not 30 and 0
         raise ValueError(key)
     return numbers
 
 
+def show(text: bytes) -> str:
+    """Return a line as a person may read it."""
+    words = text.decode("ascii", "backslashreplace")
+    return words if len(words) <= 80 else words[:77] + "..."
+
+
 class LineSplitter:
-    """Bytes as they come to whole lines, without their ends. A line that never ends is cut off and so Garbled."""
+    """Bytes as they come to whole lines, without what pads them. A line that never ends is cut off and so Garbled."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -233,7 +273,7 @@ class LineSplitter:
             lines.append(rest)
             rest = b""
         self._rest = rest
-        return [line[:-1] if line[-1:] == b"\r" else line for line in lines]
+        return [line.strip(_PADDING) for line in lines]
 
     def clear(self) -> None:
         self._rest = b""

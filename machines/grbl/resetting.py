@@ -109,7 +109,8 @@ class ResetControl:
 
     def watch(self, now_s: float) -> bool:
         """Look at the clock. True: of a reset that is sent once no banner has come; whether the mill stands is open."""
-        link, sequence, waited_s = self.link, self.sequence, self.link.silence.waited_s
+        link, sequence = self.link, self.sequence
+        waited_s = link.silence.waited_s - link.silence.late_s
         if sequence is None:
             return False
         if not sequence.repeats:

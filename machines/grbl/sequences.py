@@ -53,15 +53,26 @@ def identify(banner: str) -> CommandSequence:
         if not version.failure:
             break
     heard += version.heard
-    heard += yield from ask_twice(b"$$", "$")
+    settings = yield from ask_twice(b"$$", "$")
+    if version.failure and not settings:
+        raise SequenceFailedError(Phrase("neither $I nor $$ is answered ({failure})", failure=version.failure))
+    if commas := next((one for one in settings if isinstance(one, replies.Setting) and one.has_comma), None):
+        text = f"${commas.number}={commas.value}"
+        raise SequenceFailedError(Phrase("settings are written with decimal commas ({setting})", setting=text))
+    heard += settings
     heard += yield from ask_twice(b"$#", OFFSET_TAG)
     heard += yield from ask_twice(b"$G", PARSER_TAG)
-    settings = read_settings(heard, banner)
-    if version.failure and not banner and not settings.values and not settings.parser_state:
-        raise SequenceFailedError(
-            Phrase("answers '?' like GRBL, but neither $I nor $$ ({failure})", failure=version.failure)
-        )
-    return Outcome(settings=settings, answer=describe_settings(settings))
+    found = read_settings(heard, banner)
+    return Outcome(settings=found, answer=describe_settings(found))
+
+
+def read_again(settings: ControllerSettings) -> CommandSequence:
+    """Ask what can have changed since the handshake: $$, $#, $G."""
+    heard = [*(yield from ask_twice(b"$$", "$")), *(yield from ask_twice(b"$#", OFFSET_TAG))]
+    heard += yield from ask_twice(b"$G", PARSER_TAG)
+    told = read_settings(heard)
+    found = replace(settings, values=told.values, offsets=told.offsets, parser_state=told.parser_state)
+    return Outcome(settings=found, answer=describe_settings(found))
 
 
 def describe_settings(settings: ControllerSettings) -> dict[str, object]:
@@ -126,7 +137,7 @@ def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequ
         case Unlock():
             return ask_once(b"$X")
         case ReadSettings():
-            return identify(settings.version)
+            return read_again(settings)
         case Jog():
             return jog(command, settings)
         case ProbeZ():

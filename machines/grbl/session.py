@@ -132,6 +132,7 @@ class GrblSession:
         elif isinstance(reply, replies.Push | replies.Setting):
             self.commands.take_reply(reply)
         elif isinstance(reply, replies.Garbled):
+            self.commands.take_odd_line(reply.raw)
             self._monitor.take_garbled(reply.raw, now_s)
 
     def _take_answer(self, error: int, now_s: float) -> None:

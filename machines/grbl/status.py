@@ -11,8 +11,9 @@ from machines.grbl.commands import CommandChannel
 from machines.grbl.link import SILENT, GrblLink
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Streamer
+from machines.grbl.timeouts import SLOW_LINK_S
 from machines.grbl.tracking import SEGMENTS
-from phrases.phrase import Phrase
+from phrases.phrase import NO_WORDS, Phrase
 
 
 @dataclass(slots=True, eq=False)
@@ -108,6 +109,18 @@ class StatusReporter:
             return alarm_words(view.locked_by)
         return detail_words(view.report) if view.report else Phrase("")
 
+    def slow_link_words(self) -> Phrase:
+        """Return what a link means for a program whose answers are late; NO_WORDS where they are not."""
+        round_trip_s = self.link.silence.round_trip_s
+        if round_trip_s < SLOW_LINK_S:
+            return NO_WORDS
+        return Phrase(
+            "the link takes {round_trip_s:.1f} s for an answer: at most {rate:.0f} bytes of a program go out in a "
+            "second; where its lines are short, the mill waits between them",
+            round_trip_s=round_trip_s,
+            rate=self.streamer.window_bytes / round_trip_s,
+        )
+
     @property
     def facts(self) -> DriverFacts:
         streamer, settings = self.streamer, self.link.view.settings
@@ -116,7 +129,8 @@ class StatusReporter:
         return DriverFacts(
             kind="GRBL 1.1, grblHAL or FluidNC over a byte stream",
             capacity=f"counted bytes, at most {streamer.window_bytes} under way "
-            + ("(receive buffer by $I, less one)" if settings.rx_bytes else "(assumed: the controller does not tell)"),
+            + ("(receive buffer by $I, less one)" if settings.rx_bytes else "(assumed: the controller does not tell)")
+            + (f"; {slow}" if (slow := self.slow_link_words()) else ""),
             acknowledgement=f"ok = parsed and queued, counted as up to {ahead} blocks before it is executed "
             f"({streamer.planner_blocks} in the planner, {segments} segments, 1 to spare)",
             stop="feed hold '!' at once, before everything else; reset only from standstill",

@@ -40,6 +40,7 @@ class StopControl:
     _hold_reports: int = 0  # reports since then: the first may have been made before it
     _hold_at_s: float = 0.0
     _notified_at_s: float = 0.0
+    _stop_at_s: float = 0.0  # when it began to wait for standstill
     _still_reports: int = 0  # in a row, while stopping
 
     @property
@@ -66,7 +67,7 @@ class StopControl:
             self._hold_command(now_s)
         link.paused = True
         self._hold_seen = False
-        self._hold_reports = -link.silence.unanswered
+        self._hold_reports = -link.reports_under_way
         self._hold_at_s = link.poll_at_s = now_s
 
     def resume(self, now_s: float) -> None:
@@ -204,9 +205,13 @@ class StopControl:
         self._await_standstill(now_s)
 
     def _await_standstill(self, now_s: float) -> None:
-        self._hold_at_s = self._notified_at_s = now_s
+        self._hold_at_s = self._notified_at_s = self._stop_at_s = now_s
         self._still_reports = 0
         self.link.enter(Phase.STOPPING, now_s)
+
+    @property
+    def _hold_again_s(self) -> float:
+        return HOLD_AGAIN_S + self.link.silence.round_trip_s
 
     def _hold_again(self, now_s: float) -> None:
         self.link.put_hold()
@@ -214,7 +219,7 @@ class StopControl:
 
     def _note_running(self, now_s: float) -> None:
         """Note that the mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
-        if now_s <= self._hold_at_s + HOLD_AGAIN_S:
+        if now_s <= self._hold_at_s + self._hold_again_s:
             return
         if self._hold_seen:
             self.link.hold_wanted = self.link.paused = False
@@ -226,13 +231,13 @@ class StopControl:
         stream, position = self.streamer.stream, self.link.view.work_mm
         if stream is not None and position is not None and report.state in ("Run", "Hold"):
             stream.tracker.take_report(position)
-        if not stands(report):
+        if not stands(report) or now_s < self._stop_at_s + self.link.silence.round_trip_s:
             self._still_reports = 0
-            return
+            return  # it moves, or this report was made before the '!' was there
         # A standing Hold is certain. Idle may be a report from before the '!', or before the next queued line.
         self._still_reports += 1
         needed = 2 if report.state == "Hold" else 6
-        if report.state == "Idle" and self._still_reports < needed and not now_s < self._hold_at_s + HOLD_AGAIN_S:
+        if report.state == "Idle" and self._still_reports < needed and not now_s < self._hold_at_s + self._hold_again_s:
             self._hold_again(now_s)
         if self._still_reports >= needed:
             if stream is not None and position is not None and report.state in ("Idle", "Hold"):
@@ -241,8 +246,10 @@ class StopControl:
 
     def _watch_stop(self, now_s: float) -> None:
         report = self.link.view.report
-        if now_s > self._hold_at_s + HOLD_AGAIN_S and not (report is not None and report.state in ("Hold", "Door")):
+        if now_s > self._hold_at_s + self._hold_again_s and not (
+            report is not None and report.state in ("Hold", "Door")
+        ):
             self._hold_again(now_s)
-        if now_s > self._notified_at_s + HOLD_S:
+        if now_s > self._notified_at_s + HOLD_S + self.link.silence.late_s:
             self._notified_at_s = now_s
             self.link.events.append(Notice(Phrase("the mill does not confirm the hold: use its own stop button")))

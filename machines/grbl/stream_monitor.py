@@ -8,7 +8,7 @@ from machines.driver import FaultCause, Notice, ProgramDone
 from machines.grbl.codes import error_words
 from machines.grbl.flow_control import Pacer
 from machines.grbl.link import GrblLink
-from machines.grbl.replies import Status
+from machines.grbl.replies import Status, is_boot_text, show
 from machines.grbl.states import HELD_STATES, Phase
 from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Flight, Stream, Streamer
@@ -34,6 +34,7 @@ class StreamMonitor:
     _idle_reports: int = 0  # Idle with nothing unanswered
     _standing_reports: int = 0  # Idle in a row, with no answer between
     _standing_heard_s: float = 0.0  # when the first of them came
+    _lone_s: float | None = None  # when a line was sent to a mill that stood and had none: its answer tells the way
 
     def note_sign(self) -> None:
         """Begin anew to wait for a sign."""
@@ -42,6 +43,7 @@ class StreamMonitor:
     def note_sent(self) -> None:
         """Begin to wait for an answer: lines were sent where none was under way."""
         self.note_sign()
+        self._lone_s = self.link.silence.spent_s if self._standing_reports else None
         self._standing_reports = 0
 
     def begin(self) -> None:
@@ -51,17 +53,21 @@ class StreamMonitor:
 
     def take_ok(self, stream: Stream) -> None:
         """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
+        self._note_answer(stream)
         stream.take_answer()
-        self._note_answer()
 
-    def _note_answer(self) -> None:
+    def _note_answer(self, stream: Stream) -> None:
         self._sign_heard_s = self.link.silence.heard_s
+        if self._lone_s is not None:
+            sent_s, self._lone_s = self._lone_s, None
+            if stream.first is not None and not stream.first[1].waits_for_empty_buffer:
+                self.link.silence.note_answer(self.link.silence.spent_s - sent_s)
         self._idle_reports = self._standing_reports = 0
 
     def take_answer(self, error: int, now_s: float) -> None:
         """Take `ok` (0) or the number of an error for the oldest line under way."""
         streamer, stream = self.streamer, self._stream
-        self._note_answer()
+        self._note_answer(stream)
         words = error_words(error) if error else Phrase("ok")
         first = stream.first
         if first is None:
@@ -106,6 +112,8 @@ class StreamMonitor:
         """End the program for a line that no controller says."""
         if self.link.phase is Phase.STREAMING:
             words = Phrase("'{text}' is nothing a controller says: damaged on the way", text=show(raw))
+            if is_boot_text(raw):
+                words = Phrase("'{text}' is what an ESP32 says when it starts: the board has restarted", text=show(raw))
             self.stops.raise_fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
         elif self.link.phase is not Phase.CLEARING:
             self.link.events.append(Notice(Phrase("not understood: '{text}'", text=show(raw))))
@@ -206,7 +214,7 @@ class StreamMonitor:
             link.events.append(Notice(words))
         if not link.paused and not stream.exhausted and now_s >= stream.count.due_s:
             covered_s = stream.tracker.last_sent_s(self.streamer.planner_blocks - 2, link.view.overrides[0])
-            stream.count.consider(covered_s, now_s, paced=self.pacer.is_paced)
+            stream.count.consider(covered_s - silence.round_trip_s, now_s, paced=self.pacer.is_paced)
         if not link.paused:
             self._watch_signs(stream, now_s)
 
@@ -215,7 +223,8 @@ class StreamMonitor:
         waited_s = heard_s - self._sign_heard_s
         if waited_s < MARGIN_S or not (stream.window.used or stream.drained):
             return
-        standing = self._standing_reports >= IDLE_REPORTS and heard_s > self._standing_heard_s + IDLE_S
+        late_s = self.link.silence.late_s
+        standing = self._standing_reports >= IDLE_REPORTS and heard_s > self._standing_heard_s + IDLE_S + late_s
         first = stream.first
         allowed_s = longest_wait_s(
             first[1] if first is not None else None,
@@ -224,7 +233,7 @@ class StreamMonitor:
             view.overrides,
             standing=standing,
         )
-        if allowed_s is None or waited_s <= allowed_s:
+        if allowed_s is None or waited_s <= allowed_s + late_s:
             return
         words = _word_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
@@ -259,11 +268,6 @@ def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standin
     return Phrase(
         "{words} (at most {allowed_s:.1f} s are explained by what is under way)", words=words, allowed_s=allowed_s
     )
-
-
-def show(text: bytes) -> str:
-    words = text.decode("ascii", "backslashreplace")
-    return words if len(words) <= 80 else words[:77] + "..."
 
 
 def _as_read(text: bytes) -> bytes:

@@ -6,10 +6,11 @@ Three signs, from quick to slow, each enough by itself:
   a spindle: a line or a reply was lost, or the stepper ran dry;
 - no answer, no new position and no step proven for longer than everything still under way can take at worst.
 
-Time is SilenceClock's: only such in which we, and for the last two the link, could have heard. Nothing is lost by
-waiting: a mill that gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every
-change of a reported position and every hold, so that the worst case need not be close: it is there for motion that
-looks like standing (a circle in one poll).
+Time is SilenceClock's: only such in which we, and for the last two the link, could have heard. To every limit on an
+answer the round trip is added, as it was measured on this link (`late_s`). Nothing is lost by waiting: a mill that
+gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every change of a reported
+position and every hold, so that the worst case need not be close: it is there for motion that looks like standing (a
+circle in one poll).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import sqrt
 
+from machines.clock import RunningTime
 from machines.gcode.step import Step
 from machines.grbl.settings import ControllerSettings
 
@@ -34,44 +36,56 @@ SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
 NOTIFY_SILENCE_S = 3.0  # silence while a program runs, that the operator is told of
 PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
-LOOK_S = 0.25  # five times what lies between two looks of a computer that is not busy
 REPORT_S = 0.25  # a report is due ten times a second
+TRIPS = 2.0  # round trips that a limit on an answer leaves: the way there and back, and as much again for a worse one
+MOST_LATE_S = 10.0  # no link that is of use takes longer
+SLOW_LINK_S = 0.25  # round trip from which a person is told of it
 
 
-class SilenceClock:
+class SilenceClock(RunningTime):
     """Time that counts while something is awaited. spent_s: our own; heard_s: the link's. Both only go on.
 
     A wall clock runs while our process waits for a processor, while the computer sleeps, and while replies wait in a
-    driver or a network. None of that is silence of the mill. So our own time passes in looks, each worth LOOK_S at
-    most, and the link's in reports: between two of them as much of our time as passed, REPORT_S at most. Answers and
-    reports come in the order in which they were made; a report that is here shows that no earlier answer is still on
-    its way.
+    driver or a network. None of that is silence of the mill. So our own time passes in looks (`machines.clock`), and
+    the link's in reports: between two of them as much of our time as passed, REPORT_S at most. Answers and reports come
+    in the order in which they were made; a report that is here shows that no earlier answer is still on its way.
+
+    round_trip_s: what an answer takes on the way, there and back. A longer one counts at once, a shorter one for three
+    quarters. A silence between two reports counts, too: that is how a delay that has grown shows itself.
     """
 
-    __slots__ = ("_begun_s", "_looked_at_s", "_reported_s", "heard_s", "notified", "spent_s", "unanswered")
+    __slots__ = ("_begun_s", "_reported_s", "heard_s", "notified", "round_trip_s", "unanswered")
 
     def __init__(self) -> None:
-        self.spent_s = self.heard_s = 0.0
+        super().__init__()
+        self.heard_s = self.round_trip_s = 0.0
         self.unanswered = 0  # '?' written since the last report
         self.notified = False  # the operator knows of this silence
-        self._begun_s = self._looked_at_s = self._reported_s = 0.0
-
-    def look(self, now_s: float) -> None:
-        """Count the time since the last look."""
-        self.spent_s += min(max(now_s - self._looked_at_s, 0.0), LOOK_S)
-        self._looked_at_s = now_s
+        self._begun_s = self._reported_s = 0.0
 
     def take_report(self) -> None:
         """End the silence: a report has come."""
-        self.heard_s += min(self.spent_s - self._reported_s, REPORT_S)
+        silent_s = self.silent_s
+        self.round_trip_s = max(self.round_trip_s, min(silent_s - REPORT_S, MOST_LATE_S))
+        self.heard_s += min(silent_s, REPORT_S)
         self._reported_s = self.spent_s
         self.unanswered = 0
         self.notified = False
+
+    def note_answer(self, waited_s: float) -> None:
+        """Take the time from a question that is answered at once to its answer for a round trip."""
+        trip_s = min(waited_s, MOST_LATE_S)
+        self.round_trip_s = max(trip_s, (self.round_trip_s + 3.0 * trip_s) / 4.0)
 
     def begin_wait(self) -> None:
         """Begin to wait for reports: a phase begins."""
         self._begun_s = self._reported_s = self.spent_s
         self.notified = False
+
+    @property
+    def late_s(self) -> float:
+        """What a limit on an answer leaves for the way."""
+        return TRIPS * self.round_trip_s
 
     @property
     def waited_s(self) -> float:

@@ -8,7 +8,7 @@ from machines.driver import FaultCause
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.commands import CommandChannel
 from machines.grbl.flow_control import Pacer
-from machines.grbl.link import GrblLink
+from machines.grbl.link import QUICK_S, GrblLink
 from machines.grbl.resetting import BUSY_S, ResetControl
 from machines.grbl.states import Phase
 from machines.grbl.stopping import StopControl
@@ -17,7 +17,6 @@ from machines.grbl.streaming import Stream, Streamer
 from phrases.phrase import Phrase
 
 HAIL_S = 0.25  # between status requests while nobody has answered
-QUICK_S = 0.1  # at most, while something waits for what the next report shows
 
 
 @dataclass(slots=True, eq=False)

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from machines.clock import LOOK_S, Timeout
+
 SYNC_EVERY_S = 0.5
 
 
@@ -95,18 +97,31 @@ class RealDisk:
             os.close(descriptor)
 
 
-class ThreadSyncer:
-    """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself."""
+def _word_stall(waited_s: float) -> str:
+    return f"the disk has not finished an fsync for {waited_s:.0f} s"
 
-    def __init__(self, every_s: float = SYNC_EVERY_S, timeout_s: float = 30.0) -> None:
+
+class ThreadSyncer:
+    """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself.
+
+    timeout_s : of running time, until the disk counts as stalled; its owner reads `failure` many times a second
+    """
+
+    def __init__(
+        self,
+        every_s: float = SYNC_EVERY_S,
+        timeout_s: float = 30.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._every_s = every_s
         self._timeout_s = timeout_s
+        self._clock = clock
         self._lock = threading.Condition()
         self._file: File | None = None
         self._left: list[File] = []  # let go, to be made safe and closed
         self._when_safe: Callable[[], None] | None = None
         self._written = self._safe = 0  # counts of writes
-        self._waiting_since_s: float | None = None
+        self._waiting: Timeout | None = None  # for everything written to be safe
         self._failure = ""
         self._urgent = False
         self._thread: threading.Thread | None = None
@@ -115,13 +130,15 @@ class ThreadSyncer:
     def failure(self) -> str:
         if self._failure:
             return self._failure
-        since_s = self._waiting_since_s
-        waited_s = time.monotonic() - since_s if since_s is not None else 0.0
-        return f"the disk has not finished an fsync for {waited_s:.0f} s" if waited_s > self._timeout_s else ""
+        waiting = self._waiting
+        return _word_stall(waiting.waited_s) if waiting is not None and waiting.is_over else ""
+
+    def _begin_wait(self) -> Timeout:
+        return Timeout(self._timeout_s, clock=self._clock)
 
     def take(self, file: File, when_safe: Callable[[], None]) -> None:
         with self._lock:
-            self._file, self._when_safe, self._failure, self._waiting_since_s = file, when_safe, "", None
+            self._file, self._when_safe, self._failure, self._waiting = file, when_safe, "", None
             self._safe = self._written
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="journal fsync", daemon=True)
@@ -131,8 +148,8 @@ class ThreadSyncer:
     def note_written(self) -> None:
         with self._lock:
             self._written += 1
-            if self._waiting_since_s is None:
-                self._waiting_since_s = time.monotonic()
+            if self._waiting is None:
+                self._waiting = self._begin_wait()
                 self._lock.notify_all()
 
     def sync(self) -> None:
@@ -140,8 +157,11 @@ class ThreadSyncer:
             wanted, file = self._written, self._file
             self._urgent = True
             self._lock.notify_all()
-            if not self._lock.wait_for(lambda: self._safe >= wanted or bool(self._failure), self._timeout_s):
-                self._failure = f"the disk has not finished an fsync for {self._timeout_s:g} s"
+            timeout = self._begin_wait()
+            while self._safe < wanted and not self._failure:
+                if timeout.is_over:
+                    self._failure = _word_stall(timeout.waited_s)
+                self._lock.wait(min(LOOK_S, self._timeout_s) / 2.0)
             assert file is self._file  # one thread writes and syncs; only the waiting is shared
 
     def hasten(self) -> None:
@@ -172,7 +192,7 @@ class ThreadSyncer:
                     self._failure = failure or self._failure
                     self._when_safe = None if when_safe is self._when_safe else self._when_safe
                     self._safe = max(self._safe, reached)
-                    self._waiting_since_s = None if self._written == self._safe else time.monotonic()
+                    self._waiting = None if self._written == self._safe else self._begin_wait()
                 self._lock.notify_all()
         with self._lock:
             left = self._left.pop(0) if self._left else None

@@ -27,7 +27,7 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 LOOK_S = 0.05
-ASK_S = 5.0
+PLACE_S = 5.0  # some links never tell where the mill is
 
 
 @dataclass(eq=False)
@@ -80,23 +80,20 @@ class MillCycle:
             driver.command(wanted)
         except NotAllowedError:
             return None
-        until_s = self.context.clock() + ASK_S
         answer: dict[str, Any] | None = None
-        ended = False
-        # The work position comes with the offset, and that only with every tenth report or so.
+        ended_s: float | None = None
         stops = self.context.orders.stops
-        while (
-            self.context.clock() < until_s
-            and self.context.link.driver is driver
-            and self.context.orders.stops == stops
-            and not (ended and driver.status.work_mm is not None)
-        ):
+        while self.context.link.driver is driver and self.context.orders.stops == stops:
             for event in driver.poll(0.05):
                 self._handle(event)
                 if isinstance(event, CommandDone) and event.command == wanted:
-                    ended = True
+                    ended_s = self.context.clock()
                     answer = None if event.failure else dict(event.answer)
-            if ended and answer is None:
+            if ended_s is None:
+                continue  # the driver ends it: it knows how late its answers are
+            # The work position comes with the offset, and that only with every tenth report or so.
+            told = driver.status.work_mm is not None or self.context.clock() >= ended_s + PLACE_S
+            if answer is None or told:
                 break
         return answer
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from machines.clock import make_running_clock
 from machines.codes import MillCode
 from machines.driver import Command, Driver, JogCancel, MillState, MillStatus
 from machines.errors import MachineError, NotAllowedError
@@ -48,13 +49,14 @@ class Mill:
         name: str,
         connect: Callable[[], Driver],
         folder: Path,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         wall_clock: Callable[[], float] = time.time,
         reentry: Reentry,
         open_journal: Callable[[Path], Journal] = Journal,
         pause: Callable[[float], object] | None = None,
         orders: OrderGate | None = None,
     ) -> None:
+        clock = clock or make_running_clock()
         self.name = name
         self.orders = orders or OrderGate(wall_clock=wall_clock)
         self._order = Order()

@@ -20,17 +20,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from machines.clock import suspend_aware_clock_s as suspend_aware_clock_s  # others import it from here
 from machines.errors import NotAllowedError
 
 GRANT_S = 3.0  # from the moment a person asks to the moment the order is begun
 CARRY_OUT_S = 10.0  # a start asks the controller first: until its first byte leaves
 LEASE_S = 60.0
 _MOST_GRANTS = 1000
-
-
-def suspend_aware_clock_s() -> float:
-    """Return seconds of a clock that nobody sets and that runs while the computer is suspended."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 class Stop(StrEnum):

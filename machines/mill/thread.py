@@ -6,13 +6,14 @@ reading one takes no lock.
 
 from __future__ import annotations
 
+import contextlib
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from machines.clock import LOOK_S, Timeout
 from machines.codes import MillCode
 from machines.errors import MachineError, NotAllowedError
 from machines.mill.mill import Mill
@@ -34,7 +35,7 @@ class MillThread:
         self._calls: deque[tuple[Future[Any], Callable[[Mill], Any]]] = deque()
         self._snapshot = mill.snapshot
         self._changed = threading.Condition()
-        self.turned_s = time.monotonic()  # when the owner thread looked for calls last
+        self.turns = 0  # of the owner thread, which looks for calls in each
         self._ending = False
         self._ended = False
         self._failure: BaseException | None = None
@@ -64,13 +65,13 @@ class MillThread:
         """
         if threading.current_thread() is self._thread:
             return function(self._mill)
-        future = self.submit(function)
-        try:
-            return future.result(timeout_s)
-        except TimeoutError:
+        future, timeout = self.submit(function), Timeout(timeout_s)
+        while not timeout.is_over:
+            with contextlib.suppress(TimeoutError):
+                return future.result(min(LOOK_S, timeout_s / 2.0))
             if future.done():
-                raise  # the function's own
-            raise no_answer(timeout_s, taken_back=future.cancel()) from None
+                return future.result()  # its own TimeoutError, or it has just ended
+        raise no_answer(timeout_s, taken_back=future.cancel())
 
     def submit(self, function: Callable[[Mill], T]) -> Future[T]:
         """Let the owner thread carry out `function`; never waits. `cancel` takes back what has not begun."""
@@ -114,7 +115,7 @@ class MillThread:
     def _run(self) -> None:
         try:
             while not self._ending:
-                self.turned_s = time.monotonic()
+                self.turns += 1
                 self._mill.step(_POLL_S)
                 self._carry_out_calls()
                 self._publish()

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import struct
 import threading
-import time
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
+from machines.clock import make_running_clock
 from machines.driver import Triple
 from machines.errors import NotAControllerError, PortError, PortLostError
 from machines.roland.mdx40a import STATE_BYTES, DeviceState, decode_state
@@ -41,14 +41,14 @@ class RollingmillDevice:
         machine: Any,
         *,
         link_errors: tuple[type[Exception], ...],
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         wait: Callable[[float], None] | None = None,
     ) -> None:
         self.url = URL
         self._link = link
         self._machine = machine
         self._errors = link_errors
-        self._clock = clock
+        self._clock = clock or make_running_clock()
         self._woken = threading.Event()
         self._wait = wait or self._wait_really
 

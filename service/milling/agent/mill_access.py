@@ -7,11 +7,11 @@ port before this coroutine waits for anything. Only what is slow and not the mil
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
+from machines.clock import Timeout
 from machines.mill.mill import Mill
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, Caller, OrderGate, Stop
 from machines.mill.thread import MillThread, no_answer
@@ -30,6 +30,8 @@ class MillAccess:
     def __init__(self, thread: MillThread) -> None:
         self._thread = thread
         self._workers = ThreadPoolExecutor(4, thread_name_prefix="work")
+        self._silence = Timeout(_CALL_S, most_s=_CALL_S)  # of the mill's thread; looked at only when somebody asks
+        self._turns = 0
 
     @property
     def snapshot(self) -> MillSnapshot:
@@ -43,7 +45,11 @@ class MillAccess:
         return self._thread.snapshot.as_dict()
 
     def is_alive(self) -> bool:
-        return self._thread.turned_s > time.monotonic() - _CALL_S
+        """Return whether the mill's thread turns. It needs two looks to say no."""
+        if self._thread.turns != self._turns:
+            self._turns = self._thread.turns
+            self._silence.restart()
+        return not self._silence.is_over
 
     async def call(self, function: Callable[[Mill], T]) -> T:
         """Have something done that moves nothing."""

@@ -5,15 +5,25 @@ Needs no journal, so it works on the driver alone, in this thread.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 
-from machines.driver import CheckMode, CommandDone, Driver, Event, Faulted, MillState, ProgramDone, ProgramLine
+from machines.clock import Timeout
+from machines.driver import (
+    CheckMode,
+    CommandDone,
+    Driver,
+    Event,
+    Faulted,
+    MillState,
+    MillStatus,
+    ProgramDone,
+    ProgramLine,
+)
 from machines.errors import MachineError, NotAControllerError
 from service.errors import FailedError
 
-_CONNECT_S = 15.0
-_MODE_S = 10.0
+CONNECT_S = 90.0  # the driver gives a link up that tells nothing, sooner, and says why
+_MODE_S = 60.0  # and ends a command that is not answered
 _POLL_S = 0.2
 
 
@@ -23,7 +33,7 @@ def run_check_mode(
     """Send all lines in check mode; returns the protections that were active. FailedError names what was refused."""
     driver.connect()
     _poll_until(
-        driver, url, _CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
+        driver, url, CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
     )
     if driver.status.state is not MillState.IDLE:
         raise FailedError(f"dry run: the mill is {driver.status.state.value}; allowed when it is idle")
@@ -71,7 +81,7 @@ def _leave(driver: Driver, url: str) -> None:
 
 
 def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tuple[Event, ...]], bool]) -> None:
-    give_up_s = time.monotonic() + wait_s
+    timeout = Timeout(wait_s)
     while True:
         events = driver.poll(_POLL_S)
         for event in events:
@@ -79,5 +89,11 @@ def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tupl
                 raise NotAControllerError(url, event.words.removeprefix(f"port {url}: "))
         if is_done(events):
             return
-        if time.monotonic() > give_up_s:
-            raise NotAControllerError(url, "no controller answers; check power, cable and baud")
+        if timeout.is_over:
+            raise make_unconnected_error(url, driver.status)
+
+
+def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
+    """Return the error for a link that is neither ready nor given up after so long, with what it waits for."""
+    detail = f" ({status.detail})" if status.detail else ""
+    return NotAControllerError(url, f"the mill is still {status.state.value}{detail}; given up")

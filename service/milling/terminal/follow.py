@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from machines.clock import Timeout
 from machines.driver import OVERRIDE_PERCENT, Override
 from machines.errors import MachineError
 from machines.mill.mill import Mill
@@ -79,8 +80,8 @@ class RunFollower:
         self._screen = screen
         self._keyboard = keyboard
         self._keys = Keys()
-        self._abort_by_s: float | None = None
-        self._over_s: float | None = None
+        self._aborting: Timeout | None = None  # until the mill has said that it stands
+        self._settling: Timeout | None = None  # until the controller has said that it holds nothing
         self._asked_s = time.monotonic()
         self._words = ""
         self._protected: tuple[str, ...] = ()
@@ -131,7 +132,7 @@ class RunFollower:
     def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
         """Abort from hold a run held for want of a journal without a person at the keys, and say why."""
         run = snapshot.run
-        if self._keyboard is not None or self._abort_by_s is not None or run is None or run.state is not RunState.HELD:
+        if self._keyboard is not None or self._aborting is not None or run is None or run.state is not RunState.HELD:
             return
         failures = [entry.words for entry in snapshot.events if entry.kind == "journal"]
         if failures:
@@ -144,24 +145,23 @@ class RunFollower:
             return Ended.ABANDONED
         if run is not None and run.id == self._run_id and run.state in _FINAL:
             return _FINAL[run.state] if self._is_settled(snapshot) else None
-        if self._abort_by_s is not None and time.monotonic() > self._abort_by_s:
+        if self._aborting is not None and self._aborting.is_over:
             return Ended.ABANDONED
         return None
 
     def _is_settled(self, snapshot: MillSnapshot) -> bool:
         """Return whether the controller holds nothing, or waiting for that is of no use or has lasted long enough."""
-        if self._over_s is None:
-            self._over_s = time.monotonic()
+        self._settling = self._settling or Timeout(CLEAR_WAIT_S)
         if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
             return True
-        return time.monotonic() > self._over_s + CLEAR_WAIT_S
+        return self._settling.is_over
 
     def _obey_signal(self, number: int) -> Ended | None:
         if self._keyboard is not None and number == signal.SIGINT:
             return self._carry_out(self._keys.interrupt())
         if number == signal.SIGHUP:
             self._keyboard = None  # the terminal is gone
-        if self._abort_by_s is None:
+        if self._aborting is None:
             self._screen.say(f"{signal.Signals(number).name}: feed hold, then abort")
             return self._carry_out(Wish.ABORT)
         return None
@@ -192,7 +192,7 @@ class RunFollower:
                 self._step_feed(-_STEP_PERCENT)
             case Wish.ABORT:
                 self._keys.question = Question.ABORTING
-                self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
+                self._aborting = Timeout(_ABORT_WAIT_S)
                 stop_mill(self._thread, Stop.ABORT)
             case Wish.LEAVE:
                 return self._leave()

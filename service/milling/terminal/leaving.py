@@ -10,9 +10,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-import time
 from collections.abc import Iterator
 
+from machines.clock import Timeout
 from machines.driver import MillState
 from machines.mill.orders import Stop
 from machines.mill.thread import MillThread
@@ -66,8 +66,8 @@ class Buffers:
         if self.are_empty():
             return True
         stop_mill(self._thread, Stop.ABORT)
-        give_up_s = time.monotonic() + CLEAR_WAIT_S
-        while not self.are_empty() and time.monotonic() < give_up_s:
+        timeout = Timeout(CLEAR_WAIT_S)
+        while not self.are_empty() and not timeout.is_over:
             snapshot = self._thread.snapshot
             if snapshot.status.state is MillState.DISCONNECTED:
                 return False

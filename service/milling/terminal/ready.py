@@ -8,10 +8,10 @@ Nothing here moves the mill except a homing cycle that the person asks for, and 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from machines.clock import Timeout
 from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
 from machines.errors import MachineError, NotAllowedError
 from machines.grbl.link import SILENT
@@ -29,7 +29,8 @@ from service.milling.terminal.printing import left_words, place_lines, print_lin
 _SOON_S = 10.0
 _RUN_OUT_S = 120.0
 _HOMING_S = 300.0
-_TAKEN_S = 2.0  # the driver may still be busy with the reset after an alarm
+_ANSWER_S = 60.0  # the driver ends what is not answered, sooner: it knows how late its answers are
+_TAKEN_S = 4.0  # the driver may still be busy with the reset after an alarm
 _LINK_S = 12.0  # a link on which nothing answers is given up and opened again meanwhile
 _LOOK_S = 0.1
 
@@ -60,8 +61,8 @@ def reset_silent_mill(thread: MillThread, buffers: Buffers) -> None:
         raise InputError("stopped here; nothing was sent but questions")
     buffers.fill()
     _give(thread, Reset(), _LINK_S)
-    give_up_s = time.monotonic() + _SOON_S
-    while not buffers.are_empty() and not thread.snapshot.problem and time.monotonic() < give_up_s:
+    timeout = Timeout(_SOON_S)
+    while not buffers.are_empty() and not thread.snapshot.problem and not timeout.is_over:
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
     buffers.mark_empty()  # nothing of a program was sent from here
 
@@ -139,8 +140,8 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
     except MachineError as error:
         buffers.mark_empty()
         return str(error)
-    give_up_s = time.monotonic() + (_HOMING_S if moves else _SOON_S)
-    while time.monotonic() < give_up_s:
+    timeout = Timeout(_HOMING_S if moves else _ANSWER_S)
+    while not timeout.is_over:
         snapshot = thread.snapshot
         for entry in snapshot.events:
             if entry.number > before and entry.kind == "command" and entry.words.startswith(name):
@@ -153,13 +154,13 @@ def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
 
 def _give(thread: MillThread, command: Command, timeout_s: float) -> None:
     """Give a command; NotAllowedError where the mill does not take it, now or in a moment."""
-    give_up_s = time.monotonic() + timeout_s
+    timeout = Timeout(timeout_s)
     while True:
         try:
             give_order(thread, type(command).__name__.lower(), lambda mill: mill.command(command))
             return
         except NotAllowedError:
-            if time.monotonic() > give_up_s:
+            if timeout.is_over:
                 raise
             thread.wait_for_change(thread.snapshot.version, _LOOK_S)
 
@@ -174,33 +175,30 @@ def _reset(thread: MillThread, buffers: Buffers) -> str:
 
 def _settle(thread: MillThread) -> None:
     """Wait until the driver, after a reset or an alarm, has asked anew who is there."""
-    give_up_s = time.monotonic() + _SOON_S
+    timeout = Timeout(_ANSWER_S)
     thread.call(lambda _: None)
-    while not (snapshot := thread.snapshot).connected and time.monotonic() < give_up_s:
+    while not (snapshot := thread.snapshot).connected and not timeout.is_over:
         thread.wait_for_change(snapshot.version, _LOOK_S)
 
 
 def _await_report(thread: MillThread, need: Need) -> None:
     """Wait for a report newer than the command."""
-    give_up_s = time.monotonic() + _TAKEN_S
-    while (
-        any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status))
-        and time.monotonic() < give_up_s
-    ):
+    timeout = Timeout(_TAKEN_S)
+    while any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status)) and not timeout.is_over:
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
 
 
 def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
     """Wait for a link, or for a mill that carries out what it holds. Ctrl-C meanwhile stops the mill."""
-    wait_s = _SOON_S
+    wait_s = _ANSWER_S
     if need.code == "wait":
         wait_s = _RUN_OUT_S
         print_lines([f"first:      {need.words}", "            waiting for it now; Ctrl-C stops the mill"])
         buffers.fill()
-    give_up_s = time.monotonic() + wait_s
+    timeout = Timeout(wait_s)
     thread.wait_for_change(thread.snapshot.version, _LOOK_S)
     while any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status)):
-        if time.monotonic() > give_up_s:
+        if timeout.is_over:
             raise FailedError(f"first: {need.words}; given up after {wait_s:.0f} s")
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
     buffers.mark_empty()

@@ -16,8 +16,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from machines.clock import Timeout
 from machines.driver import MillState
-from machines.errors import MachineError, NotAControllerError
+from machines.errors import MachineError
 from machines.gcode.program import ProgramReader
 from machines.grbl.link import SILENT
 from machines.grbl.settings import ControllerSettings
@@ -33,7 +34,7 @@ from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
-from service.milling.terminal.dry_run import run_check_mode
+from service.milling.terminal.dry_run import CONNECT_S, make_unconnected_error, run_check_mode
 from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
 from service.milling.terminal.keys import single_keys, watch_signals
 from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
@@ -52,7 +53,6 @@ from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
 from service.processes.private import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
-_CONNECT_S = 15.0
 _BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long
 _POSITION_S = 2.0
 _SETTLE_S = 4.5
@@ -185,21 +185,21 @@ def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, C
 
 def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
     """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
-    begun_s = time.monotonic()
-    give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, find_keyboard() is None
+    booting, timeout = Timeout(_BOOT_S), Timeout(CONNECT_S)
+    snapshot, offered = thread.snapshot, find_keyboard() is None
     while not snapshot.connected:
-        silent = snapshot.status.detail == SILENT and time.monotonic() > begun_s + _BOOT_S
+        silent = booting.is_over and snapshot.status.detail == SILENT
         if silent and not offered:
             offered = True
             reset_silent_mill(thread, buffers)
-            give_up_s = time.monotonic() + _CONNECT_S
+            timeout.restart()
         elif snapshot.problem:
             raise InputError(snapshot.problem)
-        elif time.monotonic() > give_up_s:
-            raise NotAControllerError(url, "no controller answers; check power, cable and baud")
+        elif timeout.is_over:
+            raise make_unconnected_error(url, snapshot.status)
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
-    give_up_s = time.monotonic() + _POSITION_S
-    while snapshot.status.work_mm is None and time.monotonic() < give_up_s:  # some links never tell
+    timeout = Timeout(_POSITION_S)
+    while snapshot.status.work_mm is None and not timeout.is_over:  # some links never tell
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return snapshot
 
@@ -255,7 +255,7 @@ def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
     """Return the outcome with what is true at the end: GRBL tells its spindle only now and then, and after a reset
     itself.
     """
-    give_up_s = time.monotonic() + _SETTLE_S
+    timeout = Timeout(_SETTLE_S)
     snapshot = thread.snapshot
 
     def open_question() -> bool:
@@ -265,7 +265,7 @@ def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
         known = status.work_mm is not None and status.spindle_on is not None
         return outcome.cleared and (status.state is MillState.CONNECTING or (snapshot.connected and not known))
 
-    while open_question() and time.monotonic() < give_up_s:
+    while open_question() and not timeout.is_over:
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return dataclasses.replace(outcome, snapshot=snapshot)
 

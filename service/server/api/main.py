@@ -14,7 +14,6 @@ import os
 import signal
 import socket
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
@@ -22,6 +21,7 @@ from importlib import metadata
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
+from machines.clock import Timeout
 from service.errors import EXIT_FAILURE, ServiceError
 from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
@@ -149,11 +149,11 @@ async def _serve(services: Services, listener: socket.socket) -> None:
 
 async def _turn() -> None:
     """Tell the supervisor of us while the loop turns; one that hangs is started again."""
-    turned_at = time.monotonic()
-    lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
+    hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # looked at with every beat
+    lifeline.healthy = lambda: not hang.is_over
     while True:
         await asyncio.sleep(_TURN_S)
-        turned_at = time.monotonic()
+        hang.restart()
 
 
 def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 
+from machines.clock import Timeout
 from service.processes import lifeline
 
 Say = Callable[[str], None]
@@ -48,7 +49,8 @@ class SupervisedChild:
         self._passed = passed
         self._say = say
         self._process: subprocess.Popen[bytes] | None = None
-        self._started_at = self._heard_at = self._listened_at = 0.0
+        self._started_at = self._listened_at = 0.0
+        self._silence = Timeout(lease_s, most_s=lease_s)  # looked at four times a lease
         self._again_at: float | None = None
         self._wait_s = 0.0
 
@@ -94,28 +96,25 @@ class SupervisedChild:
         finally:
             os.close(its)
         self.beats, self._again_at = ours, None
-        self._started_at = self._heard_at = self._listened_at = time.monotonic()
+        self._started_at = self._listened_at = time.monotonic()
+        self._silence.restart()
 
     def listen(self) -> None:
         """Read its beats since."""
         self._listened_at = time.monotonic()
         with contextlib.suppress(BlockingIOError):
             while self.beats is not None and os.read(self.beats, 4096):
-                self._heard_at = time.monotonic()
-
-    def restart_timeout(self) -> None:
-        """Start the timeout anew: the supervisor itself was away."""
-        self._heard_at = time.monotonic()
+                self._silence.restart()
 
     def look(self, *, wanted: bool) -> None:
         """Notice its end, kill it when it is frozen, start it again when its time has come."""
         now = time.monotonic()
         if self._process is not None:
             self.listen()
-            if self._process.poll() is None and now - self._heard_at > self._lease_s:
+            if self._process.poll() is None and self._silence.is_over:
                 self._say(f"the {self.name} was not heard of for {self._lease_s:g} s and is killed")
                 self.signal(signal.SIGKILL)
-                self._heard_at = now
+                self._silence.restart()
             if self._process.poll() is not None:
                 self._record_end(now, wanted=wanted)
         elif wanted and self._again_at is not None and now >= self._again_at:

@@ -44,7 +44,6 @@ _PROBE_S = 0.05
 _LONG_S = 10.0  # no server takes so long to be ready where all is well
 _LONG_PROBE_S = 2.0
 _ANSWER_S = 1.0
-_AWAY_S = 2.0
 _TICK_S = 60.0
 
 
@@ -77,13 +76,9 @@ class Supervisor:
             for child in self._children:
                 child.start()
             while self._code is None or any(child.running for child in self._children):
-                timeout_s, before = self._select_timeout_s(), time.monotonic()
-                selector.select(timeout_s)
+                selector.select(self._select_timeout_s())
                 with contextlib.suppress(BlockingIOError):
                     wake.recv(4096)
-                if time.monotonic() - before > timeout_s + _AWAY_S:  # stopped, or the computer slept
-                    for child in self._children:
-                        child.restart_timeout()
                 self._handle_signal()
                 self._look()
             return self._code

@@ -1,15 +1,15 @@
 """The worker's claim to be alive: a row in the database that it renews, and the lock that makes its name its own.
 
 Theory of operation: others take a worker's jobs when its row is older than one lease, by the database's clock. The
-worker itself stops working at 0.6 of a lease without a successful beat, by its own clock that never jumps and counted
-from before the beat was sent; so it has stopped before anyone takes over, however slow the beat's answer was.
+worker itself stops working at 0.6 of a lease without a successful beat, in real time, a pause or a suspended computer
+included (`machines.clock`), and counted from before the beat was sent; so it has stopped before anyone takes over,
+however slow the beat's answer was.
 """
 
 from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from uuid import uuid4
@@ -17,6 +17,8 @@ from uuid import uuid4
 import sqlalchemy as sa
 import structlog
 
+from machines.clock import Timeout, suspend_aware_clock_s
+from service.processes.lifeline import BEAT_S
 from service.server.database.connection import begin_writing, clock, put_rows
 from service.server.database.tables import executors
 
@@ -43,7 +45,7 @@ class Lease:
     pid: int
     version: str
     alone: bool = False
-    monotonic: Callable[[], float] = time.monotonic
+    monotonic: Callable[[], float] = suspend_aware_clock_s
     boot: str = field(default_factory=lambda: uuid4().hex)
     _good_at: float = field(default=float("-inf"), init=False)
 
@@ -86,7 +88,7 @@ class LeaseRenewer:
         self._lease = lease
         self._on_taken = on_taken
         self._stop = threading.Event()
-        self._turn_at = time.monotonic()
+        self._hang = Timeout(max(lease.lease_s, 10.0), most_s=2.0 * BEAT_S)  # looked at with every beat
         self._thread = threading.Thread(target=self._run, name="heart", daemon=True)
 
     def start(self) -> None:
@@ -98,11 +100,11 @@ class LeaseRenewer:
 
     def is_turning(self) -> bool:
         """Return False where the thread has hung for a lease: the process had better be started again."""
-        return time.monotonic() - self._turn_at < max(self._lease.lease_s, 10.0)
+        return not self._hang.is_over
 
     def _run(self) -> None:
         while not self._stop.wait(self._lease.lease_s / BEATS_PER_LEASE):
-            self._turn_at = time.monotonic()
+            self._hang.restart()
             try:
                 self._lease.renew()
             except NameTakenError:

@@ -63,10 +63,10 @@ def test_a_status_report_in_full() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"o*", b"okok", b"ok\rok", b"Ok", b"ok ", b"error:", b"error:x", b"errr:2", b"ALARM:2\xff", b"<Idle>",
+        b"o*", b"okok", b"ok\rok", b"Ok", b"oK", b"o k", b"error:", b"error:x", b"errr:2", b"ALARM:2\xff", b"<Idle>",
         b"<Idel|MPos:0,0,0>", b"<Idle|MPos:0.0,0.0>", b"<Idle|MPos:0.0,0.0,nan>", b"<Idle|MPos:1e5,0,0>",
         b"<Idle|MPos:0,0,0", b"<Idle|MPos:0,0,0|MPos:0,0,0>", b"<Run|FS:0,0>", b"<Idle:|MPos:0,0,0>", b"[MSG:Pgm End",
-        b"[msg:x]", b"Grbl 1.1h ['$' for hel", b"\x00\x00",
+        b"[MSG:a\x07b]", b"<Idle|MPos:30,000,0,000,4,000>", b"Grbl 1.1h ['$' for hel", b"\x00\x00",
     ],
 )  # fmt: skip
 def test_a_damaged_line_is_garbled(line: bytes) -> None:

@@ -7,8 +7,9 @@ import random
 import pytest
 from grbl_bench import Bench, Tap, numbered, spiral
 
+from machines.clock import LOOK_S
 from machines.driver import FaultCause, Faulted, MillState, Notice, ProgramDone
-from machines.grbl.timeouts import LOOK_S, REPORT_SILENCE_S
+from machines.grbl.timeouts import REPORT_SILENCE_S
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from machines.clock import Timeout
 from phrases.phrase import Phrase, restore
 from service.errors import printable
 from service.processes.linux import give_back_blocks, list_living_members, signal_group, signal_stage
@@ -118,7 +119,7 @@ class Supervision:
     def __init__(self, link: ForkServerLink, child: Child, pipe: int, task: Task) -> None:
         self._link, self._child, self._task = link, child, task
         self._words = _MessageReader(pipe)
-        self._begun = time.monotonic()
+        self._time = Timeout(task.settings.stage_time_s)
         self._beaten_at = 0.0
         self._verdict: StageEnd | None = None
         self._term_at = self._closed_at = float("inf")
@@ -149,11 +150,10 @@ class Supervision:
     def _judge(self) -> None:
         now = time.monotonic()
         if self._verdict is None:
-            limit_s = self._task.settings.stage_time_s
             if reason := self._task.stop():
                 self._end_with(Stopped(reason))
-            elif now > self._begun + limit_s:
-                self._end_with(Failed((_out_of_time(limit_s),)))
+            elif self._time.is_over:
+                self._end_with(Failed((_out_of_time(self._time.seconds),)))
             elif now > self._beaten_at + self._task.settings.lease_s / 20:
                 self._beaten_at = now
                 self._link.send_beat(self._child)
