@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.driver import OVERRIDE_PERCENT, CommandDone, Override
+from machines.driver import OVERRIDE_PERCENT, CommandDone, Override, Require, unconditional
+from machines.errors import MachineError
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
 from phrases.phrase import NO_WORDS, Phrase
@@ -63,6 +64,8 @@ class OverrideControl:
 
     link: GrblLink
     _command: Override | None = None
+    _require: Require = unconditional  # until its first step has left
+    _step: bytes = b""  # to be written
     _until_s: float = 0.0
     _reports: int = 0  # since the last step
 
@@ -70,15 +73,15 @@ class OverrideControl:
     def active(self) -> bool:
         return self._command is not None
 
-    def begin(self, command: Override, now_s: float) -> None:
+    def begin(self, command: Override, now_s: float, require: Require) -> None:
         self.end(Phrase("replaced by a newer override"))
-        self._command, self._until_s = command, now_s + GIVE_UP_S
+        self._command, self._until_s, self._require = command, now_s + GIVE_UP_S, require
         self._reports = REPORTS_TO_CHANGE
         self.link.poll_at_s = now_s
 
     def end(self, failure: Phrase = NO_WORDS) -> None:
         """Tell the end of the override under way, if there is one."""
-        command, self._command = self._command, None
+        command, self._command, self._step = self._command, None, b""
         if command is not None:
             self.link.events.append(CommandDone(command, failure))
 
@@ -97,5 +100,18 @@ class OverrideControl:
         elif now_s > self._until_s:
             self.end(Phrase("{what} override stays at {percent} %", what=command.what, percent=percent))
         elif self._reports >= 2:
-            self.link.urgent += step
+            self._step = step
             self._reports = 0
+
+    def put_step(self) -> None:
+        """Put the step that waits among the bytes that are written next; none where it may not be carried out now."""
+        if not self._step:
+            return
+        step, self._step = self._step, b""
+        try:
+            self._require()
+        except MachineError as refusal:
+            self.end(refusal.words)
+            return
+        self._require = unconditional
+        self.link.urgent += step
