@@ -140,7 +140,7 @@ class RunStarter:
         _, reader = run.load()
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
-        baseline |= {"recoveries": int(run.record.get("recoveries", 0)) + 1, "ended_s": None, "began_mm": None}
+        baseline |= {"recoveries": run.view.recoveries + 1, "ended_s": None, "began_mm": None}
         if run.record.get("restarted"):
             baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
         self._stream(run, RunState.RECOVERING, baseline, driver, plan.lines(reader), order)
