@@ -34,6 +34,7 @@ from machines.errors import MachineError
 from machines.gcode.program import ProgramReader
 from machines.grbl.driver import GrblDriver
 from machines.grbl.states import Phase
+from machines.grbl.streaming import Stream
 from machines.journal.disk import RealDisk, RealFile
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
@@ -144,10 +145,15 @@ class _KilledError(BaseException):
 
 
 class _OwnedMill(Mill):
-    """Notes the plan and the set-up that orders rest on."""
+    """Notes the plan and the set-up that orders rest on, and whose word the last start or recovery was."""
 
     world: World
-    last_plan = last_setup = ""
+    last_plan = last_setup = start_origin = ""
+
+    def carry_out(self, doing: str, act: Callable[[Mill], Any], caller: Caller, *, needs_lease: bool = False) -> Any:
+        if doing in ("start", "recover"):
+            self.start_origin = caller.origin
+        return super().carry_out(doing, act, caller, needs_lease=needs_lease)
 
     def watch(self, world: World) -> None:
         self.world = world
@@ -385,10 +391,12 @@ class World:
             self._note_act(of)
 
     def _note_act(self, of: object) -> None:
-        """Note it if it is of an order: of one that is being carried out, or of a command that was taken before."""
+        """Note it if it is of an order: of one that is being carried out, or that was taken before."""
         last = self.mill._commands._last
-        taken = last[1] if last is not None and last[0] is of else NOBODY
-        if not (origin := (self.mill._order.caller.origin or taken.origin)):
+        taken = last[1].origin if last is not None and last[0] is of else ""
+        if isinstance(of, Stream):
+            taken = self.mill.start_origin
+        if not (origin := (self.mill._order.caller.origin or taken)):
             return  # made ready by us
         lease, number = self.gate.get_lease(), int(origin)
         press = self.people.presses[number]
@@ -454,6 +462,7 @@ class World:
         if what in ("start", "resume run", "resume", "recover"):
             self.park()
         if what in ("resume run", "resume", "recover"):
+            mill.start_origin = ""
             mill.start(self.agent_run, Confirmation("Ada", CHECKS))
             self.pass_s(1.0)
             (mill.abort if what == "recover" else mill.hold)()

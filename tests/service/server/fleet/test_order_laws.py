@@ -25,7 +25,7 @@ from tests.service.server.fleet.order_people import ASK_S
 from tests.service.server.fleet.order_world import World
 
 HANGS_S = (1.0, 4.0, 9.0, 15.0)
-MOST_WRITES = 14  # of a start, until the mill cuts
+MOST_WRITES = 10  # of a start, until the mill cuts
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
 LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G1 Z-1 F200"]
 LINES += [f"G1 X{1 + i % 40} Y{i // 40} F600" for i in range(200)] + ["G0 Z5", "M5", "M2"]
@@ -98,7 +98,7 @@ class OrderHistories(RuleBasedStateMachine):
         delays_s = [late.get(number, 0.002) for number in range(8)]
         twice_s = {chance.randrange(4): chance.choice((0.0, 0.1, 1.0, 4.0))} if chance.random() < 0.4 else {}
         lost, refused = chance.choice((-1,) * 9 + (0, 1, 2, 3)), chance.choice((-1,) * 14 + (0, 2))
-        if chance.random() < 0.4:
+        if chance.random() < 0.6:
             world.hang_in, world.hang_s = chance.randrange(MOST_WRITES), chance.choice(HANGS_S)
         weather = Weather(list(delays_s), twice_s, lost, refused)
         shown = seen if way == "page" or what == "recover" else ""  # without its plan a recovery is refused anyway
