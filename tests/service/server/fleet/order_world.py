@@ -439,7 +439,7 @@ class World:
         What is still on its way from before may come in between: then once more.
         """
         self.database_s, self.hang_in = 0.0, -1
-        for _ in range(20):
+        for _ in range(30):  # a line that a stop has overtaken is waited for, for a minute
             with contextlib.suppress(MachineError):
                 return self._try_to_make_ready(what)
             self.pass_s(3.0)
