@@ -24,8 +24,9 @@ from tests.service.server.fleet.order_network import Weather
 from tests.service.server.fleet.order_people import ASK_S
 from tests.service.server.fleet.order_world import World
 
-HANGS_S = (1.0, 4.0, 9.0, 15.0)
-MOST_WRITES = 10  # of a start, until the mill cuts
+HANGS_S = (1.0, 4.0, 9.0, 15.0, 15.0, 20.0)
+MOST_WRITES = 8  # of a start, until the mill cuts
+HUNG_ORDERS = ("start", "start", "recover", "resume run", "probe", "override", "jog")  # most of them write something
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
 LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G1 Z-1 F200"]
 LINES += [f"G1 X{1 + i % 40} Y{i // 40} F600" for i in range(200)] + ["G0 Z5", "M5", "M2"]
@@ -83,8 +84,8 @@ class OrderHistories(RuleBasedStateMachine):
         """
         world = self.world
         chance = Random(f"{number} {self.tally['histories']} {len(world.people.presses)}")
-        event = chance.choice(EVENTS)
-        what = chance.choice(("start", "recover") if event == "zero" else ORDERS)
+        event, hangs = chance.choice(EVENTS), chance.random() < 0.5
+        what = chance.choice(("start", "recover") if event == "zero" else HUNG_ORDERS if hangs else ORDERS)
         self.judge(chance.choice((0.0, 0.5, 3.0)))
         seen = world.make_ready(what)
         self.judge(0.0)
@@ -98,8 +99,10 @@ class OrderHistories(RuleBasedStateMachine):
         delays_s = [late.get(number, 0.002) for number in range(8)]
         twice_s = {chance.randrange(4): chance.choice((0.0, 0.1, 1.0, 4.0))} if chance.random() < 0.4 else {}
         lost, refused = chance.choice((-1,) * 9 + (0, 1, 2, 3)), chance.choice((-1,) * 14 + (0, 2))
-        if chance.random() < 0.6:
+        if hangs:
             world.hang_in, world.hang_s = chance.randrange(MOST_WRITES), chance.choice(HANGS_S)
+        if hangs and chance.random() < 0.7:  # a good network, or few orders would come as far as the disk
+            world.database_s, delays_s, twice_s, lost, refused = 0.0, [], {}, -1, -1
         weather = Weather(list(delays_s), twice_s, lost, refused)
         shown = seen if way == "page" or what == "recover" else ""  # without its plan a recovery is refused anyway
         world.people.press(what, self.secret, weather, way=way, seen=shown, body=BODIES.get(what))
