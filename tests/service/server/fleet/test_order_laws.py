@@ -96,6 +96,8 @@ class OrderHistories(RuleBasedStateMachine):
         world.pass_s(0.3)
         world.database_s = chance.choice((0.0,) * 8 + (0.5, 20.0))
         late = {chance.randrange(8): chance.choice(DELAYS_S) for _ in range(chance.choice((0, 1, 1, 1, 2)))}
+        if way == "curl" and chance.random() < 0.5:
+            late = {2: chance.choice((0.4, 1.2, 1.9))}  # on the way to the agent, where a stop may overtake the asking
         delays_s = [late.get(number, 0.002) for number in range(8)]
         twice_s = {chance.randrange(4): chance.choice((0.0, 0.1, 1.0, 4.0))} if chance.random() < 0.4 else {}
         lost, refused = chance.choice((-1,) * 9 + (0, 1, 2, 3)), chance.choice((-1,) * 14 + (0, 2))
