@@ -153,7 +153,9 @@ class _OwnedMill(Mill):
     def carry_out(self, doing: str, act: Callable[[Mill], Any], caller: Caller, *, needs_lease: bool = False) -> Any:
         if doing in ("start", "recover"):
             self.start_origin = caller.origin
-        return super().carry_out(doing, act, caller, needs_lease=needs_lease)
+        answer = super().carry_out(doing, act, caller, needs_lease=needs_lease)
+        self.world.use_disk()  # as every look at a run does
+        return answer
 
     def watch(self, world: World) -> None:
         self.world = world
