@@ -6,7 +6,7 @@ the driver's clock in seconds (injected), so that a simulated mill can run in si
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
@@ -380,12 +380,27 @@ Command = (
 )  # fmt: skip
 
 
+Require = Callable[[], None]
+"""Raises MachineError where an order may not be carried out any more.
+
+A driver calls it when everything else is done and only the write of the order's first bytes is left: no disk, no lock,
+no wait comes between. It calls it once more after the write, and holds the mill where a stop came in that moment.
+"""
+
+
+def unconditional() -> None:
+    """Allow it: it moves nothing, or who asks for it sits at the mill's own terminal."""
+
+
 class Driver(Protocol):
     """One mill on one link. All calls from one thread; only `wake` and `urge` may come from others.
 
     `poll` reads and writes, waiting at most `timeout_s` for input, and returns what happened. A link that is lost
     comes back as `Faulted(PORT_LOST)` and state DISCONNECTED, never as an exception. Calls that are not allowed in
     the present state raise NotAllowedError and change nothing.
+
+    The first bytes of `start`, `resume` and `command` leave within the call; where `require` raises, none has left and
+    nothing is changed. What a command sends later, before anything moves, is held against `require` again.
     """
 
     @property
@@ -415,7 +430,7 @@ class Driver(Protocol):
         """
         ...
 
-    def start(self, lines: Iterator[ProgramLine]) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require) -> None:
         """Stream these blocks; only from IDLE (or CHECK)."""
         ...
 
@@ -423,7 +438,7 @@ class Driver(Protocol):
         """Stop motion as fast as the link allows, position kept; allowed in every state, at any time."""
         ...
 
-    def resume(self) -> None:
+    def resume(self, require: Require) -> None:
         """Go on after hold."""
         ...
 
@@ -431,7 +446,7 @@ class Driver(Protocol):
         """Hold, and when the mill stands still clear its buffers; ends with Stopped."""
         ...
 
-    def command(self, command: Command) -> None:
+    def command(self, command: Command, require: Require) -> None:
         """Carry out one command; ends with CommandDone."""
         ...
 

@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING
 
 from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
-from machines.driver import Command, CommandDone, DriverFacts, MillState, Notice, ProgramLine, Unlock
+from machines.driver import (
+    Command,
+    CommandDone,
+    DriverFacts,
+    MillState,
+    Notice,
+    ProgramLine,
+    Require,
+    Unlock,
+    unconditional,
+)
 from machines.errors import NotAllowedError, ProgramRefusedError
 from phrases.phrase import Phrase
 
@@ -89,15 +99,18 @@ class DripDriver(OneWayDriver):
         self._channel.update(controller=FACTS.kind)
         self._channel.enter(MillState.IDLE, Phrase("line open; the control has not asked for anything yet"))
 
-    def command(self, command: Command) -> None:
+    def command(self, command: Command, require: Require = unconditional) -> None:
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
         if isinstance(command, Unlock):
             if self._feed is None:
                 raise NotAllowedError(Phrase("there is no program under way that could wait for DC1"))
+            require()
             self._go_on(self._port.clock())
+            if not self._held:
+                self._send_order(self._feed, require)
             self._channel.events.append(CommandDone(command))
             return
-        super().command(command)
+        super().command(command, require)
 
     def _make_envelope(self) -> tuple[bytes, bytes]:
         self._ever_open, self._said_quiet, self._tape_ended = self._open, False, False

@@ -76,6 +76,11 @@ class ByteFeed:
         self.handed_bytes += len(piece)
         return piece
 
+    def put_back(self, piece: bytes) -> None:
+        """Take back bytes that were taken last and not written."""
+        self._pending = piece + self._pending
+        self.handed_bytes -= len(piece)
+
     def note_taken(self, count: int) -> None:
         """Note that the first `count` bytes have left for the far end."""
         while self._book and self._book[0][0] <= count:

@@ -22,10 +22,12 @@ from machines.driver import (
     Notice,
     ProgramDone,
     ProgramLine,
+    Require,
     StatusChannel,
     Stopped,
     StreamProgress,
     TrustPosition,
+    unconditional,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
 from phrases.phrase import Phrase
@@ -124,7 +126,7 @@ class OneWayDriver:
     def urge(self, stop: str) -> bool:
         return False  # a one-way link has no byte that stops: the owner stops feeding
 
-    def start(self, lines: Iterator[ProgramLine]) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
         if self.status.state is not MillState.IDLE:
             raise NotAllowedError(
                 Phrase("a program can start only when the link is idle, it is {state}", state=self.status.state.words)
@@ -132,8 +134,11 @@ class OneWayDriver:
         head, tail = self._make_envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
-        self._channel.enter(MillState.RUN, self._word_running())
-        self._book()
+        try:
+            self._send_order(self._feed, require)
+        except MachineError:
+            self._feed = None
+            raise
 
     def hold(self) -> None:
         """Send nothing more. Never HELD: whether the machine stands is not visible on this link."""
@@ -147,13 +152,40 @@ class OneWayDriver:
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
 
-    def resume(self) -> None:
+    def resume(self, require: Require = unconditional) -> None:
         if self._feed is None or not self._held:
             raise NotAllowedError(
                 Phrase("there is nothing to resume: the link is {state}", state=self.status.state.words)
             )
+        self._send_order(self._feed, require)
+
+    def _send_order(self, feed: ByteFeed, require: Require) -> None:
+        """Hand over the first bytes of an order now, where the far end takes any; MachineError where it is too late.
+
+        Where it takes none, a person at its panel lets it ask for them.
+        """
+        now_s = self._port.clock()
+        room = self._pace.room(now_s) if self._may_send() else 0
+        piece = self._take_piece(feed, room, now_s)
+        if self._feed is None:
+            return  # the program cannot be read
+        try:
+            require()
+        except MachineError:
+            feed.put_back(piece)
+            raise
         self._held = False
         self._channel.enter(MillState.RUN, self._word_running())
+        try:
+            self._write_piece(piece, now_s)
+        except PortError as error:
+            self._lose(error.words)
+            return
+        self._book()
+        try:
+            require()
+        except MachineError:
+            self.hold()
 
     def abort(self) -> None:
         if self.status.state is MillState.DISCONNECTED:
@@ -172,7 +204,7 @@ class OneWayDriver:
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.IDLE, words)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: Command, require: Require = unconditional) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
                 Phrase(
@@ -201,21 +233,24 @@ class OneWayDriver:
             return 1e9
         room = self._pace.room(now_s)
         if room:
-            self._hand_over(feed, room, now_s)
+            self._write_piece(self._take_piece(feed, room, now_s), now_s)
         if self._feed is None:
             return 1e9
         return self._pace.wait_s(now_s, self._pace.most_queued // 2)
 
-    def _hand_over(self, feed: ByteFeed, room: int, now_s: float) -> None:
+    def _take_piece(self, feed: ByteFeed, room: int, now_s: float) -> bytes:
+        """Return the next bytes of the program, at most `room`; none where it cannot be read: then it has ended."""
         try:
-            piece = feed.take(room)
+            return feed.take(room) if room else b""
         except (MachineError, OSError) as error:
             self._end_stream()
             self._channel.enter(MillState.IDLE, Phrase("sending has stopped"))
             self._channel.events.append(
                 Faulted(FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), feed.sent_line, now_s)
             )
-            return
+            return b""
+
+    def _write_piece(self, piece: bytes, now_s: float) -> None:
         if piece:
             self._port.write(piece)
             self._pace.note_written(len(piece), now_s)

@@ -14,6 +14,7 @@ REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM w
 BLOCK_S = 60.0
 TOLD_AT_MOST = 5  # times a thing is asked until two answers running agree
 PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
+_QUESTIONS = frozenset({b"$I", b"$$", b"$#", b"$G"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,11 @@ class Ask:
     timeout_s: float = REPLY_S
     expect: str = ""
     twice: bool = False
+
+    @property
+    def is_question(self) -> bool:
+        """It moves nothing and changes nothing."""
+        return self.text in _QUESTIONS
 
 
 @dataclass(frozen=True, slots=True)

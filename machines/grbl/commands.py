@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from machines.driver import CheckMode, Command, CommandDone, Home, JogCancel, MillState, Override, TrustPosition
+from machines.driver import (
+    CheckMode,
+    Command,
+    CommandDone,
+    Home,
+    JogCancel,
+    MillState,
+    Override,
+    Require,
+    TrustPosition,
+    unconditional,
+)
+from machines.errors import MachineError
 from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
 from machines.grbl.codes import error_words
 from machines.grbl.link import GrblLink
@@ -18,6 +30,8 @@ from machines.grbl.timeouts import BANNER_S
 from phrases.phrase import NO_WORDS, Phrase
 
 STILL_REPORTS = 2  # a report may have been made just before the motion of an answered line began
+CANCEL_REPORTS = 3  # a controller forgets the end of a jog whose line it has not read yet
+JOG_CANCEL = b"\x85"
 OnEnd = Callable[[Phrase, dict[str, object], float], None]
 """What follows a sequence that has ended by itself: its failure in words, its answer, the time."""
 
@@ -37,12 +51,14 @@ class CommandChannel:
     held_line: str = ""
     banner_due_s: float = 0.0
     _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
+    _require: Require = unconditional  # until its first line has left that is no question
     _waiting: Ask | WaitStill | None = None
     _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
     _first: Answer | None = None  # of a line that is asked twice
     _odd: bytes = b""  # came meanwhile, and is nothing a controller says
     _still: int = 0
+    _cancel_reports: int = 0  # as many reports without a jog: then its end need not be asked for again
     _on_end: OnEnd = field(init=False)
 
     @property
@@ -59,30 +75,32 @@ class CommandChannel:
         """A homing cycle is under way."""
         return isinstance(self.command, Home)
 
-    def carry_out(self, command: Command, state: MillState, now_s: float) -> None:
+    def carry_out(self, command: Command, state: MillState, now_s: float, require: Require) -> None:
         """Begin a command that is allowed now."""
         link = self.link
         if isinstance(command, Override):
-            self.override.begin(command, now_s)
+            self.override.begin(command, now_s, require)
         elif isinstance(command, TrustPosition):
             link.view.vouch("XYZ")
             link.events.append(CommandDone(command))
         elif isinstance(command, JogCancel):
-            link.urgent += b"\x85"
+            link.urgent += JOG_CANCEL
+            self._cancel_reports = CANCEL_REPORTS
             link.events.append(CommandDone(command))
         elif isinstance(command, CheckMode) and command.on == (state is MillState.CHECK):
             link.events.append(CommandDone(command))
         else:
             link.hold_wanted = link.paused = False
+            self._cancel_reports = 0
             link.enter(Phase.COMMAND, now_s)
             if isinstance(command, CheckMode) and not command.on:
                 self.banner_due_s = now_s + BANNER_S + link.silence.late_s
             self.command = command
-            self.run(make_sequence(command, link.view.settings), self._end_command, now_s)
+            self.run(make_sequence(command, link.view.settings), self._end_command, now_s, require)
 
-    def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float) -> None:
+    def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float, require: Require = unconditional) -> None:
         """Begin a sequence."""
-        self._sequence, self._on_end = sequence, on_end
+        self._sequence, self._on_end, self._require = sequence, on_end, require
         self._advance(None, now_s)
 
     def take_reply(self, reply: Push | Setting) -> None:
@@ -122,6 +140,10 @@ class CommandChannel:
             self._still = self._still + 1 if report.state in ("Idle", "Check") else 0
             if self._still >= STILL_REPORTS:
                 self._advance(Answer(machine_mm=self.link.view.machine_mm), now_s)
+        if self._cancel_reports and report.state == "Jog":
+            self.link.urgent += JOG_CANCEL
+        elif self._cancel_reports:
+            self._cancel_reports -= 1
         self.override.take_report(report, now_s)
 
     def watch(self, now_s: float) -> None:
@@ -160,9 +182,13 @@ class CommandChannel:
         self._heard, self._first, self._still, self._odd = [], None, 0, b""
         try:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
+            if isinstance(waiting, Ask) and not waiting.is_question:
+                self._require()  # the line leaves in this very call of the driver, before anything that could wait
+                self._require = unconditional
         except StopIteration as stop:
             self._finish(stop.value, NO_WORDS, now_s)
-        except SequenceFailedError as failed:
+        except (SequenceFailedError, MachineError) as failed:
+            sequence.close()
             self._finish(Outcome(), failed.words, now_s)
         else:
             self._begun_s = self.link.silence.spent_s

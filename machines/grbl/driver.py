@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from machines.driver import Command, DriverFacts, Event, FaultCause, Faulted, MillStatus, ProgramLine, StreamProgress
+from machines.driver import (
+    Command,
+    DriverFacts,
+    Event,
+    FaultCause,
+    Faulted,
+    MillStatus,
+    ProgramLine,
+    Require,
+    StreamProgress,
+    unconditional,
+)
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.options import GrblOptions
 from machines.grbl.session import GrblSession
@@ -98,17 +109,27 @@ class GrblDriver:
             return True
         return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
 
-    def start(self, lines: Iterator[ProgramLine]) -> None:
-        self._session.start(lines, self._port.clock())
+    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
+        """Stream these blocks; the first of them are read from the disk before the last look at the order."""
+        session, now_s = self._session, self._port.clock()
+        session.start(lines, now_s)
+        self._write_urgent()
+        first = session.output(now_s)
+        try:
+            require()
+        except MachineError:
+            session.take_back_start(now_s)
+            raise
+        self._send_order(first, require)
 
     def hold(self) -> None:
         self._session.hold(self._port.clock())
         self._write_urgent()
 
-    def resume(self) -> None:
-        """Go on, with the byte leaving now: none waits in which a stop could overtake it."""
+    def resume(self, require: Require = unconditional) -> None:
+        require()
         self._session.resume(self._port.clock())
-        self._write_urgent()
+        self._send_order(self._session.output(self._port.clock()), require)
 
     def abort(self) -> None:
         self._session.abort(self._port.clock())
@@ -116,16 +137,31 @@ class GrblDriver:
 
     def _write_urgent(self) -> None:
         """Write now what is for now, not at the next poll."""
+        self._write_now(self._session.urgent_output(self._port.clock()))
+
+    def command(self, command: Command, require: Require = unconditional) -> None:
+        require()
+        self._session.command(command, self._port.clock(), require)
+        self._send_order(self._session.output(self._port.clock()), require)
+
+    def _send_order(self, first: bytes, require: Require) -> None:
+        """Write the first bytes of an order that has just been found to be for now.
+
+        A stop that is counted after that look may have written its byte before these: then one more follows them.
+        """
+        self._write_now(first)
         try:
-            data = self._session.output(self._port.clock())
+            require()
+        except MachineError:
+            self.hold()
+
+    def _write_now(self, data: bytes) -> None:
+        try:
             if data:
                 self._port.write(data)
         except PortError as error:
             self.failure = error
             self._session.lose(error.words, self._port.clock())
-
-    def command(self, command: Command) -> None:
-        self._session.command(command, self._port.clock())
 
     def close(self) -> None:
         self._session.close(self._port.clock())

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.driver import OVERRIDE_PERCENT, CommandDone, Override
+from machines.driver import OVERRIDE_PERCENT, CommandDone, Override, Require, unconditional
+from machines.errors import MachineError
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
 from phrases.phrase import NO_WORDS, Phrase
@@ -64,6 +65,8 @@ class OverrideControl:
 
     link: GrblLink
     _command: Override | None = None
+    _require: Require = unconditional  # until its first step has left
+    _step: bytes = b""  # to be written
     _until_s: float = 0.0
     _reports: int = 0  # since the last step
 
@@ -71,16 +74,16 @@ class OverrideControl:
     def active(self) -> bool:
         return self._command is not None
 
-    def begin(self, command: Override, now_s: float) -> None:
+    def begin(self, command: Override, now_s: float, require: Require) -> None:
         self.end(Phrase("replaced by a newer override"))
-        self._command = command
+        self._command, self._require = command, require
         self._until_s = now_s + GIVE_UP_S + MOST_STEPS * self.link.silence.round_trip_s
         self._reports = REPORTS_TO_CHANGE
         self.link.poll_at_s = now_s
 
     def end(self, failure: Phrase = NO_WORDS) -> None:
         """Tell the end of the override under way, if there is one."""
-        command, self._command = self._command, None
+        command, self._command, self._step = self._command, None, b""
         if command is not None:
             self.link.events.append(CommandDone(command, failure))
 
@@ -99,7 +102,19 @@ class OverrideControl:
         elif now_s > self._until_s:
             self.end(Phrase("{what} override stays at {percent} %", what=command.what, percent=percent))
         elif self._reports >= 2:
-            self.link.urgent += step
-            self._reports = (
-                -self.link.reports_under_way
-            )  # a step is relative: none goes by what was true before the last
+            self._step = step
+            # A step is relative: none is made of a report that is older than the last step.
+            self._reports = -self.link.reports_under_way
+
+    def put_step(self) -> None:
+        """Put the step that waits among the bytes that are written next; none where it may not be carried out now."""
+        if not self._step:
+            return
+        step, self._step = self._step, b""
+        try:
+            self._require()
+        except MachineError as refusal:
+            self.end(refusal.words)
+            return
+        self._require = unconditional
+        self.link.urgent += step

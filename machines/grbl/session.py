@@ -22,11 +22,12 @@ from machines.driver import (
     CommandDone,
     Event,
     FaultCause,
-    JogCancel,
     MillState,
     ProgramLine,
+    Require,
     Reset,
     StateChanged,
+    unconditional,
 )
 from machines.errors import NotAllowedError
 from machines.grbl import replies
@@ -181,6 +182,10 @@ class GrblSession:
         """Return bytes to write now, those that act at once first."""
         return self._transmitter.take_output(now_s)
 
+    def urgent_output(self, now_s: float) -> bytes:
+        """Return of them those that act at once, and a command's line."""
+        return self._transmitter.take_urgent(now_s)
+
     @property
     def next_deadline_s(self) -> float:
         """When `tick` and `output` want to be called at the latest."""
@@ -206,6 +211,12 @@ class GrblSession:
         self.streamer.start(lines, now_s)
         self._monitor.begin()
 
+    def take_back_start(self, now_s: float) -> None:
+        """Forget a program of which no byte has left."""
+        if self.link.phase is Phase.STREAMING:
+            self.streamer.stream = None
+            self.link.enter(Phase.READY, now_s)
+
     def hold(self, now_s: float) -> None:
         self.stops.hold(now_s)
 
@@ -216,10 +227,8 @@ class GrblSession:
     def abort(self, now_s: float) -> None:
         self.stops.abort(now_s)
 
-    def command(self, command: Command, now_s: float) -> None:
-        """Begin a command; ends with CommandDone."""
-        if isinstance(command, JogCancel):
-            self.stops.drop_motion(now_s)
+    def command(self, command: Command, now_s: float, require: Require = unconditional) -> None:
+        """Begin a command; ends with CommandDone. require : holds what it sends later, until something acts"""
         state, link = self.reporter.state, self.link
         seen, silent = link.view, link.offers_reset
         check_command(command, state, link.phase, seen.settings, machine_mm=seen.machine_mm, silent=silent)
@@ -227,4 +236,4 @@ class GrblSession:
             self.link.events.append(CommandDone(command))
             self.resets.begin_for_person(now_s)
         else:
-            self.commands.carry_out(command, state, now_s)
+            self.commands.carry_out(command, state, now_s, require)

@@ -11,7 +11,7 @@ from machines.driver import FaultCause, Faulted, MillState, Notice, Stopped
 from machines.errors import NotAllowedError
 from machines.grbl.codes import CRITICAL_ALARMS, alarm_words
 from machines.grbl.commands import CommandChannel
-from machines.grbl.link import STARTING, TOOL_DONE, GrblLink
+from machines.grbl.link import TOOL_DONE, GrblLink
 from machines.grbl.replies import Status
 from machines.grbl.resetting import ResetControl, ResetSequence
 from machines.grbl.states import HELD_STATES, Phase, detail_words, stands
@@ -23,7 +23,6 @@ from phrases.phrase import Phrase
 RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
 HELD = Phrase("a hold came before it had ended: it is not taken up again")
-NOT_SENT = Phrase("a stop came before it was sent")
 
 
 @dataclass(slots=True, eq=False)
@@ -55,7 +54,6 @@ class StopControl:
     def hold(self, now_s: float) -> None:
         """Stop motion. What is not written yet is dropped; a command is ended; a program waits for a resume."""
         link = self.link
-        self.drop_motion(now_s)
         link.hold_wanted = link.phase is not Phase.CLEARING
         if link.phase in (Phase.CLOSED, Phase.CLEARING):
             return  # carried out with the first report; or on the way to a reset, which leaves nothing to hold
@@ -97,7 +95,6 @@ class StopControl:
     def abort(self, now_s: float) -> None:
         """Hold, and when the mill stands clear the controller's buffers; ends with Stopped."""
         link = self.link
-        self.drop_motion(now_s)
         if link.phase is Phase.CLOSED:
             self.abort_wanted = True
             return
@@ -120,14 +117,6 @@ class StopControl:
         link.put_hold()
         self.streamer.late_answers = True
         self._begin_stop(now_s)
-
-    def drop_motion(self, now_s: float) -> None:
-        """Drop what is not written yet and may start motion: a resume, the line of a command."""
-        link = self.link
-        link.urgent = link.urgent.translate(None, STARTING)
-        if link.text and self.commands.command is not None:
-            link.text.clear()
-            self.commands.give_up(NOT_SENT, now_s)
 
     def _hold_command(self, now_s: float) -> None:
         """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""

@@ -58,30 +58,30 @@ class Transmitter:
         return link.options.run_poll_s if link.phase is Phase.STREAMING else link.options.poll_s
 
     def take_output(self, now_s: float) -> bytes:
-        """Return the bytes to write now, those that act at once first."""
-        link, stream = self.link, self._stream_to_send
+        """Return the bytes to write now, those that act at once first. Lines of the program may wait for its disk."""
+        stream = self._stream_to_send
+        program = self._take_program(stream, now_s) if stream is not None else b""
+        return self.take_urgent(now_s) + program
+
+    def take_urgent(self, now_s: float) -> bytes:
+        """Return the realtime bytes that wait, and a command's line behind them. Waits for nothing."""
+        link = self.link
+        self.commands.override.put_step()
         if not link.urgent and not link.text:
-            if stream is None:
-                return b""
-            budget = self.pacer.budget(now_s)
-            if budget <= 0:
-                stream.wants_wire = True
-                return b""
-            data = self._fill(stream, budget, now_s)
-            if not link.urgent:
-                self.pacer.note_written(len(data), now_s)
-                return data
+            return b""
         data = bytes(link.urgent) + bytes(link.text)
         link.urgent.clear()
         link.text.clear()
         self.pacer.note_written(len(data), now_s)
-        stream = self._stream_to_send
-        if stream is not None:
-            more = self._fill(stream, self.pacer.budget(now_s), now_s)
-            self.pacer.note_written(len(more), now_s)
-            data += more
-            if link.urgent:  # a fault: its '!' goes first
-                data, link.urgent = bytes(link.urgent) + data, bytearray()
+        return data
+
+    def _take_program(self, stream: Stream, now_s: float) -> bytes:
+        budget = self.pacer.budget(now_s)
+        if budget <= 0:
+            stream.wants_wire = True
+            return b""
+        data = self._fill(stream, budget, now_s)
+        self.pacer.note_written(len(data), now_s)
         return data
 
     @property

@@ -38,6 +38,7 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
+_ASK_FIRST = (ProbeZ, ProbeCorner, Override)  # the controller for its modes, or where an override stands
 _AXES = "XYZ"
 _STEP_MM = 0.02  # of a coarse mill: its jogs end that much beside what they were asked for
 _NAMES: dict[type[Command], Phrase] = {
@@ -114,8 +115,10 @@ class Commands:
                     )
                 ) from None
         stood_mm = driver.status.machine_mm
-        order.require()
-        driver.command(command)
+        if isinstance(command, _ASK_FIRST):
+            order.require()
+            order.extend()
+        driver.command(command, order.require)
         self._last = (command, order.caller)
         if isinstance(command, Jog):
             self._jog_from_mm = stood_mm

@@ -17,6 +17,7 @@ from machines.driver import (
     Restarted,
     StateChanged,
     Stopped,
+    unconditional,
 )
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
@@ -77,7 +78,7 @@ class MillCycle:
             return None
         wanted = ReadSettings()
         try:
-            driver.command(wanted)
+            driver.command(wanted, unconditional)
         except NotAllowedError:
             return None
         answer: dict[str, Any] | None = None

@@ -26,7 +26,12 @@ from machines.errors import NotAllowedError
 GRANT_S = 3.0  # from the moment a person asks to the moment the order is begun
 CARRY_OUT_S = 10.0  # a start asks the controller first: until its first byte leaves
 LEASE_S = 60.0
+STOP_S = 1.0  # a stop is answered within so long, whatever the mill's thread waits for
 _MOST_GRANTS = 1000
+_NO_GRANT = (
+    "not carried out: an order needs a grant. POST .../grants hands one out; send it with the order, as "
+    f"Causticmill-Grant, within {GRANT_S:g} s"
+)
 
 
 class Stop(StrEnum):
@@ -210,7 +215,7 @@ class OrderGate:
         needs_lease : not even where nobody has control may it be ordered without
         """
         if not word:
-            raise OrderRefusedError(Refusal.MISSING, f"{doing}: a grant is needed: ask for one first")
+            raise OrderRefusedError(Refusal.MISSING, f"{doing}: {_NO_GRANT}")
         with self._lock:
             grant = self._grants.pop(word, None)
         if grant is None:

@@ -187,17 +187,17 @@ class Run:
 
 
 def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
-    """Return a run's record in the journal as others see it."""
+    """Return a run's record in the journal as others see it. What a start has set that was taken back is None there."""
     return RunView(
         id=str(record["id"]),
         name=str(record.get("name", "")),
         program=str(record.get("sha256", "")),
         path=str(record.get("path", "")),
         state=RunState(record["state"]),
-        words=str(record.get("words", "")),
+        words=str(record.get("words") or ""),
         code=str(record.get("code") or ""),
         values=dict(record.get("values") or {}),
-        operator=str(record.get("operator", "")),
+        operator=str(record.get("operator") or ""),
         lines=int(record.get("lines", 0)),
         bytes=int(record.get("bytes", 0)),
         sent_line=int(record.get("sent_line") or 0),
@@ -207,7 +207,7 @@ def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
         created_s=float(record.get("created_s", 0.0)),
         started_s=record.get("started_s"),
         ended_s=record.get("ended_s"),
-        recoveries=int(record.get("recoveries", 0)),
+        recoveries=int(record.get("recoveries") or 0),
         warnings=tuple(record.get("warnings", ())),
         travel_in_doubt=bool(record.get("travel_in_doubt")),
     )

@@ -81,8 +81,7 @@ class RunControl:
             run.journal.repair()
             run.journal.append("resume", wall_s=round(self.context.wall_clock(), 3))
             self._journal_words = ""
-        order.require()
-        driver.resume()
+        driver.resume(order.require)
         self._hold_asked = False
 
     def abort(self) -> None:

@@ -6,12 +6,12 @@ as the program needs it (asked anew), the journal safe on disk, and only then th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from machines.codes import MillCode
-from machines.driver import Driver, MillState, TrustPosition
+from machines.driver import Driver, MillState, ProgramLine, TrustPosition, unconditional
 from machines.errors import JournalError, MachineError, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
@@ -122,7 +122,7 @@ class RunStarter:
         baseline = self._baseline(run, confirmation, answer, placement)
         baseline |= {"started_s": round(self.context.wall_clock(), 3), "executed_line": 0}
         baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
-        self._stream(run, RunState.RUNNING, baseline, order, lambda: driver.start(reader.lines(1)))
+        self._stream(run, RunState.RUNNING, baseline, driver, reader.lines(1), order)
 
     def recover(self, run_id: str, confirmation: Confirmation, order: Order, *, plan_seen: str | None) -> None:
         """Go on with an interrupted run, as the plan of this moment says. plan_seen : as `Mill.recover`"""
@@ -140,10 +140,10 @@ class RunStarter:
         _, reader = run.load()
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
-        baseline |= {"recoveries": int(run.record.get("recoveries", 0)) + 1, "ended_s": None, "began_mm": None}
+        baseline |= {"recoveries": run.view.recoveries + 1, "ended_s": None, "began_mm": None}
         if run.record.get("restarted"):
             baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
-        self._stream(run, RunState.RECOVERING, baseline, order, lambda: driver.start(plan.lines(reader)))
+        self._stream(run, RunState.RECOVERING, baseline, driver, plan.lines(reader), order)
 
     def _ready_driver(self, doing: str) -> Driver:
         if (live := self.context.runs.live) is not None:
@@ -165,7 +165,7 @@ class RunStarter:
         """Make the place where the operator's word for the zero was given the reference from here on."""
         if not driver.status.position_trusted:
             try:
-                driver.command(TrustPosition())
+                driver.command(TrustPosition(), unconditional)
             except NotAllowedError as error:
                 self.context.log.say(
                     "notice", Phrase("the position could not be confirmed: {error}", error=error.words)
@@ -195,9 +195,19 @@ class RunStarter:
         }  # fmt: skip
 
     def _stream(
-        self, run: Run, state: RunState, baseline: dict[str, Any], order: Order, start: Callable[[], None]
+        self,
+        run: Run,
+        state: RunState,
+        baseline: dict[str, Any],
+        driver: Driver,
+        lines: Iterator[ProgramLine],
+        order: Order,
     ) -> None:
-        """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover."""
+        """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover.
+
+        The driver looks at the order for the last time when nothing but its write is left. What is noted of other runs
+        comes afterwards: it may wait for a disk.
+        """
         if self.context.runs.active is not None and self.context.runs.active is not run:
             self.context.runs.active.let_go()
         before = {name: run.record.get(name) for name in ("state", "words", "code", "values", *baseline)}
@@ -207,8 +217,7 @@ class RunStarter:
             run.move(state, "", **baseline)
             run.journal.sync()
             run.begin_stream()
-            order.require()
-            start()
+            driver.start(lines, order.require)
         except MachineError:
             run.take_back(before)
             raise

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 
-from machines.driver import FaultCause, ProgramLine, Triple
+from machines.driver import FaultCause, ProgramLine, Require, Triple
 from machines.errors import MachineError, PortError
 from machines.roland.following import Follower, Travel, nc_reader, rml_reader
 from machines.roland.mdx40a import COUNTER_MODULUS, Mdx40aDevice
@@ -64,25 +64,34 @@ class BlockFeed:
         self.origin_mm = origin_mm
         self.follower = Follower()
         self.block: ByteBlock | None = None
+        self._next: ByteBlock | None = None  # read, not sent
         self.ended = False  # every line has been given and counted
         self.changed_s = device.clock()  # when the counter last moved
         self.wait_s = _FIRST_WAIT_S  # until it is worth asking again
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.frame_left_at = 0  # line that left the frame whose origin we know
 
-    def turn(self, device: Mdx40aDevice, *, may_send: bool) -> None:
-        """Take back what the mill has counted; then, if it may be, send the next block. FeedFault ends the feed."""
+    def turn(self, device: Mdx40aDevice, *, may_send: bool, require: Require) -> None:
+        """Take back what the mill has counted; then, if it may be, send the next block. FeedFault ends the feed.
+
+        require : asked when the block is read and nothing but its write is left; where it raises, the block waits
+        """
         if self.block is not None and not self._count(device, self.block):
             return
-        if may_send and not self.ended:
-            try:
-                self._send_next(device)
-            except PortError:
-                raise
-            except (MachineError, RmlFault, OSError) as error:
-                raise FeedFault(
-                    FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), self.sent_line
-                ) from error
+        if not may_send or self.ended:
+            return
+        try:
+            self._next = self._next or self._read_next(device)
+        except PortError:
+            raise
+        except (MachineError, RmlFault, OSError) as error:
+            raise FeedFault(FaultCause.PROGRAM_CHANGED, Phrase("{error}", error=str(error)), self.sent_line) from error
+        if self._next is None:
+            self.ended = True
+            return
+        require()
+        block, self._next = self._next, None
+        self._send(device, block)
 
     def _count(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
         counter, now_s = device.read_counter(), device.clock()
@@ -103,15 +112,15 @@ class BlockFeed:
         self.answered_line = block.line.number or self.answered_line
         return True
 
-    def _send_next(self, device: Mdx40aDevice) -> None:
+    def _read_next(self, device: Mdx40aDevice) -> ByteBlock | None:
+        """Return the next block of the program; None at its end."""
         line = next(self._lines, None)
         if line is not None and not self._opened:
             self._opened = True
             self._lines = chain(self._begin_program(line), [line], self._lines)
             line = next(self._lines)
         if line is None:
-            self.ended = True
-            return
+            return None
         data = line.text + self._line_end
         if len(data) > MOST_BLOCK_BYTES:
             raise MachineError(
@@ -128,8 +137,11 @@ class BlockFeed:
         self._refuse_above_the_top(line, travel)
         self._counter = device.read_counter()
         after = (self._counter + len(data)) % COUNTER_MODULUS
-        self.block = ByteBlock(line=line, data=data, travel=travel, counter_after=after)
-        device.write_block(data)
+        return ByteBlock(line=line, data=data, travel=travel, counter_after=after)
+
+    def _send(self, device: Mdx40aDevice, block: ByteBlock) -> None:
+        line, self.block = block.line, block
+        device.write_block(block.data)
         self.wait_s = _FIRST_WAIT_S
         if line.number:
             self.sent_line, self.sent_offset = line.number, line.offset

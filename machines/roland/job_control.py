@@ -13,10 +13,13 @@ from machines.driver import (
     Notice,
     ProgramDone,
     ProgramLine,
+    Require,
     StatusChannel,
     Stopped,
     StreamProgress,
+    unconditional,
 )
+from machines.errors import MachineError, PortError
 from machines.roland.block_feed import BlockFeed, FeedFault
 from machines.roland.mdx40a import DeviceState, Mdx40aDevice, read_work_origin_mm, to_work_mm
 from phrases.phrase import NO_WORDS, Phrase, join
@@ -51,7 +54,13 @@ class JobControl:
         """Note that the mill moves, or may begin to."""
         self._still_since_s = self._changed_s = now_s
 
-    def start(self, device: Mdx40aDevice, lines: Iterator[ProgramLine]) -> None:
+    @property
+    def is_held(self) -> bool:
+        """A program waits for a resume."""
+        return self.feed is not None and self._held and not self._aborting
+
+    def start(self, device: Mdx40aDevice, lines: Iterator[ProgramLine], require: Require) -> None:
+        """Send the first block of a program; where `require` raises the job is closed again, and it has none."""
         origin_mm = read_work_origin_mm(device, self._dialect)
         here_mm = to_work_mm(device.read_state().machine_mm, origin_mm)
         self.feed = BlockFeed(device, lines, dialect=self._dialect, origin_mm=origin_mm, here_mm=here_mm)
@@ -61,8 +70,15 @@ class JobControl:
         if origin_mm is None:
             words = Phrase("the work origin cannot be read: lines count as executed only at the end")
             self._channel.events.append(Notice(words))
-        self.count()
         self._channel.enter(MillState.RUN, NO_WORDS)
+        try:
+            self.turn(device, require)
+        except PortError:
+            raise
+        except MachineError:
+            self._end(device)
+            self._channel.enter(MillState.IDLE, NO_WORDS)
+            raise
 
     def hold(self, now_s: float) -> None:
         if self.feed is None or self._held:
@@ -72,14 +88,20 @@ class JobControl:
         self._channel.enter(MillState.HOLDING, _DRAINS)
         self._still_since_s = now_s
 
-    def resume(self, now_s: float) -> bool:
-        """Feed again; return False where there is nothing to resume."""
-        if self.feed is None or not self._held or self._aborting:
-            return False
+    def resume(self, device: Mdx40aDevice, require: Require) -> None:
+        """Feed again what is held."""
+        require()
         self._held = False
-        self._changed_s = now_s
-        self._channel.enter(MillState.RUN, NO_WORDS)
-        return True
+        try:
+            self.turn(device, require)
+        except PortError:
+            raise
+        except MachineError:
+            self._held = True
+            raise
+        self._changed_s = device.clock()
+        if self.feed is not None:
+            self._channel.enter(MillState.RUN, NO_WORDS)
 
     def abort(self, device: Mdx40aDevice) -> None:
         self._held = self._aborting = True
@@ -95,14 +117,14 @@ class JobControl:
         self._held = self._aborting = False
         self._channel.end_stream()
 
-    def turn(self, device: Mdx40aDevice) -> None:
-        """Take back what the mill has counted, and send the next block where one may go."""
+    def turn(self, device: Mdx40aDevice, require: Require = unconditional) -> None:
+        """Take back what the mill has counted, and send the next block where one may go, and `require` lets it."""
         feed = self.feed
         if feed is None or self._aborting:
             return
         left_at, ended = feed.frame_left_at, feed.ended
         try:
-            feed.turn(device, may_send=not self._held)
+            feed.turn(device, may_send=not self._held, require=require)
         except FeedFault as fault:
             self._stop_by_fault(device, fault.cause, fault.words, device.clock())
             return

@@ -21,11 +21,13 @@ from machines.driver import (
     MillStatus,
     Override,
     ProgramLine,
+    Require,
     StatusChannel,
     StreamProgress,
     TrustPosition,
+    unconditional,
 )
-from machines.errors import NotAllowedError, PortError
+from machines.errors import MachineError, NotAllowedError, PortError
 from machines.roland.job_control import JobControl
 from machines.roland.mdx40a import PING_ERROR, Mdx40aDevice, check_command_set, to_work_mm
 from phrases.phrase import Phrase
@@ -111,7 +113,7 @@ class RolandUsbDriver:
     def urge(self, stop: str) -> bool:
         return False  # nothing over this link is known to pause a job
 
-    def start(self, lines: Iterator[ProgramLine]) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
         device, state = self._device, self.status.state
         if device is None or state is not MillState.IDLE:
             raise NotAllowedError(
@@ -119,19 +121,33 @@ class RolandUsbDriver:
             )
         try:
             check_command_set(device, self._dialect)
-            self._job.start(device, lines)
+            self._job.start(device, lines, require)
         except PortError as error:
             self._lose(error)
+        self._hold_if_stopped(require)
 
     def hold(self) -> None:
         if self._device is not None:
             self._job.hold(self._device.clock())
 
-    def resume(self) -> None:
-        if self._device is None or not self._job.resume(self._device.clock()):
+    def resume(self, require: Require = unconditional) -> None:
+        device = self._device
+        if device is None or not self._job.is_held:
             raise NotAllowedError(
                 Phrase("there is nothing to resume: the mill is {state}", state=self.status.state.words)
             )
+        try:
+            self._job.resume(device, require)
+        except PortError as error:
+            self._lose(error)
+        self._hold_if_stopped(require)
+
+    def _hold_if_stopped(self, require: Require) -> None:
+        """Hold where a stop came while the first block was written."""
+        try:
+            require()
+        except MachineError:
+            self.hold()
 
     def abort(self) -> None:
         device = self._device
@@ -142,7 +158,7 @@ class RolandUsbDriver:
         except PortError as error:
             self._lose(error)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: Command, require: Require = unconditional) -> None:
         device = self._device
         if device is None:
             raise NotAllowedError(Phrase("the mill is not connected"))
@@ -162,6 +178,7 @@ class RolandUsbDriver:
                         )
                     )
                 feed, rapid, spindle = self.status.overrides
+                require()
                 if what == "feed":
                     device.set_feed_override(percent)
                     feed = percent

@@ -23,7 +23,7 @@ from tests.disturbances.mill import MillProcess
 from tests.disturbances.proxy import HoldingProxy
 from tests.page.shop import Made
 from tests.service.mills import ends, program
-from tests.service.server.fleet.shop import await_agent
+from tests.service.server.fleet.shop import await_agent, give
 from tests.service.server.supervisor.processes import Serving, running
 from tests.trials.judge import Verdict, judge
 from tests.waiting import PATIENCE_S, seen
@@ -126,7 +126,7 @@ class Floor:
             self.run = str(answer.json()["id"])
             parked = self.until_state("parked")
             said = {"operator": "Ada", "checks": parked["required_checks"]}
-            answer = client.post(f"/v1/runs/{self.run}:start", json=said)
+            answer = give(client, f"/v1/runs/{self.run}:start", json=said, machine=MILL)
             assert answer.status_code == 202, answer.text
             self.until_state("running")
         seen(lambda: self.mill.cut, lambda cut: cut > 2, what="the first cuts", every_s=0.05)

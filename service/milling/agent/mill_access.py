@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 
 from machines.clock import Timeout
 from machines.mill.mill import Mill
-from machines.mill.orders import CARRY_OUT_S, GRANT_S, Caller, OrderGate, Stop
+from machines.mill.orders import CARRY_OUT_S, GRANT_S, STOP_S, Caller, OrderGate, Stop
 from machines.mill.thread import MillThread, no_answer
 from machines.mill.view import MillSnapshot
 
 T = TypeVar("T")
 _CALL_S = 60.0
-_STOP_S = 2.0
+_SHOWN_S = 0.1  # for the state that a stop leads to: where it takes longer, the events tell of it
 _ORDER_S = GRANT_S + 1.0
 START_S = CARRY_OUT_S + 30.0  # beyond the grant only the journal is waited for
 
@@ -70,13 +70,17 @@ class MillAccess:
         )
 
     async def halt(self, stop: Stop, caller: Caller) -> None:
-        """Stop the mill. Where its thread is busy with a disk, the byte that has left is answer enough."""
+        """Stop the mill. The byte that has left is answer enough: what its thread adds may wait for a disk.
+
+        A link without such a byte is stopped by that thread alone: MachineError where it does not answer in STOP_S.
+        """
         written, future = self._thread.halt(stop, caller)
-        try:
-            await _await_answer(future, _STOP_S, keep=True)
-        except TimeoutError:
-            if not written:
-                raise no_answer(_STOP_S, taken_back=False) from None
+        waiting = asyncio.wrap_future(future)
+        await asyncio.wait({waiting}, timeout=_SHOWN_S if written else STOP_S)
+        if not written and not waiting.done():
+            raise no_answer(STOP_S, taken_back=False)
+        if waiting.done():
+            waiting.result()
 
     async def work(self, function: Callable[[], T]) -> T:
         """Have something slow done that is not the mill's, such as a pre-flight."""
@@ -86,12 +90,10 @@ class MillAccess:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
 
-async def _await_answer(future: Future[T], within_s: float, *, keep: bool = False) -> T:
-    """Wait for the mill's thread. A call that has not begun by then is taken back, unless `keep`: then TimeoutError."""
+async def _await_answer(future: Future[T], within_s: float) -> T:
+    """Wait for the mill's thread. A call that has not begun by then is taken back."""
     waiting = asyncio.wrap_future(future)
     done, _ = await asyncio.wait({waiting}, timeout=within_s)
     if done:
         return waiting.result()
-    if keep:
-        raise TimeoutError
     raise no_answer(within_s, taken_back=future.cancel())

@@ -86,11 +86,11 @@ class ProgramStore:
     ) -> tuple[StoredProgram, bool]:
         """Take a program in; returns it and whether it is new. One that is here already is not written again."""
         valid_sha256(sha256)
-        if self._path(sha256).exists():
+        if await asyncio.to_thread(self._path(sha256).exists):
             async for _ in pieces:  # a client that is still sending could not read an early answer
                 pass
-            return self.entry(sha256), False
-        self._require_room(announced_bytes)
+            return await asyncio.to_thread(self.entry, sha256), False
+        await asyncio.to_thread(self._require_room, announced_bytes)
         hidden = self._folder / f"{sha256}.{secrets.token_hex(4)}{_PART}"
         try:
             with await asyncio.to_thread(hidden.open, "wb") as file:
@@ -106,8 +106,8 @@ class ProgramStore:
                 await asyncio.to_thread(_sync, file)
             await asyncio.to_thread(self._publish, hidden, sha256)
         finally:
-            hidden.unlink(missing_ok=True)
-        return self.entry(sha256), True
+            await asyncio.to_thread(hidden.unlink, missing_ok=True)
+        return await asyncio.to_thread(self.entry, sha256), True
 
     async def _write(self, file: BinaryIO, pieces: AsyncIterator[bytes]) -> str:
         digest, size, waiting = hashlib.sha256(), 0, bytearray()

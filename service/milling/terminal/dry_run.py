@@ -18,6 +18,7 @@ from machines.driver import (
     MillStatus,
     ProgramDone,
     ProgramLine,
+    unconditional,
 )
 from machines.errors import MachineError, NotAControllerError
 from service.errors import FailedError
@@ -40,7 +41,7 @@ def run_check_mode(
     _set_check_mode(driver, url, on=True)
     protections = driver.protections
     try:
-        driver.start(lines)
+        driver.start(lines, unconditional)
         while True:
             for event in driver.poll(_POLL_S):
                 if isinstance(event, Faulted):
@@ -56,7 +57,7 @@ def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
     """Check mode on or off, confirmed."""
     command = CheckMode(on)
     failures: list[str] = []
-    driver.command(command)
+    driver.command(command, unconditional)
 
     def is_done(events: tuple[Event, ...]) -> bool:
         mine = [event for event in events if isinstance(event, CommandDone) and event.command == command]

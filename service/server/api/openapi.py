@@ -22,6 +22,7 @@ _WORDS = {
     415: "not a media type this address takes",
     416: "no such range in this file",
     422: "a value cannot be used; `field` names it",
+    428: "an order needs a grant: POST .../grants hands one out",
     429: "too many requests; Retry-After tells when to come back",
     431: "the headers are too large",
     500: "a fault inside the server",

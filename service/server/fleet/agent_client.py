@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import httpx
 
-from machines.mill.orders import Stop
+from machines.mill.orders import STOP_S, Stop
 from phrases.phrase import Phrase, restore
 from service.errors import InputError
 from service.http.problems import Problem, ServerCode
@@ -36,7 +36,8 @@ from service.server.fleet.registry import KnownMachine
 
 ASK_S = 3.0
 TELL_S = 30.0
-URGENT_S = 3.0  # a person waits beside the mill
+_STOP_TRY_S = STOP_S + 0.5  # its agent's own time, and the way there and back
+URGENT_S = 2 * _STOP_TRY_S  # for a stop: a person waits beside the mill
 _CONNECT_S = 2.0
 _QUIET_S = 60.0  # an event stream beats every 15 s
 
@@ -109,24 +110,25 @@ class AgentLink:
     async def delete(self, path: str, *, headers: Json) -> Json:
         return await self._request("DELETE", path, timeout_s=ASK_S, headers=headers)
 
-    async def send_urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
+    async def send_urgent(self, path: str, *, headers: Json | None = None) -> Json:
         """Send a stop: to do it twice is better than not at all, so one that failed is sent once more.
 
         It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
-        known within the time given whether it was taken: a person has to use the mill's own button otherwise.
+        known within URGENT_S whether it was taken: a person has to use the mill's own button otherwise.
         """
         try:
-            async with asyncio.timeout(within_s):
+            async with asyncio.timeout(URGENT_S):
                 if self._last_address is not None:
                     with contextlib.suppress(AgentAwayError):
-                        return await self._ask_at(
-                            self._last_address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
-                        )
+                        return await self._stop_at(self._last_address, path, headers)
                 self._address = self._last_address = await self._find()
-                return await self._ask_at(self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers)
+                return await self._stop_at(self._address, path, headers)
         except TimeoutError:
-            words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
-            raise AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"seconds": within_s}, sent=True) from None
+            words = f"the agent of '{self.machine.name}' did not answer within {URGENT_S:g} s"
+            raise AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"seconds": URGENT_S}, sent=True) from None
+
+    async def _stop_at(self, address: tuple[str, str], path: str, headers: Json | None) -> Json:
+        return await self._ask_at(address, "POST", path, timeout_s=_STOP_TRY_S, json={}, headers=headers)
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}

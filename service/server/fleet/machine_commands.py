@@ -3,20 +3,20 @@
 Theory of operation. An order is good for the moment in which it was given. The page asks for a grant when a button is
 pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has stopped the
 mill or taken control since. Nothing here decides whether an order is still for now: it may wait for a database, a
-thread or a network as long as it likes, and then the agent refuses it. For a caller without a grant (curl) one is asked
-for here, before anything else is waited for: a stop that comes later, through whatever server, ends it as any other.
+thread or a network as long as it likes, and then the agent refuses it, as it refuses one without a grant. The asking
+for a grant is what can be late: one that has waited for more than ASK_S since it arrived, or past a stop, is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from urllib.parse import quote
 
 from machines.mill.orders import LEASE_S, Refusal, suspend_aware_clock_s
 from service.http.problems import Problem
 from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
+from service.server.fleet.agent_client import AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import parse_holder, parse_reply
 from service.server.fleet.core import FleetCore
 from service.server.fleet.representation import make_order_view
@@ -75,36 +75,17 @@ class Orders:
         link = self._core.get_link(await self._core.find_machine(machine))
         return parse_reply(GrantView, await require_answer(self._ask_grant(link, context, stops)), machine)
 
-    async def require_grant(self, machine: str, context: OrderContext) -> OrderContext:
-        """Return the context with a grant. To be called before anything else is waited for; Problem as `grant`."""
-        if context.grant:
-            return context
-        granted = await require_answer(self._ask_first_grant(machine, context))
-        return replace(context, grant=str(granted.get("grant", "")))
-
     async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> OrderView:
         """Carry out an order beside a run, from the holder of control. Problem 504 where it is not known what came of
         it.
         """
-        context = await self.require_grant(machine, context)
         link = self._core.get_link(await self._core.find_machine(machine))
         sending = link.send_once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
         return make_order_view(machine, what, await require_answer(sending, what))
 
     # ------------------------------------------------------------------
 
-    async def _ask_first_grant(self, machine: str, context: OrderContext) -> Json:
-        """Ask where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
-        link = self._core.known_link(machine) or await self._core.renew_link(machine)
-        try:
-            return await self._ask_grant(link, context)
-        except AgentAwayError:
-            present = await self._core.renew_link(machine)
-            if present is link:
-                raise
-            return await self._ask_grant(present, context)
-
-    async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None = None) -> Json:
+    async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None) -> Json:
         """Ask the agent for a grant, as long as the request is for now and no stop has come by since.
         AgentAwayError.
         """
@@ -113,13 +94,13 @@ class Orders:
         if left_s > 0:
             granted = await link.send_once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
             if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
-                words = "the mill was stopped since: the order was not sent"
+                words = "the mill was stopped since: there is no grant for what was ordered before"
                 raise Problem(409, words, field="machine", code=Refusal.STOPPED)
             if self._clock() - context.arrived_s <= ASK_S:
                 return granted
         raise Problem(
             503,
-            f"the order has waited for more than {ASK_S:g} s: it was not sent; give it again",
+            f"this has waited for more than {ASK_S:g} s: no grant was given; give the order again",
             field="machine",
             code=Refusal.EXPIRED,
             headers={"Retry-After": "2"},

@@ -15,7 +15,7 @@ from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTa
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import parse_reply, run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
-from service.server.fleet.machine_commands import OrderContext, Orders
+from service.server.fleet.machine_commands import OrderContext
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
 from service.server.schemas.runs import RecoveryView
 
@@ -34,27 +34,16 @@ class RunOrder:
 
 
 class Controls:
-    def __init__(self, core: FleetCore, orders: Orders) -> None:
+    def __init__(self, core: FleetCore) -> None:
         self._core = core
-        self._orders = orders
         self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
 
-    async def require_grant(self, run_id: str, context: OrderContext) -> OrderContext:
-        """Raise as `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run
-        before.
-        """
-        if context.grant:
-            return context
-        return await self._orders.require_grant((await self._require_handed_over(run_id)).machine, context)
-
     async def resume(self, run_id: str, context: OrderContext) -> Seen:
-        context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id)
         went_on = ("running", "recovering")
         return await self._send_once(run, "resume", {}, context, went_on=lambda state: state in went_on)
 
     async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> Seen:
-        context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
             raise Problem(
@@ -85,7 +74,6 @@ class Controls:
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
             raise Problem(409, words, field="plan", code=Refusal.PLAN)
-        context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id, fresh=True)
         seen = await self._core.look_at(run)
         if seen.away:

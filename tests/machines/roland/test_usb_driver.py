@@ -300,7 +300,7 @@ def test_a_mill_that_neither_counts_nor_moves_is_a_stall() -> None:
     mill.bracket = False  # as if the bracket had been lost: it ignores every byte
     fault = fault_of(run(driver, mill))
     assert fault.cause is FaultCause.STALL
-    assert mill.ignored_bytes == len(b"%\r\n")
+    assert mill.ignored_bytes == len(b"O00000001\r\n")
 
 
 def test_a_long_slow_move_is_no_stall() -> None:

@@ -31,10 +31,11 @@ class ProgramRoutes:
         ]
 
     async def list_programs(self, _request: Request) -> Response:
-        return JSONResponse({"programs": [entry.as_dict() for entry in self._agent.store.entries()]})
+        entries = await self._agent.access.work(lambda: list(self._agent.store.entries()))
+        return JSONResponse({"programs": [entry.as_dict() for entry in entries]})
 
     async def show(self, request: Request) -> Response:
-        return JSONResponse(self._agent.store.entry(request.path_params["sha256"]).as_dict())
+        return JSONResponse((await self._find(request)).as_dict())
 
     async def receive(self, request: Request) -> Response:
         length = request.headers.get("content-length", "")
@@ -44,7 +45,7 @@ class ProgramRoutes:
 
     async def delete(self, request: Request) -> Response:
         """Delete a copy; one that a run may still need stays."""
-        sha256 = self._agent.store.entry(request.path_params["sha256"]).sha256
+        sha256 = (await self._find(request)).sha256
 
         def remove(mill: Mill) -> None:  # on the mill's thread: no run of it can be parked or recovered meanwhile
             needed = [run for run in mill.runs if run.program == sha256 and run.state is not RunState.FINISHED]
@@ -59,6 +60,9 @@ class ProgramRoutes:
 
         await self._agent.access.call(remove)
         return Response(status_code=204)
+
+    async def _find(self, request: Request) -> StoredProgram:
+        return await self._agent.access.work(lambda: self._agent.store.entry(request.path_params["sha256"]))
 
     async def fetch(self, request: Request) -> Response:
         fields = await read_fields(request)

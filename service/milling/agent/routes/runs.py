@@ -53,7 +53,7 @@ class RunRoutes:
         name = fields.text("name", program[:12], longest=200)
         key = fields.text("key", longest=100) if fields.has("key") else ""
         fields.refuse_unknown()
-        path = self._agent.store.path_of(program)
+        path = await self._agent.access.work(lambda: self._agent.store.path_of(program))
         async with self._parking:  # a client that asks again must not overtake itself
             if (known := self._find_parked(key, program)) is not None:
                 return _run_response(known, status=200)

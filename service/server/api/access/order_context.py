@@ -21,8 +21,8 @@ Granted = Annotated[
     str,
     Header(
         alias=GRANT,
-        description="from POST .../grants, asked for when the person pressed; without it the order counts from its "
-        "arrival here",
+        description="from POST /v1/machines/{machine}/grants, asked for when the person presses; an order without it "
+        "is refused: 428, `code` is `grant_missing`. Stops need none",
         **_Word,
     ),
 ]

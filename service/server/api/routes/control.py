@@ -39,11 +39,9 @@ _GIVEN: Responses = {
     201: example(CONTROL_EXAMPLE) | {"description": "control is yours"},
     200: example(CONTROL_EXAMPLE) | {"description": "it was yours, and stays so", "model": ControlView},
 }
-_ORDER: dict[str, Any] = {
-    "status_code": 202,
-    "responses": {202: example(ORDER_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
-    | refusals(409, 502, 504, 507),
-}
+_TOLD: Responses = {202: example(ORDER_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
+_ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
+_STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
 _PATH = "/v1/machines/{machine}/control"
 _PLAIN = {
     "home": "THE MILL MOVES to its switches.",
@@ -105,8 +103,8 @@ async def grant(
     body: GrantBody | None = None,
 ) -> GrantView:
     """To be asked for when the person presses the button, and sent with the order: under it the mill's agent carries
-    one order out, within seconds, unless somebody stops the mill or takes control first. Without one an order counts
-    from its arrival at the server.
+    one order out, within seconds, unless somebody stops the mill or takes control first. A grant that took longer than
+    two seconds to come is not for now any more: ask again.
     """
     response.headers["Cache-Control"] = "no-store"
     return await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
@@ -204,4 +202,4 @@ def _make_stop(stop: Stop) -> Endpoint:
 for _what, _words in _PLAIN.items():
     router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_make_order(_what))
 for _name in Stop:
-    router.post(f"{_PATH}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_ORDER)(_make_stop(_name))
+    router.post(f"{_PATH}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_STOP)(_make_stop(_name))

@@ -24,10 +24,8 @@ router = APIRouter(tags=["runs"])
 RunId = Annotated[UUID, Path(alias="id", description="id of a run", examples=[RUN_EXAMPLE["id"]])]
 _RUN: Responses = {200: example(RUN_EXAMPLE)}
 _TOLD: Responses = {202: example(RUN_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
-_ORDER: dict[str, Any] = {
-    "status_code": 202,
-    "responses": _TOLD | refusals(409, 502, 504, 507),
-}
+_ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
+_STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
 _STREAM: Responses = event_stream("the stream; it ends with the run", RUN_EVENTS_EXAMPLE) | {
     204: {"description": "the run has ended and the client has heard of it: do not come back"},
 }
@@ -103,7 +101,7 @@ async def start(request: Request, _: Operator, run_id: RunId, said: StartBody, c
     return await services_of(request).fleet.start(str(run_id), order, context)
 
 
-@router.post("/v1/runs/{id:uuid}:hold", summary="Hold a run", **_ORDER)
+@router.post("/v1/runs/{id:uuid}:hold", summary="Hold a run", **_STOP)
 async def hold(request: Request, _: Stopper, run_id: RunId, context: Order) -> RunView:
     """Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine."""
     return await services_of(request).fleet.stop_run(str(run_id), Stop.HOLD, context)
@@ -115,7 +113,7 @@ async def resume(request: Request, _: Operator, run_id: RunId, context: Order) -
     return await services_of(request).fleet.resume(str(run_id), context)
 
 
-@router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_ORDER)
+@router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_STOP)
 async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> RunView:
     """Hold, and clear what the controller has left. One that has not begun is taken back; the mill is free again."""
     return await services_of(request).fleet.stop_run(str(run_id), Stop.ABORT, context)

@@ -24,7 +24,7 @@ from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.mills import AT_ZERO, Bench, ends
 from tests.service.server.api.server import png
-from tests.service.server.fleet.shop import CHECKS, MACHINE, Shop, kill_agents, own_folders, shop, write_profile
+from tests.service.server.fleet.shop import CHECKS, MACHINE, Shop, give, kill_agents, own_folders, shop, write_profile
 from tests.waiting import PATIENCE_S
 
 ORDERS: dict[str, dict[str, Any]] = {
@@ -300,7 +300,7 @@ def test_with_the_right_token_the_same_requests_move_it(guarded: Guarded) -> Non
     ) as client:
         own = {"Origin": guarded.floor.server.address, "Sec-Fetch-Site": "same-origin"}
         start = f"/v1/runs/{guarded.run['id']}:start"
-        assert client.post(start, json={"operator": "Ada", "checks": CHECKS}, headers=own).status_code == 202
+        assert give(client, start, json={"operator": "Ada", "checks": CHECKS}, headers=own).status_code == 202
     guarded.floor.until_state(guarded.run, "finished")
     assert guarded.floor.bench.cut == ends(60)
 

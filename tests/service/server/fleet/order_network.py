@@ -8,17 +8,21 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
+from service.http.problems import Problem
+
 
 @dataclass
 class Weather:
     """What is between, for all messages that one press leads to: seconds there and back of each, from the front.
 
     twice_after_s : by message, how much later it comes once more. lost : number of the one whose answer is lost
+    refused : number of the one that a full server does not let in
     """
 
     delays_s: list[float] = field(default_factory=list)
     twice_after_s: dict[int, float] = field(default_factory=dict)
     lost: int = -1
+    refused: int = -1
     sent: int = 0
 
     def next_delay_s(self) -> float:
@@ -48,12 +52,15 @@ class MessageNetwork:
         for task in self._tasks:
             task.cancel()
 
-    async def hop(self, deliver: Callable[[], Awaitable[Any]], *, once: bool = False) -> Any:
+    async def hop(self, deliver: Callable[[], Awaitable[Any]]) -> Any:
         """A message on its way, delivered whatever becomes of the sender; it may come twice, or lose its answer."""
         weather = WEATHER.get(None) or Weather()
         there_s, back_s = weather.next_delay_s(), weather.next_delay_s()
         number, weather.sent = weather.sent, weather.sent + 1
-        again_s = None if once else weather.twice_after_s.get(number)
+        again_s = weather.twice_after_s.get(number)
+        if number == weather.refused:
+            await asyncio.sleep(there_s + back_s)
+            raise Problem(503, "too many connections")
 
         async def travel(delay_s: float) -> Any:
             self.on_the_way += 1

@@ -1,4 +1,4 @@
-"""People who press: on the page, whose rule is modelled here, or by curl."""
+"""People who press: on the page, whose rule is modelled here, by curl, or by a script that asks for no grant."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class Press:
     stops_before: int  # pressed by anybody until then
     control: str
     seen: str = ""
+    way: str = "page"  # "curl": asks for a grant when it is called; "bare": for none
     outcome: str = "under way"
     acts: int = 0
 
@@ -44,6 +45,7 @@ class StopPress:
     at_s: float
     reached_s: float | None = None
     written: bool = False
+    outcome: str = "under way"
 
 
 class People:
@@ -60,14 +62,14 @@ class People:
         control: str,
         weather: Weather,
         *,
-        by_page: bool,
+        way: str,
         seen: str = "",
         body: dict[str, Any] | None = None,
     ) -> None:
         number = len(self.presses)
-        press = Press(number, what, self._world.now_s(), len(self.stops), control, seen)
+        press = Press(number, what, self._world.now_s(), len(self.stops), control, seen, way)
         self.presses.append(press)
-        give = self._press_on_page if by_page else self._press_by_curl
+        give = {"page": self._press_on_page, "curl": self._press_by_curl, "bare": self._press_bare}[way]
         self._world.network.begin(self._note_outcome(press, weather, give(press, body or {})))
 
     def press_stop(self, stop: Stop) -> None:
@@ -82,7 +84,11 @@ class People:
 
     async def _stop_at(self, server: Stops, stop: Stop, press: StopPress) -> None:
         context = OrderContext(name="p", origin=f"stop {self.stops.index(press)}", arrived_s=self._world.now_s())
-        await server.stop_machine(MACHINE, stop, context)
+        try:
+            await server.stop_machine(MACHINE, stop, context)
+            press.outcome = "taken"
+        except Problem as problem:
+            press.outcome = str(problem)
 
     async def _note_outcome(self, press: Press, weather: Weather, giving: Awaitable[object]) -> None:
         WEATHER.set(weather)
@@ -108,14 +114,27 @@ class People:
         await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
-        """Without a grant the moment is that of the arrival at the server."""
+        """As `order` of docs/rest.md: its moment is that in which the asking for a grant arrives at the server."""
         context = OrderContext(name="p", origin=str(press.number), control=press.control)
+        asked_s, arrived = self._world.now_s(), False
 
-        async def give() -> object:
-            press.at_s, press.stops_before = self._world.now_s(), len(self.stops)
-            return await self._give(press, body, context, "")
+        async def ask() -> GrantView:
+            nonlocal arrived
+            if not arrived:
+                arrived, press.at_s, press.stops_before = True, self._world.now_s(), len(self.stops)
+            at = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
+            return await self._world.orders.grant(MACHINE, at)
 
-        await self._world.network.hop(give, once=True)
+        granted = await self._world.network.hop(ask)
+        if self._world.now_s() - asked_s > ASK_S:
+            press.outcome = "not sent"
+            raise Problem(503, "not sent")
+        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+
+    async def _press_bare(self, press: Press, body: dict[str, Any]) -> None:
+        """An order alone, as late and as often as it comes."""
+        context = OrderContext(name="p", origin=str(press.number), control=press.control)
+        await self._world.network.hop(lambda: self._give(press, body, context, ""))
 
     async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
         context = OrderContext(

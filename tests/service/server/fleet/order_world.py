@@ -1,11 +1,13 @@
 """Page, server, agent and mill in one process and in simulated time; between them a network, a database and people.
 
 Theory of operation. An event loop whose clock is the simulated mill's: where it would sleep, the mill's owner is
-stepped instead, so that a history of minutes takes milliseconds and is the same each time. Server and agent are the
-real ones (Orders, Stops, Controls, AgentLink; the agent's HTTP application, grants, Mill and GRBL session). Modelled
-are the page (its rule: a grant at the press, the order only if that came within 2 s) and what is between: every message
-may be late, come twice, or lose its answer. `acts` holds what came of the orders: each time something that can move the
-mill left for it, with whose word it was.
+stepped instead, so that a history of minutes takes milliseconds and is the same each time. The owner is a greenlet, in
+place of its thread in an agent: where the disk hangs under it the loop goes on without it, until the hang is over.
+Server and agent are the real ones (Orders, Stops, Controls, AgentLink; the agent's HTTP application, grants, Mill and
+GRBL session). Modelled are the page (its rule: a grant at the press, the order only if that came within 2 s) and what
+is between: every message may be late, come twice, be refused by a full server, or lose its answer. `acts` holds what
+came of the orders, as a tap on the wire shows it: each time the first byte of something that can move the mill, or
+changes what a motion means, is written, with whose word it was.
 """
 
 from __future__ import annotations
@@ -21,16 +23,22 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import httpx
 import sqlalchemy as sa
+from greenlet import getcurrent, greenlet
 
 from machines.driver import Driver, MillState, Reset, SetZero, Unlock
 from machines.errors import MachineError
+from machines.gcode.program import ProgramReader
 from machines.grbl.driver import GrblDriver
+from machines.grbl.states import Phase
+from machines.grbl.streaming import Stream
+from machines.journal.disk import RealDisk, RealFile
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
-from machines.mill.orders import NOBODY, Caller, OrderGate, Permit, Stop
+from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
 from machines.mill.run import Run
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
@@ -61,11 +69,14 @@ from tests.service.server.fleet.order_people import CHECKS, MACHINE, People
 _QUIET = frozenset({MillState.IDLE, MillState.HELD, MillState.ALARM})
 _SLICE_S = 0.25
 _TOKEN = "t" * 40
+_STOPS_AND_QUESTIONS = b"?!\x85\x18"
+_QUESTIONS = frozenset({b"$I", b"$$", b"$#", b"$G", b""})
+_OVERRIDES = bytes(range(0x90, 0x9E))
 
 
 @dataclass
 class Act:
-    """Something that can move the mill has left for it."""
+    """The first byte of something that can move the mill is written."""
 
     press: int
     what: str
@@ -85,30 +96,66 @@ def _empty_database() -> bytes:
         return path.read_bytes()
 
 
-class _WatchedPermit(Permit):
-    """Notes what leaves, at the last moment there is."""
+class _Tap(MemoryPort):
+    """Shows all that is written to the mill."""
 
-    def __init__(self, permit: Permit, world: World) -> None:
-        vars(self).update(vars(permit))
+    def __init__(self, world: World) -> None:
+        super().__init__(world.sim, baud=None)
         self._world = world
 
-    def require(self) -> None:
-        super().require()
-        self._world.note_act()
+    def write(self, data: bytes) -> None:
+        self._world.note_written(data)
+        super().write(data)
 
 
-class _WatchedGate(OrderGate):
-    world: World
+class _Disk(RealDisk):
+    """A disk that hangs when the world says so, at whatever is done with it."""
 
-    def redeem(self, word: str, doing: str, *, needs_lease: bool = False) -> Permit:
-        return _WatchedPermit(super().redeem(word, doing, needs_lease=needs_lease), self.world)
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def make_folder(self, path: Path) -> None:
+        self._world.use_disk()
+        super().make_folder(path)
+
+    def create(self, path: Path) -> RealFile:
+        self._world.use_disk()
+        return _File(path, self._world)
+
+    def remove(self, path: Path) -> None:
+        self._world.use_disk()
+        super().remove(path)
+
+
+class _File(RealFile):
+    def __init__(self, path: Path, world: World) -> None:
+        super().__init__(path)
+        self._world = world
+
+    def write(self, data: bytes) -> None:
+        self._world.use_disk()
+        super().write(data)
+
+    def sync(self) -> None:
+        self._world.use_disk()
+
+
+class _KilledError(BaseException):
+    """The owner's process is no more."""
 
 
 class _OwnedMill(Mill):
-    """Notes the plan and the set-up that orders rest on."""
+    """Notes the plan and the set-up that orders rest on, and whose word the last start or recovery was."""
 
     world: World
-    last_plan = last_setup = ""
+    last_plan = last_setup = start_origin = ""
+
+    def carry_out(self, doing: str, act: Callable[[Mill], Any], caller: Caller, *, needs_lease: bool = False) -> Any:
+        if doing in ("start", "recover"):
+            self.start_origin = caller.origin
+        answer = super().carry_out(doing, act, caller, needs_lease=needs_lease)
+        self.world.use_disk()  # as every look at a run does
+        return answer
 
     def watch(self, world: World) -> None:
         self.world = world
@@ -128,20 +175,65 @@ class _OwnedMill(Mill):
 
 
 class _OwnedThread(MillThread):
-    """The owner without a thread: `turn` is one round of it."""
+    """The owner, whose rounds are let go one by one: `turn` is one, unless a disk hangs under it."""
+
+    def __init__(self, mill: Mill, world: World) -> None:
+        super().__init__(mill)
+        self._world = world
+        self._round_s = 0.0
+        self._hangs_until_s: float | None = None
+        self._owner = greenlet(self._make_rounds)
+
+    @property
+    def hangs(self) -> bool:
+        return self._hangs_until_s is not None
+
+    @property
+    def is_current(self) -> bool:
+        return getcurrent() is self._owner
 
     def _is_running(self) -> bool:
         return not self._ended
 
     def halt(self, stop: Stop, caller: Caller = NOBODY) -> tuple[bool, Future[None]]:
         halted = super().halt(stop, caller)
-        self._mill.world.note_stop(caller, written=halted[0])  # type: ignore[attr-defined]
+        self._world.note_stop(caller, written=halted[0])
         return halted
 
     def turn(self, seconds: float) -> None:
-        self._mill.step(seconds)
-        self._carry_out_calls()
-        self._publish()
+        """Let one round go, or the rest of one that hung."""
+        sim, until_s = self._world.sim, self._hangs_until_s
+        if until_s is not None:
+            sim.advance(min(sim.now_s + seconds, until_s))
+            if sim.now_s < until_s:
+                return
+        self._round_s = seconds
+        self._switch_to_owner()
+
+    def hang(self, seconds: float) -> None:
+        """Let time pass without the owner, in the middle of what it does."""
+        self._hangs_until_s = self._world.sim.now_s + seconds
+        self._owner.parent.switch()
+        self._hangs_until_s = None
+        if self._ending:
+            raise _KilledError
+
+    def kill(self) -> None:
+        self._ending = True
+        if self._owner:
+            self._switch_to_owner()
+
+    def _switch_to_owner(self) -> None:
+        self._owner.parent = getcurrent()
+        self._owner.switch()
+
+    def _make_rounds(self) -> None:
+        with contextlib.suppress(_KilledError):
+            while not self._ending:
+                self._mill.step(self._round_s)
+                self._carry_out_calls()
+                self._publish()
+                self._owner.parent.switch()
 
 
 class World:
@@ -153,7 +245,10 @@ class World:
         self.sim = SimulatedMill(GRBL_11.with_settings({120: 3000, 121: 3000, 122: 3000}), seed=1)
         self.suspended_s = 0.0
         self.database_s = 0.0
+        self.hang_in, self.hang_s = -1, 0.0  # accesses to the disk until it hangs; how long it does
+        self.hung = 0
         self.acts: list[Act] = []
+        self._noted: object = None  # the stream or command whose first byte has been seen
         self.judged: list[str] = []
         self.loop = _SimulatedLoop(self)
         self.network = MessageNetwork(self.loop)
@@ -168,6 +263,14 @@ class World:
         self._make_agent()
         self.make_server()
         self.run_id = self.agent_run = ""
+        read = ProgramReader._piece
+
+        def read_piece(reader: ProgramReader, *where: Any) -> Any:
+            self.use_disk()
+            return read(reader, *where)
+
+        self._slow_reader = mock.patch.object(ProgramReader, "_piece", read_piece)
+        self._slow_reader.start()
 
     # ------------------------------------------------------------------ time
 
@@ -192,6 +295,14 @@ class World:
         while self.network.is_awaited and self.sim.now_s < end_s:
             self.pass_s(0.5)
 
+    def use_disk(self) -> None:
+        """The mill's owner reads or writes something."""
+        if self.hang_in >= 0 and self.thread.is_current:
+            self.hang_in -= 1
+            if self.hang_in < 0:
+                self.hung += 1
+                self.thread.hang(self.hang_s)
+
     def suspend(self, seconds: float) -> None:
         """Server and agent sleep; the mill and the people do not."""
         self.suspended_s += seconds
@@ -201,16 +312,15 @@ class World:
 
     def _make_agent(self) -> None:
         def open_journal(folder: Path) -> Journal:
-            return Journal(folder, syncer=InlineSyncer(self.now_s))
+            return Journal(folder, disk=_Disk(self), syncer=InlineSyncer(self.now_s))
 
-        self.gate = _WatchedGate(
+        self.gate = OrderGate(
             clock=self.now_s, wall_clock=lambda: 1.8e9 + self.sim.now_s, make_secret=lambda: f"s{next(self._numbers)}"
         )
-        self.gate.world = self
         mill = _OwnedMill(
             name=MACHINE,
             reentry=Reentry(safe_z_mm=5.0),
-            connect=lambda: GrblDriver(MemoryPort(self.sim, baud=None)),
+            connect=lambda: GrblDriver(_Tap(self)),
             folder=self.folder / "mill",
             clock=self.now_s,
             wall_clock=lambda: 1.8e9 + self.sim.now_s,
@@ -219,7 +329,7 @@ class World:
             orders=self.gate,
         )
         mill.watch(self)
-        self.mill, self.thread = mill, _OwnedThread(mill)
+        self.mill, self.thread = mill, _OwnedThread(mill, self)
         settings = AgentSettings(
             machine=MACHINE,
             port_url="memory://",
@@ -243,6 +353,9 @@ class World:
         self.agent_app = httpx.ASGITransport(app=make_app(agent), client=("127.0.0.1", 1))
 
     def restart_agent(self) -> None:
+        """Whatever it was about, a hung disk included."""
+        self.hang_in = -1
+        self.thread.kill()
         self.mill.close(detach=True)
         self._make_agent()
 
@@ -251,7 +364,7 @@ class World:
         self.core = _Core(self)
         self.orders = Orders(self.core, self.now_s)
         self.stops = Stops(self.core)
-        self.controls = Controls(self.core, self.orders)
+        self.controls = Controls(self.core)
 
     def restart_server(self) -> None:
         self.network.cancel()
@@ -259,13 +372,39 @@ class World:
 
     # ------------------------------------------------------------------ what leaves
 
-    def note_act(self) -> None:
-        if origin := self.mill._order.caller.origin:
-            lease, number = self.gate.get_lease(), int(origin)
-            press = self.people.presses[number]
-            seen = self._present(press.what) if press.seen else ""
-            digest = lease.digest if lease is not None else ""
-            self.acts.append(Act(number, press.what, self.now_s(), digest, seen))
+    def note_written(self, data: bytes) -> None:
+        """For the tap: find the first bytes of each order among what is written."""
+        driver = self.mill._link.driver
+        if not isinstance(driver, GrblDriver):
+            return
+        session = driver._session
+        if b"~" in data:
+            self._note_act(None)
+        if (step := session.commands.override._command) is not None and data.translate(None, _OVERRIDES) != data:
+            self._note_first(step)
+        lines = data.translate(None, _STOPS_AND_QUESTIONS + _OVERRIDES + b"~").split(b"\n")
+        if any(line not in _QUESTIONS for line in lines):
+            streams = session.link.phase is Phase.STREAMING
+            self._note_first(session.streamer.stream if streams else session.commands.command)
+
+    def _note_first(self, of: object) -> None:
+        if of is not self._noted:
+            self._noted = of
+            self._note_act(of)
+
+    def _note_act(self, of: object) -> None:
+        """Note it if it is of an order: of one that is being carried out, or that was taken before."""
+        last = self.mill._commands._last
+        taken = last[1].origin if last is not None and last[0] is of else ""
+        if isinstance(of, Stream):
+            taken = self.mill.start_origin
+        if not (origin := (self.mill._order.caller.origin or taken)):
+            return  # made ready by us
+        lease, number = self.gate.get_lease(), int(origin)
+        press = self.people.presses[number]
+        seen = self._present(press.what) if press.seen else ""
+        digest = lease.digest if lease is not None else ""
+        self.acts.append(Act(number, press.what, self.now_s(), digest, seen))
 
     def take_acts(self) -> list[Act]:
         """Those that were not judged yet."""
@@ -291,7 +430,7 @@ class World:
 
     def set_zero(self) -> None:
         """Somebody sets the zero at the mill itself: plan and set-up are others from now on."""
-        if self.mill.status.state is MillState.IDLE:
+        if self.mill.status.state is MillState.IDLE and not self.thread.hangs:
             with contextlib.suppress(MachineError):
                 self.mill.command(SetZero("X"))
                 self.pass_s(0.3)
@@ -301,8 +440,8 @@ class World:
 
         What is still on its way from before may come in between: then once more.
         """
-        self.database_s = 0.0
-        for _ in range(20):
+        self.database_s, self.hang_in = 0.0, -1
+        for _ in range(30):  # a line that a stop has overtaken is waited for, for a minute
             with contextlib.suppress(MachineError):
                 return self._try_to_make_ready(what)
             self.pass_s(3.0)
@@ -310,7 +449,7 @@ class World:
 
     def _try_to_make_ready(self, what: str) -> str:
         mill = self.mill
-        self._until(lambda: not self.network.on_the_way)
+        self._until(lambda: not self.network.on_the_way and not self.thread.hangs)
         known = self.loop.run_until_complete(self.core.renew_link(MACHINE))
         self.loop.run_until_complete(
             known.find_address()
@@ -325,6 +464,7 @@ class World:
         if what in ("start", "resume run", "resume", "recover"):
             self.park()
         if what in ("resume run", "resume", "recover"):
+            mill.start_origin = ""
             mill.start(self.agent_run, Confirmation("Ada", CHECKS))
             self.pass_s(1.0)
             (mill.abort if what == "recover" else mill.hold)()
@@ -356,6 +496,8 @@ class World:
         for task in asyncio.all_tasks(self.loop):
             task.cancel()
         self.pass_s(0.01)
+        self._slow_reader.stop()
+        self.thread.kill()
         with contextlib.suppress(Exception):
             self.mill.close(detach=True)
         self.loop.close()

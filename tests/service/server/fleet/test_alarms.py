@@ -19,7 +19,7 @@ from tests.service.mills import (
     is_homing,
     zeroed,
 )
-from tests.service.server.fleet.shop import MACHINE, Shop, kill_agents, own_folders, shop, write_profile
+from tests.service.server.fleet.shop import MACHINE, Shop, give, kill_agents, own_folders, shop, write_profile
 from tests.service.server.fleet.test_control import Person, people
 from tests.waiting import seen, until
 
@@ -87,7 +87,7 @@ def test_after_an_alarm_a_person_gets_back_to_cutting(locked: Shop, number: int)
     with people(floor) as (ada, _):
 
         def post(path: str, *statuses: int, **body: Any) -> Any:
-            answer = ada.http.post(path, json=body, headers=ada.headers)
+            answer = give(ada.http, path, json=body, headers=ada.headers)
             assert answer.status_code in statuses, answer.text
             return answer.json()
 

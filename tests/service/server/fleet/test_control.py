@@ -14,11 +14,13 @@ from typing import Any
 import httpx
 import pytest
 
-from machines.mill.orders import LEASE_S
+from machines.mill.orders import LEASE_S, Stop
+from service.milling.agent.callers import GRANT
 from service.server.fleet.agent_launcher import start_agents
+from tests.service.milling.agent.client import AgentClient
 from tests.service.mills import Bench
 from tests.service.server.api.server import api_server, problem
-from tests.service.server.fleet.shop import CHECKS, MACHINE, Shop, await_agent, kill_agents, shop
+from tests.service.server.fleet.shop import CHECKS, MACHINE, Shop, await_agent, give, kill_agents, shop
 from tests.waiting import PATIENCE_S, seen, until
 
 HEADER = "Causticmill-Control"
@@ -45,7 +47,7 @@ class Person:
         return answer.json()
 
     def order(self, name: str, /, **body: Any) -> httpx.Response:
-        return self.http.post(f"{HERE}/{name}", json=body, headers=self.headers)
+        return give(self.http, f"{HERE}/{name}", json=body, headers=self.headers)
 
     def until_taken(self, name: str, /, **body: Any) -> None:
         """A controller that is busy, homes, or has just restarted refuses an order; the person tries again."""
@@ -56,6 +58,17 @@ class Person:
 
     def jog(self, x_mm: float, feed: float = 5000) -> httpx.Response:
         return self.order("jog", by_mm=[x_mm, 0, 0], feed_mm_per_min=feed)
+
+
+BODIES: dict[str, dict[str, Any]] = {
+    "home": {}, "unlock": {}, "reset": {}, "resume": {}, "trust-position": {}, "settings": {},
+    "jog": {"by_mm": [1, 0, 0]}, "probe": {"depth_mm": 5}, "zero": {}, "check": {"on": True},
+    "override": {"what": "spindle", "percent": 110}, "block": {"text": "G0 X1"},
+    "probe-corner": {
+        "depth_mm": 5, "plate_mm": 1, "wall_x_mm": 1, "wall_y_mm": 1, "cutter_radius_mm": 1, "margin_mm": 1,
+    },
+}  # fmt: skip
+"""Every order beside a run."""
 
 
 @contextlib.contextmanager
@@ -159,7 +172,7 @@ def test_runs_obey_who_has_control_and_scripts_where_nobody_has(floor: Shop) -> 
         said = {"operator": "x", "checks": CHECKS}
 
         def post(person: Person, path: str, **body: Any) -> int:
-            return person.http.post(path, json=body, headers=person.headers).status_code
+            return give(person.http, path, json=body, headers=person.headers).status_code
 
         ada.take()
         assert post(bob, f"/v1/machines/{MACHINE}/runs", job=job) == 409
@@ -194,14 +207,14 @@ def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, m
             headers = {"Authorization": ada.http.headers["Authorization"]}
             jog = {"by_mm": [1, 0, 0], "feed_mm_per_min": 5000}
             with httpx.Client(base_url=second.address, headers=headers, timeout=PATIENCE_S) as other:
-                assert other.post(f"{HERE}/jog", json=jog).status_code == 409
-                await_taken(lambda: other.post(f"{HERE}/jog", json=jog, headers=ada.headers))
+                assert give(other, f"{HERE}/jog", json=jog).status_code == 409
+                await_taken(lambda: give(other, f"{HERE}/jog", json=jog, headers=ada.headers))
         control, secret = ada.control, ada.http.headers["Authorization"]
     with shop(tmp_path / "data", mill) as floor:
         assert holder(floor)["operator"] == "Ada"
         headers = {"Authorization": secret, HEADER: control}
         with httpx.Client(base_url=floor.server.address, headers=headers, timeout=PATIENCE_S) as again:
-            await_taken(lambda: again.post(f"{HERE}/jog", json=jog))
+            await_taken(lambda: give(again, f"{HERE}/jog", json=jog, headers={HEADER: control}))
         until_x(floor, 2)
 
 
@@ -209,7 +222,7 @@ def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, m
 def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
     floor: Shop, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    """One without a grant of its own, as curl gives it: the server has asked for one before it waited for anything."""
+    """Its server waits for a database; its grant has ended with the stop."""
     core, waits, free = floor.server.services.fleet._core, threading.Event(), threading.Event()
     do = core.do
 
@@ -230,14 +243,41 @@ def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
             "jog": (f"{HERE}/jog", {"by_mm": [1, 0, 0]}),
             "start": (f"/v1/runs/{run['id']}:start", {"operator": "Ada", "checks": CHECKS}),
         }[what]
+        granted = ada.http.post(f"/v1/machines/{MACHINE}/grants", headers=ada.headers).json()["grant"]
         with monkeypatch.context() as slow:
             slow.setattr(core, "do", do_late)
-            order = pool.submit(ada.http.post, path, json=body, headers=ada.headers)
+            order = pool.submit(ada.http.post, path, json=body, headers=ada.headers | {GRANT: granted})
             assert waits.wait(PATIENCE_S)
             stop = f"{second.address}{HERE}/jog-cancel"
             until(lambda: httpx.post(stop, timeout=PATIENCE_S).status_code == 202)
             free.set()
             assert problem(order.result(), 409).get("code") in ("grant_stopped", "grant_expired")
+
+
+@pytest.mark.parametrize("at", ["server", "agent"])
+def test_no_order_is_taken_without_a_grant(control_floor: tuple[Shop, Person], at: str) -> None:
+    """At once or after any delay, once or twice; what stops the mill needs none."""
+    floor, ada = control_floor
+    ada.control = ada.take(over=True, status=200 if ada.control else 201)["control"]
+    told = ada.http.post(f"/v1/machines/{MACHINE}/runs", json={"job": floor.job()}, headers=ada.headers).json()
+    run = floor.until_state(told, "parked")
+    with AgentClient(floor.folder, floor.card().url).http as agent:
+        http, base = (ada.http, HERE) if at == "server" else (agent, "/v1/control")
+        said = {"operator": "Ada", "checks": [*CHECKS, "position"]}
+        orders: dict[str, Any] = {f"{base}/{what}": body for what, body in BODIES.items()}
+        orders |= {f"/v1/runs/{run['id']}:start": {"operator": "Ada", "checks": CHECKS}}
+        orders |= {f"/v1/runs/{run['id']}:resume": {}, f"/v1/runs/{run['id']}:recover": said | {"plan": "seen"}}
+        for path, body in orders.items():
+            for _ in range(2):
+                answer = http.post(path, json=body, headers=ada.headers)
+                assert answer.status_code == 428, f"{path}: {answer.text}"
+                refused = answer.json()
+                assert (refused["code"], refused["field"]) == ("grant_missing", GRANT)
+                assert "POST .../grants" in refused["detail"]
+        assert floor.bench.stands
+        for stop in Stop:
+            assert http.post(f"{base}/{stop}", headers=ada.headers).status_code == 202
+        assert http.post(f"/v1/runs/{run['id']}:abort").status_code == 202
 
 
 def test_the_holders_secret_is_shown_to_the_holder_alone(floor: Shop) -> None:

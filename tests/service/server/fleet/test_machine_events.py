@@ -15,7 +15,7 @@ import pytest
 from service.server.fleet.agent_client import AgentLink
 from service.server.fleet.agent_launcher import start_agents
 from tests.service.mills import Bench
-from tests.service.server.fleet.shop import MACHINE, Shop, await_agent, kill_agents, shop
+from tests.service.server.fleet.shop import MACHINE, Shop, await_agent, give, kill_agents, shop
 from tests.waiting import PATIENCE_S, seen
 
 HERE = f"/v1/machines/{MACHINE}"
@@ -118,7 +118,7 @@ def test_orders_and_control_are_told(floor: Shop) -> None:
         nonlocal control
         control = floor.post(f"{HERE}/control", 201, operator="Ada")["control"]
         jog = {"by_mm": [30, 0, 0], "feed_mm_per_min": 200}  # more than a second of this mill's time
-        order = floor.operator.post(f"{HERE}/control/jog", json=jog, headers={"Causticmill-Control": control})
+        order = give(floor.operator, f"{HERE}/control/jog", json=jog, headers={"Causticmill-Control": control})
         assert order.status_code == 202
 
     reader.follow(floor, state("jog"), take_and_jog)
@@ -174,7 +174,7 @@ def test_a_reader_misses_nothing_over_a_servers_restart(tmp_path: Path, mill: Be
     with shop(tmp_path / "data", mill) as floor:
         control = floor.post(f"{HERE}/control", 201, operator="Ada")["control"]
         headers = {"Causticmill-Control": control}
-        assert floor.operator.post(f"{HERE}/control/settings", headers=headers).status_code == 202
+        assert give(floor.operator, f"{HERE}/control/settings", headers=headers).status_code == 202
         floor.until_idle()
         reader.follow(floor, state("idle"))
         reader.follow(floor, state("idle"))

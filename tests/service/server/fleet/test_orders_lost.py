@@ -11,11 +11,12 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.milling.agent.callers import GRANT
 from service.server.api.access.guard import Limiter
 from tests.levels import mostly_thorough
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent
-from tests.service.server.fleet.shop import Shop, own_folders
+from tests.service.server.fleet.shop import Shop, give, own_folders
 from tests.service.server.fleet.test_rogue_agents import BABBLE
 from tests.waiting import PATIENCE_S, until
 
@@ -56,7 +57,7 @@ def test_an_order_without_an_answer_is_sent_once_and_says_so(far: tuple[Shop, Ro
     floor, rogue = far
     ada = control(floor, "Ada")
     rogue.answers = lambda _method, _path: None
-    lost = floor.operator.post(f"{HERE}/jog", json=JOG, headers=ada)
+    lost = floor.operator.post(f"{HERE}/jog", json=JOG, headers=ada | {GRANT: "g"})
     assert "LOOK AT THE MILL" in problem(lost, 504, "machine")["detail"]
     time.sleep(0.5)
     assert sent(rogue, "jog") == 1
@@ -68,7 +69,7 @@ def test_an_order_with_a_mad_answer_is_sent_once(far: tuple[Shop, Rogue], what: 
     floor, rogue = far
     ada = control(floor, "Ada")
     rogue.answers = lambda _method, _path: BABBLE[what]
-    answer = floor.order(f"{HERE}/home", headers=ada)
+    answer = floor.operator.post(f"{HERE}/home", headers=ada | {GRANT: "g"})
     assert answer.status_code in (202, 409, 502)
     assert sent(rogue, "home") == 1
 
@@ -83,7 +84,7 @@ def test_what_stops_the_mill_is_sent_again_and_its_fate_known_soon(far: tuple[Sh
 
 
 def test_an_order_whose_grant_comes_late_is_not_sent(far: tuple[Shop, Rogue]) -> None:
-    """The order is refused and is not on its way later either; a stop does not wait for it."""
+    """It is refused, and so is the order with it; a stop does not wait for it."""
     floor, rogue = far
     ada = control(floor, "Ada")
     free = threading.Event()
@@ -96,7 +97,7 @@ def test_an_order_whose_grant_comes_late_is_not_sent(far: tuple[Shop, Rogue]) ->
 
     rogue.strict, rogue.answers = True, answers
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        slow = pool.submit(floor.operator.post, f"{HERE}/jog", json=JOG, headers=ada)
+        slow = pool.submit(give, floor.operator, f"{HERE}/jog", machine=NAME, json=JOG, headers=ada)
         until(lambda: any(path == "/v1/grants" for _, path in rogue.asked))
         assert floor.operator.post(f"{HERE}/hold").status_code == 202
         problem(slow.result(), 503, "machine")

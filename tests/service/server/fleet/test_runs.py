@@ -15,7 +15,17 @@ from service.server.fleet.agent_launcher import start_agents
 from service.server.fleet.fleet import Fleet
 from tests.service.mills import Bench, ends
 from tests.service.server.api.server import api_server
-from tests.service.server.fleet.shop import CHECKS, LINES, MACHINE, Shop, await_agent, kill_agents, shop, write_profile
+from tests.service.server.fleet.shop import (
+    CHECKS,
+    LINES,
+    MACHINE,
+    Shop,
+    await_agent,
+    give,
+    kill_agents,
+    shop,
+    write_profile,
+)
 from tests.waiting import until
 
 
@@ -309,7 +319,7 @@ def test_two_servers_of_one_database_see_the_same_runs(tmp_path: Path, mill: Ben
             body = {"job": run["job"]}
             assert other.post(f"/v1/machines/{MACHINE}/runs", json=body).status_code == 409
             said = {"operator": "Ada", "checks": CHECKS}
-            assert other.post(f"/v1/runs/{run['id']}:start", json=said).status_code == 202
+            assert give(other, f"/v1/runs/{run['id']}:start", json=said).status_code == 202
             floor.until_cut(4)
             assert other.post(f"/v1/runs/{run['id']}:hold").status_code == 202
         floor.until_state(run, "held")

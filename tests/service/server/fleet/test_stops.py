@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import resource
 import socket
 import sqlite3
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +20,14 @@ import pytest
 from wsproto import ConnectionType, WSConnection
 from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
 
-from machines.mill.orders import suspend_aware_clock_s
+from machines.errors import MachineError
+from machines.journal.disk import RealFile
+from machines.mill.orders import Caller, Stop, suspend_aware_clock_s
+from service.milling.agent.mill_access import MillAccess
 from service.server.api.routes import stops as stops_route
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
+from service.server.fleet import agent_client
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import as_json, rogue_agent
 from tests.service.server.fleet.shop import MACHINE, Shop, own_folders
@@ -78,6 +85,51 @@ def test_a_run_is_held_while_the_database_is_locked(floor: Shop) -> None:
     with locked(floor.settings.sqlite):
         assert httpx.post(f"{floor.server.address}{path}", timeout=PATIENCE_S).status_code == 202
         until(lambda: floor.bench.stands)
+
+
+@pytest.mark.parametrize("at", ["machine", "run"])
+def test_a_hold_that_has_left_is_a_success_while_the_disk_of_the_mill_hangs(
+    floor: Shop, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    """The agent's own thread waits for its journal meanwhile, and does its part of the hold when it can."""
+    run = floor.park(floor.job((600,)))
+    floor.start(run)
+    floor.until_cut(3)
+    write, hangs, free = RealFile.write, threading.Event(), threading.Event()
+
+    def hang(file: RealFile, data: bytes) -> None:
+        hangs.set()
+        free.wait(PATIENCE_S)
+        write(file, data)
+
+    path = f"{HERE}/hold" if at == "machine" else f"/v1/runs/{run['id']}:hold"
+    monkeypatch.setattr(RealFile, "write", hang)
+    try:
+        assert hangs.wait(PATIENCE_S)
+        answer = httpx.post(f"{floor.server.address}{path}", timeout=PATIENCE_S)
+        assert answer.status_code == 202, answer.text
+        until(lambda: floor.bench.stands)
+    finally:
+        free.set()
+    floor.until_state(run, "held")
+
+
+def test_an_agent_answers_a_stop_sooner_than_its_server_gives_up() -> None:
+    """Also where the link has no byte for it and the mill's thread does not answer: that is said, by the agent."""
+
+    class Busy:
+        def halt(self, *_: object) -> tuple[bool, Future[None]]:
+            return written, Future()
+
+    async def halt() -> None:
+        async with asyncio.timeout(agent_client._STOP_TRY_S):
+            await MillAccess(Busy()).halt(Stop.HOLD, Caller())  # type: ignore[arg-type]
+
+    written = True
+    asyncio.run(halt())
+    written = False
+    with pytest.raises(MachineError, match="no answer"):
+        asyncio.run(halt())
 
 
 def test_who_may(floor: Shop) -> None:
