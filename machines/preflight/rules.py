@@ -276,7 +276,7 @@ def _judge_numbers(reading: Reading) -> Phrase | None:
 def _judge_link(reading: Reading) -> Phrase | None:
     """What the link carries of the feed, where the mill stands for much of its time waiting for lines."""
     limits, feeds = reading.limits, reading.feeds_mm_per_min
-    if feeds is None or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
+    if feeds is None or not reading.path_length_mm > 0 or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
         return None
     lines = Phrase("{count:g} lines", count=limits.lines_per_s)
     carried = lines

@@ -9,6 +9,7 @@ from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from phrases.phrase import Phrase
+from service.errors import SpecError
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolve import without_derived
 from service.job.spec.resolved import ResolvedJob
@@ -37,7 +38,18 @@ class Change:
 
 
 def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
-    """Yield changes that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
+    """Yield changes that the job has not taken yet, and that its mill can. detail_mm: the smallest detail on the wall
+    that shows now.
+    """
+    for change in _possible_changes(job, detail_mm):
+        try:
+            change.apply_to(job)
+        except SpecError:
+            continue
+        yield change
+
+
+def _possible_changes(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
     spec = job.spec
     if not spec.to_be_planned:
         yield Change(what=Phrase("passes as recommended"), values={"preset": "recommended"})

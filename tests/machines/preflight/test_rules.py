@@ -248,7 +248,7 @@ def test_the_check_command_names_each_planted_fault(
 
 HEAD = "G21 G90\n"
 CASES = {  # text: codes that are among the findings, and that are not
-    HEAD + "G0 Z5\nM3\nG1 X9 F100\nM30\n": ({"spindle-off", "blind-cut"}, {"motion", "way-in", "way-out"}),
+    HEAD + "G0 Z5\nM3\nG1 X9 F100\nM30\n": ({"spindle-off", "blind-cut"}, {"motion", "way-in", "way-out", "link"}),
     HEAD + "G0 Z5\nM3 S8000\nG4 P3000\nG1 X9 F100\nM30\n": ({"pause", "blind-cut"}, {"motion", "spindle-off"}),
     HEAD + "G0 X0\nM2\n": ({"way-in"}, {"motion"}),
     HEAD + "G91 G0 Z1\nM2\n": ({"blind-relative"}, {"motion"}),
