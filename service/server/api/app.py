@@ -13,7 +13,8 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware import Middleware
 
-from service.server.api.access.guard import STOPS, Guard
+from service.http.admission import STOPS
+from service.server.api.access.guard import Guard
 from service.server.api.errors import install_problems
 from service.server.api.intake.body import BodyLimit, BodyTimeout
 from service.server.api.metrics import MetricsMiddleware

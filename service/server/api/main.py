@@ -23,8 +23,17 @@ import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import EXIT_FAILURE, ServiceError
+from service.http.admission import Admission
 from service.http.listener import bind_address, url_of
-from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
+from service.http.uvicorn_protocol import (
+    ACCEPTED_AT_ONCE,
+    HEADER_BYTES,
+    VERSION_HEADER,
+    HttpServer,
+    allow_open_files,
+    make_protocol,
+)
+from service.http.websocket_protocol import PlacedWebSocket
 from service.logs import configure_logs
 from service.processes import lifeline
 from service.processes.private import keep_private
@@ -51,7 +60,7 @@ from service.store.opening import open_store
 _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
-_CONNECTIONS = 1000
+_CONNECTIONS, _STRANGERS = 1000, 200
 _SOCKET_BYTES = 4096  # of one message about a stop
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
@@ -156,12 +165,14 @@ async def _turn() -> None:
         turned_at = time.monotonic()
 
 
-def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
-    """Make uvicorn as we want it; `on_ready` is called once it serves."""
+def server_of(
+    services: Services, on_ready: Callable[[], None] = lambda: None, *, admission: Admission | None = None
+) -> Server:
+    """Make uvicorn as we want it; `on_ready` is called once it serves. admission: None for the usual places."""
     config = uvicorn.Config(
         make_app(services),
-        http=ProblemProtocol,
-        ws="wsproto",
+        http=make_protocol(admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)),
+        ws=PlacedWebSocket,
         ws_max_size=_SOCKET_BYTES,
         lifespan="on",
         log_config=None,
@@ -170,14 +181,14 @@ def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -
         proxy_headers=False,
         headers=[(VERSION_HEADER, metadata.version("causticmill"))],
         h11_max_incomplete_event_size=HEADER_BYTES,
-        limit_concurrency=_CONNECTIONS,
+        backlog=ACCEPTED_AT_ONCE,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_DRAIN_S,
     )
     return Server(config, services, on_ready)
 
 
-class Server(uvicorn.Server):
+class Server(HttpServer):
     """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
 
     def __init__(self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None]) -> None:

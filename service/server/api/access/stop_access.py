@@ -32,10 +32,10 @@ class StopAccess:
         """Find the token that may stop mills, from memory."""
         return self._known.get(hash_secret(secret)) if secret else None
 
-    def remember(self, secret: str, token: Token) -> None:
+    def remember(self, digest: str, token: Token) -> None:
         """Remember one that has just been found to be good."""
         if TokenScope.MACHINE_RUN in token.scopes:
-            self._known[hash_secret(secret)] = token
+            self._known[digest] = token
 
     async def keep_fresh(self) -> None:
         """Take over what was made and revoked, until cancelled."""

@@ -18,6 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from machines.mill.orders import Stop, suspend_aware_clock_s
 from phrases.phrase import Phrase, phrases_in
+from service.http.admission import note_known
 from service.http.problems import Problem
 from service.server.api.access.order_context import context_of
 from service.server.api.access.scopes import is_at_server
@@ -27,7 +28,6 @@ from service.server.fleet.machine_commands import OrderContext
 router = APIRouter()
 
 PATH = "/v1/stops"
-_FIRST_S = 10.0
 _BEAT_S = 5.0
 _MOST = 500
 _NOT_KNOWN, _MAKE_ROOM = 4401, 1013
@@ -40,16 +40,16 @@ async def stops(socket: WebSocket) -> None:
     services = services_of(socket)
     await socket.accept()
     try:
-        async with asyncio.timeout(_FIRST_S):
-            first = _object(await socket.receive_text())
+        first = _object(await socket.receive_text())  # a stranger's place is kept for a while only
         context = _context(socket, services, str(first.get("token", "")))
         if context is None:
             await socket.close(_NOT_KNOWN, "a token with machine:run is needed")
             return
+        note_known(socket.scope)
         await _serve(socket, services, context)
     except WebSocketDisconnect:
         pass  # the page has gone
-    except (TimeoutError, RuntimeError):  # starlette raises RuntimeError for a closed one
+    except RuntimeError:  # starlette raises RuntimeError for a closed one
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await socket.close()
 

@@ -19,7 +19,8 @@ from fastapi.routing import APIWebSocketRoute
 from machines.mill.orders import Stop
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
-from service.server.api.access.guard import STOP_SOCKET, STOPS
+from service.http.admission import STOPS
+from service.server.api.access.guard import STOP_SOCKET
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.mills import AT_ZERO, Bench, ends
