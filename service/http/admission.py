@@ -10,6 +10,7 @@ shown a token is closed as long as there is a stranger.
 from __future__ import annotations
 
 import asyncio
+import itertools
 
 from starlette.types import Scope
 
@@ -70,16 +71,13 @@ class Admission:
 
     def _find_other(self, new: Place) -> Place | None:
         """Find whom to close: strangers first, then who has asked for nothing for longest. None: all are at work."""
-        for wanted in (
-            lambda place: place in self._waiting,
-            lambda place: not place.is_known and not place.is_stop,
-            lambda place: place.is_awaited and not place.is_stop,
-        ):
-            if (
-                found := next((place for place in self._places if place is not new and wanted(place)), None)
-            ) is not None:
-                return found
-        return None
+        others = [place for place in self._places if place is not new and not place.is_stop]
+        classes = (
+            (place for place in self._waiting if place is not new),
+            (place for place in others if not place.is_known),
+            (place for place in others if place.is_awaited),
+        )
+        return next(itertools.chain(*classes), None)
 
 
 class Place:

@@ -21,9 +21,10 @@ from service.http.admission import PLACE, Admission, Place, is_stop
 from service.http.problems import Problem, problem_body, problem_response
 
 HEADER_BYTES = 32 << 10
+SOCKET_BYTES = 4096  # of one message over a WebSocket
 VERSION_HEADER = "Causticmill-Version"  # with every answer
 ACCEPTED_AT_ONCE = 32  # uvicorn's `backlog`: new connections between two looks at those that are there already
-_QUEUED = 4096  # connections that the system keeps until they are accepted: one that it drops comes a second later
+QUEUED = 4096  # connections that the system keeps until they are accepted: one that it drops comes a second later
 
 
 def allow_open_files(most: int) -> int:
@@ -41,7 +42,7 @@ class HttpServer(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         for each in sockets or ():
-            each.listen(_QUEUED)
+            each.listen(QUEUED)
 
 
 def make_protocol(admission: Admission) -> type[asyncio.Protocol]:
@@ -53,6 +54,7 @@ class ProblemProtocol(H11Protocol):
     """What is refused here never reaches the application."""
 
     _place: Place
+    first_data = b""  # of a connection that another process has begun to read
 
     def __init__(self, admission: Admission, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -64,6 +66,8 @@ class ProblemProtocol(H11Protocol):
         super().connection_made(cast("asyncio.Transport", transport))
         self._place = self._admission.enter(self.transport)
         self.app_state = {**self.app_state, PLACE: self._place}
+        if self.first_data:
+            self.data_received(self.first_data)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
+from typing import Any
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
@@ -28,6 +29,7 @@ from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import (
     ACCEPTED_AT_ONCE,
     HEADER_BYTES,
+    SOCKET_BYTES,
     VERSION_HEADER,
     HttpServer,
     allow_open_files,
@@ -54,6 +56,9 @@ from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine
+from service.server.standby.line import take_over
+from service.server.stop_socket import StopSockets
+from service.server.stoppers import FILE as STOPPERS
 from service.settings import ServerSettings
 from service.store.opening import open_store
 
@@ -61,10 +66,8 @@ _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
 _CONNECTIONS, _STRANGERS = 1000, 200
-_SOCKET_BYTES = 4096  # of one message about a stop
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
-_TURN_S = 0.5
 _STUCK_S = 10.0
 
 
@@ -79,9 +82,10 @@ def main() -> int:
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
         listener = lifeline.inherit_socket() or bind_address(settings.host, settings.port)
+        line = lifeline.inherit_line()
         url = url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
-            asyncio.run(_serve(services, listener))
+            asyncio.run(_serve(services, listener, line))
     except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
@@ -121,7 +125,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(exact_estimates.close)
         looks = Estimator(module=LOOKING, what="look")
         stack.callback(looks.close)
-        stop_access = StopAccess(tokens)
+        stop_access = StopAccess(tokens, settings.data / STOPPERS)
         stack.callback(stop_access.close)
         fleet = Fleet(settings, database, store, book)
         yield Services(
@@ -133,6 +137,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             tokens=tokens,
             pairings=pairings,
             stop_access=stop_access,
+            stop_sockets=StopSockets(fleet.stops, stop_access.find, behind_proxy=settings.behind_proxy),
             terminal=CodeOnTerminal(pairings, offer, url),
             fleet=fleet,
             pictures=pictures,
@@ -145,35 +150,56 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         )
 
 
-async def _serve(services: Services, listener: socket.socket) -> None:
-    server = server_of(services, on_ready=lambda: print(f"causticmill on {url_of(listener)}", flush=True))
+async def _serve(services: Services, listener: socket.socket, line: socket.socket | None) -> None:
+    """line: to the standby, which serves stops while this process does not"""
+
+    def begin() -> None:
+        print(f"causticmill on {url_of(listener)}", flush=True)
+        if line is not None:
+            take_over(line, server.adopt)
+            lifeline.say(line, lifeline.SERVING)
+
+    def end() -> None:
+        if line is not None:
+            lifeline.say(line, lifeline.GONE)
+
+    server = server_of(services, begin, end)
     if services.settings.prepare:
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
-    turning = asyncio.create_task(_turn())
+    turning = asyncio.create_task(_turn(server, line))
     gc.freeze()  # what is here now stays: not worth looking at again and again
     await server.serve(sockets=[listener])
     turning.cancel()
 
 
-async def _turn() -> None:
-    """Tell the supervisor of us while the loop turns; one that hangs is started again."""
+async def _turn(server: Server, line: socket.socket | None) -> None:
+    """Tell supervisor and standby of us while the loop turns; one that hangs is started again."""
     turned_at = time.monotonic()
     lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
     while True:
-        await asyncio.sleep(_TURN_S)
+        await asyncio.sleep(lifeline.SERVING_EVERY_S)
         turned_at = time.monotonic()
+        if line is not None and server.serves:
+            lifeline.say(line, lifeline.SERVING)
 
 
 def server_of(
-    services: Services, on_ready: Callable[[], None] = lambda: None, *, admission: Admission | None = None
+    services: Services,
+    on_ready: Callable[[], None] = lambda: None,
+    on_end: Callable[[], None] = lambda: None,
+    *,
+    admission: Admission | None = None,
 ) -> Server:
-    """Make uvicorn as we want it; `on_ready` is called once it serves. admission: None for the usual places."""
+    """Make uvicorn as we want it; `on_ready` is called once it serves, `on_end` when it accepts nothing any more.
+
+    admission : None for the usual places
+    """
     config = uvicorn.Config(
         make_app(services),
         http=make_protocol(admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)),
         ws=PlacedWebSocket,
-        ws_max_size=_SOCKET_BYTES,
+        ws_max_size=SOCKET_BYTES,
         lifespan="on",
         log_config=None,
         access_log=False,
@@ -185,16 +211,38 @@ def server_of(
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_DRAIN_S,
     )
-    return Server(config, services, on_ready)
+    return Server(config, services, on_ready, on_end)
 
 
 class Server(HttpServer):
     """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
 
-    def __init__(self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None]) -> None:
+    def __init__(
+        self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None], on_end: Callable[[], None]
+    ) -> None:
         super().__init__(config)
         self._services = services
         self._on_ready = on_ready
+        self._on_end = on_end
+        self._adopting: set[asyncio.Task[None]] = set()
+
+    @property
+    def serves(self) -> bool:
+        return self.started and not self.should_exit
+
+    def adopt(self, connection: socket.socket, come: bytes) -> None:
+        """Serve a connection that another process has accepted. come: what it has read of it."""
+        task = asyncio.get_running_loop().create_task(self._adopt(connection, come))
+        self._adopting.add(task)
+        task.add_done_callback(self._adopting.discard)
+
+    async def _adopt(self, connection: socket.socket, come: bytes) -> None:
+        protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        protocol.first_data = come
+        with contextlib.suppress(OSError):  # its caller has gone
+            await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="api")
@@ -207,6 +255,7 @@ class Server(HttpServer):
             self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._on_end()
         self._services.feed.close()
         self._services.fleet.end_streams()
         await super().shutdown(sockets)

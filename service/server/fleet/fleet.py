@@ -15,15 +15,17 @@ from service.errors import printable
 from service.http.problems import Problem
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
-from service.server.database.runs import PREPARING, RunRow, UnknownRunError
+from service.server.database.runs import RunRow, UnknownRunError
+from service.server.database.states import PREPARING
 from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
 from service.server.fleet.agent_feed import known_id
 from service.server.fleet.agent_replies import parse_reply
 from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore, Seen
 from service.server.fleet.handover import Handovers
-from service.server.fleet.machine_commands import ASK_S, OrderContext, Orders
+from service.server.fleet.machine_commands import ASK_S, Orders
 from service.server.fleet.machine_events import MachineEvents
+from service.server.fleet.order_context import OrderContext
 from service.server.fleet.programs import programs_of
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view

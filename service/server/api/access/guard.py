@@ -29,6 +29,7 @@ from service.server.api.access.client_address import address_of, is_here
 from service.server.api.access.headers import Headers, read_headers, read_secret, refuse_foreign_page
 from service.server.api.access.scopes import (
     ANONYMOUS,
+    MACHINE_RUN,
     Principal,
     is_at_server,
     not_authorised,
@@ -162,9 +163,9 @@ class Guard:
         is known from memory. One that was not is looked up as for any request.
         """
         secret = read_secret(headers)
-        if (token := self._stop_access.find(secret)) is not None:
+        if (stopper := self._stop_access.find(secret)) is not None:
             note_known(scope)
-            note_principal(scope, _principal(token))
+            note_principal(scope, Principal(name=stopper.name, scopes=frozenset({MACHINE_RUN}), id=stopper.id))
             note_stopper(scope)
         elif is_at_server(scope):
             note_stopper(scope)

@@ -1,119 +1,16 @@
-"""A way of its own for stops: a WebSocket, for which a browser keeps no place among its six connections to a server.
-
-The page says who it is first, {"token": "cm_..."} (at the server's own computer "" will do), and then may stop any
-mill: {"id": 1, "machine": "shop-mill", "what": "hold"} is answered {"id": 1, "taken": true, ...}. A beat every few
-seconds shows that the way is open.
-"""
+"""The way of its own for stops (service/server/stop_socket.py)."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import json
-from dataclasses import replace
-from typing import Any
-
 from fastapi import APIRouter
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
-from machines.mill.orders import Stop, suspend_aware_clock_s
-from phrases.phrase import Phrase, phrases_in
-from service.http.admission import note_known
-from service.http.problems import Problem
-from service.server.api.access.order_context import context_of
-from service.server.api.access.scopes import is_at_server
-from service.server.api.services import Services, services_of
-from service.server.fleet.machine_commands import OrderContext
+from service.server.api.services import services_of
+from service.server.stop_socket import PATH
 
 router = APIRouter()
-
-PATH = "/v1/stops"
-_BEAT_S = 5.0
-_MOST = 500
-_NOT_KNOWN, _MAKE_ROOM = 4401, 1013
-
-_open: dict[int, WebSocket] = {}
 
 
 @router.websocket(PATH)
 async def stops(socket: WebSocket) -> None:
-    services = services_of(socket)
-    await socket.accept()
-    try:
-        first = _object(await socket.receive_text())  # a stranger's place is kept for a while only
-        context = _context(socket, services, str(first.get("token", "")))
-        if context is None:
-            await socket.close(_NOT_KNOWN, "a token with machine:run is needed")
-            return
-        note_known(socket.scope)
-        await _serve(socket, services, context)
-    except WebSocketDisconnect:
-        pass  # the page has gone
-    except RuntimeError:  # starlette raises RuntimeError for a closed one
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await socket.close()
-
-
-def _context(socket: WebSocket, services: Services, secret: str) -> OrderContext | None:
-    """Return who stops mills over this socket; None for one who may not."""
-    if (token := services.stop_access.find(secret)) is not None:
-        return context_of(socket, name=token.name)
-    return context_of(socket) if is_at_server(socket.scope) else None
-
-
-async def _serve(socket: WebSocket, services: Services, context: OrderContext) -> None:
-    await _make_room()
-    _open[id(socket)] = socket
-    beating = asyncio.create_task(_send_beats(socket))
-    under_way: set[asyncio.Task[None]] = set()
-    try:
-        await socket.send_json({"ready": True})
-        while True:
-            asked = _object(await socket.receive_text())
-            pressed = replace(context, arrived_s=suspend_aware_clock_s())  # and not when the socket was opened
-            task = asyncio.create_task(_stop(socket, services, pressed, asked))  # none waits for the one before
-            under_way.add(task)
-            task.add_done_callback(under_way.discard)
-    finally:
-        beating.cancel()
-        _open.pop(id(socket), None)
-
-
-async def _stop(socket: WebSocket, services: Services, context: OrderContext, asked: dict[str, Any]) -> None:
-    answer: dict[str, Any] = {"id": asked.get("id")}
-    what, machine = str(asked.get("what")), str(asked.get("machine"))[:100]
-    try:
-        if what not in set(Stop):
-            words = Phrase("what is {value}; allowed: {allowed}", value=repr(what[:40]), allowed=", ".join(Stop))
-            raise Problem(422, words, field="what")
-        order = await services.fleet.stops.stop_machine(machine, Stop(what), context)
-        answer |= {"taken": True} | order.model_dump(mode="json")
-    except Problem as problem:
-        answer |= {"taken": False, "detail": problem.detail, "code": problem.code, "values": problem.values}
-        answer |= {"phrases": phrases_in(problem.detail)}
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        await socket.send_json(answer)
-
-
-async def _send_beats(socket: WebSocket) -> None:
-    number = 0
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        while True:
-            await asyncio.sleep(_BEAT_S)
-            number += 1
-            await socket.send_json({"beat": number})
-
-
-async def _make_room() -> None:
-    """Close the socket that is open longest: its page opens it again."""
-    while len(_open) >= _MOST:
-        oldest = _open.pop(next(iter(_open)))
-        with contextlib.suppress(RuntimeError):
-            await oldest.close(_MAKE_ROOM)
-
-
-def _object(text: str) -> dict[str, Any]:
-    with contextlib.suppress(ValueError, RecursionError):
-        if isinstance(found := json.loads(text), dict):
-            return found
-    return {}
+    await services_of(socket).stop_sockets.serve(socket)

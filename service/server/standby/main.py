@@ -1,0 +1,149 @@
+"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor.
+
+It imports neither database nor framework, so that stops are served a moment after the start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import sys
+from importlib import metadata
+from typing import Any
+
+import uvicorn
+from starlette.types import Receive, Scope, Send
+from uvicorn.server import ServerState
+
+from service.errors import ServiceError
+from service.http.admission import Admission, is_stop
+from service.http.uvicorn_protocol import (
+    ACCEPTED_AT_ONCE,
+    HEADER_BYTES,
+    QUEUED,
+    SOCKET_BYTES,
+    VERSION_HEADER,
+    ProblemProtocol,
+    allow_open_files,
+)
+from service.http.websocket_protocol import PlacedWebSocket
+from service.processes import lifeline
+from service.processes.priority import go_first
+from service.server.fleet.agent_links import AgentLinks
+from service.server.fleet.machine_stops import MachineStops
+from service.server.standby.app import StandbyApp
+from service.server.standby.line import ApiWatch
+from service.server.stoppers import FILE, StopperFile
+from service.settings import ServerSettings
+
+_CONNECTIONS, _STRANGERS, _FILES = 1000, 200, 4096
+_HELD_S = 25.0  # for the API to serve again
+
+
+def main() -> int:
+    """Run until SIGTERM."""
+    listener, line = lifeline.inherit_socket(), lifeline.inherit_line()
+    assert listener is not None and line is not None
+    try:
+        settings = ServerSettings.load()
+    except ServiceError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
+    go_first()
+    allow_open_files(_FILES)
+    asyncio.run(_serve(settings, listener, line))
+    return 0
+
+
+async def _serve(settings: ServerSettings, listener: socket.socket, line: socket.socket) -> None:
+    stop = asyncio.Event()
+    for kind in lifeline.STOPPING:
+        asyncio.get_running_loop().add_signal_handler(kind, stop.set)
+    links = AgentLinks(settings)
+    standby = Standby(StandbyApp(settings, MachineStops(links), StopperFile(settings.data / FILE)), listener, line)
+    known, _ = await links.list_machines()  # known before anybody presses
+    for machine in known.values():
+        links.get_link(machine)
+    await stop.wait()
+    standby.close()
+    await links.close()
+
+
+class Standby:
+    """Accepts connections while the API does not."""
+
+    def __init__(self, app: StandbyApp, listener: socket.socket, line: socket.socket) -> None:
+        self._listener = listener
+        self._loop = asyncio.get_running_loop()
+        self._config = uvicorn.Config(
+            app,
+            ws=PlacedWebSocket,
+            ws_max_size=SOCKET_BYTES,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            h11_max_incomplete_event_size=HEADER_BYTES,
+            timeout_keep_alive=30,
+        )
+        self._config.load()
+        self._state = ServerState()
+        self._state.default_headers = [(VERSION_HEADER.encode(), metadata.version("causticmill").encode())]
+        self._admission = Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+        self._server: asyncio.Server | None = None
+        self._changes: set[asyncio.Task[None]] = set()
+        self._api = ApiWatch(line, self._change)
+        self._change(False)
+
+    def close(self) -> None:
+        self._change(True)
+
+    def _change(self, api_serves: bool) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if not api_serves:
+            task = self._loop.create_task(self._accept())
+            self._changes.add(task)
+            task.add_done_callback(self._changes.discard)
+
+    async def _accept(self) -> None:
+        own = self._listener.dup()  # closed with the server
+        self._server = await self._loop.create_server(self._make_protocol, sock=own, backlog=ACCEPTED_AT_ONCE)
+        own.listen(QUEUED)
+
+    def _make_protocol(self) -> StandbyProtocol:
+        return StandbyProtocol(
+            self._api, self._admission, config=self._config, server_state=self._state, app_state={}, _loop=self._loop
+        )
+
+
+class StandbyProtocol(ProblemProtocol):
+    """Keeps what is no stop for the API."""
+
+    def __init__(self, api: ApiWatch, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._api = api
+        self._come = b""
+
+    def data_received(self, data: bytes) -> None:
+        self._come += data
+        super().data_received(data)
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if is_stop(scope["method"], scope["path"]):
+            await super()._admit(scope, receive, send)
+            return
+        self.transport.pause_reading()
+        connection = self.transport.get_extra_info("socket").fileno()
+        if await self._api.hand_over(connection, self._come, _HELD_S):
+            self.cycle.disconnected = True  # the answer comes from the API
+            self.transport.abort()
+        else:
+            await super()._admit(scope, receive, send)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
