@@ -9,6 +9,7 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
+from collections.abc import Iterable
 
 from phrases.phrase import Phrase
 from service.errors import InputError
@@ -38,9 +39,9 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
         )
 
 
-def own_names() -> frozenset[str]:
-    """Return names under which this computer may be called."""
-    return frozenset({"localhost", socket.gethostname().lower()})
+def own_names(more: Iterable[str] = ()) -> frozenset[str]:
+    """Return names under which this computer may be called, lower case. more: by the settings."""
+    return frozenset({"localhost", socket.gethostname().lower(), *(name.lower() for name in more)})
 
 
 _AUTHORITY = re.compile(r"(?:\[(?P<v6>[^\[\]@/]+)\]|(?P<name>[^\[\]@/:]+))(?::[0-9]{0,5})?")

@@ -82,6 +82,10 @@ class ProblemProtocol(H11Protocol):
         super().connection_lost(exc)
         self._place.leave()
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Defer it: a crowd of them shall keep nobody from being accepted, and some of it is gone before its turn."""
+        self._admission.defer(self._place, functools.partial(super().handle_websocket_upgrade, event))
+
     def send_400_response(self, msg: str) -> None:
         words = Phrase("this is not a request in HTTP/1.1: {cause}", cause=msg)
         body = json.dumps(problem_body(Problem(400, words))).encode()

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from machines.mill.orders import Stop, suspend_aware_clock_s
@@ -21,6 +22,7 @@ from phrases.phrase import Phrase, phrases_in
 from service.http.admission import note_known
 from service.http.problems import Problem
 from service.server.api.access.client_address import address_of, is_here
+from service.server.api.access.headers import read_headers, refuse_foreign_page
 from service.server.fleet.machine_stops import MachineStops
 from service.server.fleet.order_context import AT_THE_SERVER, OrderContext
 from service.server.stoppers import Stopper
@@ -32,18 +34,38 @@ _NOT_KNOWN, _MAKE_ROOM = 4401, 1013
 
 
 class StopSockets:
-    """find_stopper : whose token may stop mills"""
+    """ASGI, of WebSockets only.
+
+    find_stopper : whose token may stop mills; names: of this server
+    """
 
     def __init__(
-        self, stops: MachineStops, find_stopper: Callable[[str], Stopper | None], *, behind_proxy: bool
+        self,
+        stops: MachineStops,
+        find_stopper: Callable[[str], Stopper | None],
+        *,
+        names: frozenset[str],
+        behind_proxy: bool,
     ) -> None:
         self._stops = stops
         self._find_stopper = find_stopper
+        self._names = names
         self._behind_proxy = behind_proxy
         self.open: dict[int, WebSocket] = {}
 
-    async def serve(self, socket: WebSocket) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one until it is closed."""
+        try:
+            headers = read_headers(scope, self._names)
+            refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
+            if scope["path"] != PATH:
+                raise Problem(404, Phrase("no such address"))
+        except Problem:
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        await self._serve(WebSocket(scope, receive, send))
+
+    async def _serve(self, socket: WebSocket) -> None:
         await socket.accept()
         try:
             first = _object(await socket.receive_text())  # a stranger's place is kept for a while only

@@ -33,7 +33,6 @@ from service.server.api.routes import (
     photos,
     profiles,
     runs,
-    stops,
     submit,
     tools,
 )
@@ -67,7 +66,6 @@ _ROUTERS = (
     machines,
     control,
     runs,
-    stops,
     health,
     identity,
     page,

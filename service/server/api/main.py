@@ -22,9 +22,11 @@ from typing import Any
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import Receive, Scope, Send
 
 from service.errors import EXIT_FAILURE, ServiceError
 from service.http.admission import Admission
+from service.http.hosts import own_names
 from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import (
     ACCEPTED_AT_ONCE,
@@ -137,7 +139,12 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             tokens=tokens,
             pairings=pairings,
             stop_access=stop_access,
-            stop_sockets=StopSockets(fleet.stops, stop_access.find, behind_proxy=settings.behind_proxy),
+            stop_sockets=StopSockets(
+                fleet.stops,
+                stop_access.find,
+                names=own_names(settings.allowed_hosts),
+                behind_proxy=settings.behind_proxy,
+            ),
             terminal=CodeOnTerminal(pairings, offer, url),
             fleet=fleet,
             pictures=pictures,
@@ -195,8 +202,14 @@ def server_of(
 
     admission : None for the usual places
     """
+    app = make_app(services)
+
+    async def serve(scope: Scope, receive: Receive, send: Send) -> None:
+        """Strangers may open sockets: that they pass by all of what requests need keeps them cheap."""
+        await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
+
     config = uvicorn.Config(
-        make_app(services),
+        serve,
         http=make_protocol(admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)),
         ws=PlacedWebSocket,
         ws_max_size=SOCKET_BYTES,

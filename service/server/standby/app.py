@@ -8,7 +8,6 @@ from typing import Any
 
 from starlette.responses import JSONResponse
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocket
 
 from machines.mill.orders import Stop, suspend_aware_clock_s
 from phrases.phrase import Phrase
@@ -19,7 +18,7 @@ from service.server.api.access.client_address import address_of, is_here
 from service.server.api.access.headers import Headers, read_headers, read_secret, refuse_foreign_page
 from service.server.fleet.machine_stops import MachineStops
 from service.server.fleet.order_context import AT_THE_SERVER, OrderContext
-from service.server.stop_socket import PATH, StopSockets
+from service.server.stop_socket import StopSockets
 from service.server.stoppers import StopperFile
 from service.settings import ServerSettings
 
@@ -34,29 +33,25 @@ class StandbyApp:
     def __init__(self, settings: ServerSettings, stops: MachineStops, stoppers: StopperFile) -> None:
         self._stops = stops
         self._stoppers = stoppers
-        self._sockets = StopSockets(stops, stoppers.find, behind_proxy=settings.behind_proxy)
         self._behind_proxy = settings.behind_proxy
-        self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
+        self._names = own_names(settings.allowed_hosts)
+        self._sockets = StopSockets(stops, stoppers.find, names=self._names, behind_proxy=settings.behind_proxy)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await self._sockets(scope, receive, send)
+            return
         try:
+            if not is_stop(scope["method"], scope["path"]):
+                raise Problem(503, Phrase("the server is not ready yet; try again"), headers={"Retry-After": "1"})
             headers = read_headers(scope, self._names)
-            if scope["type"] == "websocket" and scope["path"] == PATH:
-                refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
-                await self._sockets.serve(WebSocket(scope, receive, send))
-                return
-            if scope["type"] == "http" and is_stop(scope["method"], scope["path"]):
-                refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
-                answer = await self._stop(scope["path"], self._identify(scope, headers))
-                await JSONResponse(answer, status_code=202, headers={"Connection": "close"})(scope, receive, send)
-                return
-            raise Problem(503, Phrase("the server is not ready yet; try again"), headers={"Retry-After": "1"})
+            refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
+            answer = await self._stop(scope["path"], self._identify(scope, headers))
         except Problem as problem:
-            if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": 1008})
-                return
             problem.headers["Connection"] = "close"
             await problem_response(problem)(scope, receive, send)
+            return
+        await JSONResponse(answer, status_code=202, headers={"Connection": "close"})(scope, receive, send)
 
     def _identify(self, scope: Scope, headers: Headers) -> OrderContext:
         """Return who stops a mill; Problem 401 for one who may not."""

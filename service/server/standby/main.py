@@ -38,6 +38,7 @@ from service.server.stoppers import FILE, StopperFile
 from service.settings import ServerSettings
 
 _CONNECTIONS, _STRANGERS, _FILES = 1000, 200, 4096
+_MEET_S = 10.0
 _HELD_S = 25.0  # for the API to serve again
 
 
@@ -63,12 +64,20 @@ async def _serve(settings: ServerSettings, listener: socket.socket, line: socket
         asyncio.get_running_loop().add_signal_handler(kind, stop.set)
     links = AgentLinks(settings)
     standby = Standby(StandbyApp(settings, MachineStops(links), StopperFile(settings.data / FILE)), listener, line)
-    known, _ = await links.list_machines()  # known before anybody presses
-    for machine in known.values():
-        links.get_link(machine)
+    meeting = asyncio.create_task(_meet_agents(links))
     await stop.wait()
+    meeting.cancel()
     standby.close()
     await links.close()
+
+
+async def _meet_agents(links: AgentLinks) -> None:
+    """Know where every mill's agent is before anybody presses, until cancelled."""
+    while True:
+        known, _ = await links.list_machines()
+        met = (links.get_link(machine).find_address() for machine in known.values())
+        await asyncio.gather(*met, return_exceptions=True)
+        await asyncio.sleep(_MEET_S)
 
 
 class Standby:

@@ -45,8 +45,6 @@ OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this c
 OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
 OPEN_BELOW = "/page/"  # files that hold no data
 
-STOP_SOCKET = "/v1/stops"
-
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _BURST_S = 10.0
 _LOOK_UPS = 4
@@ -102,7 +100,7 @@ class Guard:
         self._stop_access = services.stop_access
         self._fleet = services.fleet
         self._behind_proxy = settings.behind_proxy
-        self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
+        self._names = own_names(settings.allowed_hosts)
         self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
         # A proxy that adds no header of its own makes strangers look like callers on this computer.
         self._open_here = OPEN_HERE - ({"/metrics"} if settings.behind_proxy else set())
@@ -114,17 +112,12 @@ class Guard:
         self._notes = ThreadPoolExecutor(1, thread_name_prefix="guard-notes")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        try:
-            await (self._admit(scope) if scope["type"] == "http" else self._admit_socket(scope))
-        except Problem as problem:
-            if scope["type"] == "http":
+        if scope["type"] == "http":
+            try:
+                await self._admit(scope)
+            except Problem as problem:
                 await problem_response(problem)(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008})
-            return
+                return
         await self._app(scope, receive, send)
 
     async def _admit(self, scope: Scope) -> None:
@@ -149,14 +142,6 @@ class Guard:
             raise not_authorised(Phrase("this token is unknown, expired or revoked")) if wrong else not_authorised()
         if not principal.anonymous:
             self._charge(scope, principal)
-
-    async def _admit_socket(self, scope: Scope) -> None:
-        """Admit the way for stops, the only socket; who may use it, it finds out itself."""
-        headers = read_headers(scope, self._names)
-        if scope["path"] != STOP_SOCKET:
-            raise Problem(404, Phrase("no such socket"))
-        refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
-        note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
 
     async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
         """Admit a stop, which is never too much and asks for nothing that could be busy: a token that was seen before

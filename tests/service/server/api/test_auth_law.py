@@ -20,7 +20,6 @@ from machines.mill.orders import Stop
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from service.http.admission import STOPS
-from service.server.api.access.guard import STOP_SOCKET
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.mills import AT_ZERO, Bench, ends
