@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections import deque
-from collections.abc import Callable
 
 from starlette.types import Scope
 
@@ -39,7 +37,6 @@ class Admission:
         self.strangers = strangers
         self.wait_s = wait_s
         self._places: dict[Place, None] = {}
-        self._deferred: deque[tuple[Place, Callable[[], None]]] = deque()
         self._waiting: dict[Place, None] = {}  # strangers; the one who has kept us waiting longest is first
 
     @property
@@ -59,25 +56,6 @@ class Admission:
         if len(self._places) > self.most and (other := self._find_other(place)) is not None:
             other.close()
         return place
-
-    def defer(self, place: Place, work: Callable[[], None]) -> None:
-        """Do costly work for a stranger when those before it are done, one in each turn of the event loop; not at all
-        where the place is lost by then.
-        """
-        self._deferred.append((place, work))
-        if len(self._deferred) == 1:
-            asyncio.get_running_loop().call_soon(self._work)
-
-    def _work(self) -> None:
-        try:
-            while self._deferred:
-                place, work = self._deferred.popleft()
-                if place in self._places:
-                    work()
-                    return
-        finally:
-            if self._deferred:
-                asyncio.get_running_loop().call_soon(self._work)
 
     def _await(self, place: Place) -> None:
         self._waiting[place] = None

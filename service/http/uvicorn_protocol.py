@@ -5,6 +5,7 @@ connections have places (`admission`): uvicorn waits for a request for ever, and
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import json
 import resource
@@ -17,14 +18,13 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phrases.phrase import Phrase
+from service.http.acceptor import Acceptor
 from service.http.admission import PLACE, Admission, Place, is_stop
 from service.http.problems import Problem, problem_body, problem_response
 
 HEADER_BYTES = 32 << 10
 SOCKET_BYTES = 4096  # of one message over a WebSocket
 VERSION_HEADER = "Causticmill-Version"  # with every answer
-ACCEPTED_AT_ONCE = 32  # uvicorn's `backlog`: new connections between two looks at those that are there already
-QUEUED = 4096  # connections that the system keeps until they are accepted: one that it drops comes a second later
 
 
 def allow_open_files(most: int) -> int:
@@ -37,17 +37,45 @@ def allow_open_files(most: int) -> int:
 
 
 class HttpServer(uvicorn.Server):
-    """uvicorn on sockets with a long queue."""
+    """uvicorn with an acceptor of ours and places for its connections."""
+
+    def __init__(self, config: uvicorn.Config, admission: Admission) -> None:
+        config.http = cast("type[asyncio.Protocol]", functools.partial(ProblemProtocol, admission))
+        super().__init__(config)
+        self._admission = admission
+        self._acceptors: list[Acceptor] = []
+        self._beginnings: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets)
-        for each in sockets or ():
-            each.listen(QUEUED)
+        await super().startup([])
+        few, wait_s = self._admission.strangers, self._admission.wait_s
+        self._acceptors = [Acceptor(each, self.begin, silent=few, wait_s=wait_s) for each in sockets or ()]
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for acceptor in self._acceptors:
+            acceptor.close()
+        await super().shutdown(sockets)
+
+    def begin(self, connection: socket.socket, come: bytes = b"") -> None:
+        """Serve a connection. come: what another process has read of it."""
+        protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        protocol.first_data = come
+        begin_connection(protocol, connection, self._beginnings)
 
 
-def make_protocol(admission: Admission) -> type[asyncio.Protocol]:
-    """Return the protocol of a server with these places, as uvicorn's `http`."""
-    return cast("type[asyncio.Protocol]", functools.partial(ProblemProtocol, admission))
+def begin_connection(protocol: asyncio.Protocol, connection: socket.socket, tasks: set[asyncio.Task[None]]) -> None:
+    """Set a connection up for its protocol. tasks: where this work is kept until it is done."""
+    loop = asyncio.get_running_loop()
+
+    async def begin() -> None:
+        with contextlib.suppress(OSError):  # its caller has gone
+            await loop.connect_accepted_socket(lambda: protocol, connection)
+
+    task = loop.create_task(begin())
+    tasks.add(task)
+    task.add_done_callback(tasks.discard)
 
 
 class ProblemProtocol(H11Protocol):
@@ -81,10 +109,6 @@ class ProblemProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self._place.leave()
-
-    def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Defer it: a crowd of them shall keep nobody from being accepted, and some of it is gone before its turn."""
-        self._admission.defer(self._place, functools.partial(super().handle_websocket_upgrade, event))
 
     def send_400_response(self, msg: str) -> None:
         words = Phrase("this is not a request in HTTP/1.1: {cause}", cause=msg)

@@ -29,7 +29,7 @@ from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
 from service.errors import InputError, printable
 from service.http.admission import Admission
-from service.http.uvicorn_protocol import ACCEPTED_AT_ONCE, HEADER_BYTES, HttpServer, allow_open_files, make_protocol
+from service.http.uvicorn_protocol import HEADER_BYTES, HttpServer, allow_open_files
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
 from service.milling.agent.audit import AuditLog
@@ -129,9 +129,7 @@ async def _serve(
     server = _Server(
         uvicorn.Config(
             make_app(agent),
-            http=make_protocol(Admission(most=_CONNECTIONS, strangers=_STRANGERS)),
             ws="none",
-            backlog=ACCEPTED_AT_ONCE,
             h11_max_incomplete_event_size=HEADER_BYTES,
             log_config=None,
             log_level="warning",
@@ -140,7 +138,8 @@ async def _serve(
             server_header=False,
             timeout_keep_alive=60,
             timeout_graceful_shutdown=_DRAIN_S,
-        )
+        ),
+        Admission(most=_CONNECTIONS, strangers=_STRANGERS),
     )
     watch.start()
     try:

@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
-from typing import Any
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
@@ -29,13 +28,11 @@ from service.http.admission import Admission
 from service.http.hosts import own_names
 from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import (
-    ACCEPTED_AT_ONCE,
     HEADER_BYTES,
     SOCKET_BYTES,
     VERSION_HEADER,
     HttpServer,
     allow_open_files,
-    make_protocol,
 )
 from service.http.websocket_protocol import PlacedWebSocket
 from service.logs import configure_logs
@@ -163,7 +160,7 @@ async def _serve(services: Services, listener: socket.socket, line: socket.socke
     def begin() -> None:
         print(f"causticmill on {url_of(listener)}", flush=True)
         if line is not None:
-            take_over(line, server.adopt)
+            take_over(line, server.begin)
             lifeline.say(line, lifeline.SERVING)
 
     def end() -> None:
@@ -210,7 +207,6 @@ def server_of(
 
     config = uvicorn.Config(
         serve,
-        http=make_protocol(admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)),
         ws=PlacedWebSocket,
         ws_max_size=SOCKET_BYTES,
         lifespan="on",
@@ -220,42 +216,32 @@ def server_of(
         proxy_headers=False,
         headers=[(VERSION_HEADER, metadata.version("causticmill"))],
         h11_max_incomplete_event_size=HEADER_BYTES,
-        backlog=ACCEPTED_AT_ONCE,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_DRAIN_S,
     )
-    return Server(config, services, on_ready, on_end)
+    admission = admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+    return Server(config, admission, services, on_ready, on_end)
 
 
 class Server(HttpServer):
     """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
 
     def __init__(
-        self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None], on_end: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        admission: Admission,
+        services: Services,
+        on_ready: Callable[[], None],
+        on_end: Callable[[], None],
     ) -> None:
-        super().__init__(config)
+        super().__init__(config, admission)
         self._services = services
         self._on_ready = on_ready
         self._on_end = on_end
-        self._adopting: set[asyncio.Task[None]] = set()
 
     @property
     def serves(self) -> bool:
         return self.started and not self.should_exit
-
-    def adopt(self, connection: socket.socket, come: bytes) -> None:
-        """Serve a connection that another process has accepted. come: what it has read of it."""
-        task = asyncio.get_running_loop().create_task(self._adopt(connection, come))
-        self._adopting.add(task)
-        task.add_done_callback(self._adopting.discard)
-
-    async def _adopt(self, connection: socket.socket, come: bytes) -> None:
-        protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
-            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
-        )
-        protocol.first_data = come
-        with contextlib.suppress(OSError):  # its caller has gone
-            await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="api")

@@ -17,15 +17,15 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from service.errors import ServiceError
+from service.http.acceptor import Acceptor
 from service.http.admission import Admission, is_stop
 from service.http.uvicorn_protocol import (
-    ACCEPTED_AT_ONCE,
     HEADER_BYTES,
-    QUEUED,
     SOCKET_BYTES,
     VERSION_HEADER,
     ProblemProtocol,
     allow_open_files,
+    begin_connection,
 )
 from service.http.websocket_protocol import PlacedWebSocket
 from service.processes import lifeline
@@ -84,7 +84,6 @@ class Standby:
     """Accepts connections while the API does not."""
 
     def __init__(self, app: StandbyApp, listener: socket.socket, line: socket.socket) -> None:
-        self._listener = listener
         self._loop = asyncio.get_running_loop()
         self._config = uvicorn.Config(
             app,
@@ -101,32 +100,19 @@ class Standby:
         self._state = ServerState()
         self._state.default_headers = [(VERSION_HEADER.encode(), metadata.version("causticmill").encode())]
         self._admission = Admission(most=_CONNECTIONS, strangers=_STRANGERS)
-        self._server: asyncio.Server | None = None
-        self._changes: set[asyncio.Task[None]] = set()
-        self._api = ApiWatch(line, self._change)
-        self._change(False)
+        self._beginnings: set[asyncio.Task[None]] = set()
+        wait_s = self._admission.wait_s
+        self._acceptor = Acceptor(listener, self._begin, silent=_STRANGERS, wait_s=wait_s)
+        self._api = ApiWatch(line, lambda serves: self._acceptor.pause() if serves else self._acceptor.resume())
 
     def close(self) -> None:
-        self._change(True)
+        self._acceptor.close()
 
-    def _change(self, api_serves: bool) -> None:
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if not api_serves:
-            task = self._loop.create_task(self._accept())
-            self._changes.add(task)
-            task.add_done_callback(self._changes.discard)
-
-    async def _accept(self) -> None:
-        own = self._listener.dup()  # closed with the server
-        self._server = await self._loop.create_server(self._make_protocol, sock=own, backlog=ACCEPTED_AT_ONCE)
-        own.listen(QUEUED)
-
-    def _make_protocol(self) -> StandbyProtocol:
-        return StandbyProtocol(
+    def _begin(self, connection: socket.socket) -> None:
+        protocol = StandbyProtocol(
             self._api, self._admission, config=self._config, server_state=self._state, app_state={}, _loop=self._loop
         )
+        begin_connection(protocol, connection, self._beginnings)
 
 
 class StandbyProtocol(ProblemProtocol):
