@@ -12,9 +12,9 @@ OWN = (
     "[::1]", "[::1]:8000", "[fe80::1]",
 )  # fmt: skip
 FOREIGN = (
-    "", ":8000", "evil.com", "localhost.evil.com", "[::1].evil.com", "[::1].evil.com:8000", "[::1]x", "[::1]:80.evil.com",
-    "[localhost]", "[evil.com]", "[127.0.0.1]", "::1", "127.0.0.1.evil.com", "127.0.0.1:80.evil.com", "127.0.0.1:x",
-    "localhost:8000:1", "x@localhost", "localhost:1@evil.com", "127.1", "[::1", "::1]", "[[::1]]",
+    "", ":8000", "evil.com", "localhost.evil.com", "[::1].evil.com", "[::1].evil.com:8000", "[::1]x", "[localhost]",
+    "[::1]:80.evil.com", "[evil.com]", "[127.0.0.1]", "::1", "127.0.0.1.evil.com", "127.0.0.1:80.evil.com", "127.1",
+    "127.0.0.1:x", "localhost:8000:1", "x@localhost", "localhost:1@evil.com", "[::1", "::1]", "[[::1]]",
 )  # fmt: skip
 
 
