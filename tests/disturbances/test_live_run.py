@@ -195,7 +195,7 @@ def _hold(floor: Floor) -> None:
 def test_a_stop_arrives_while_there_is_no_api(tmp_path: Path, killed: bool) -> None:
     """It is being started again, and gets no further, or it hangs. A stop comes by a token from elsewhere."""
     api, patient = "service.server.api.main", {"CAUSTICMILL_LEASE_S": "3600"}
-    with running_floor(tmp_path, lines=LINES, time_factor=FACTOR, server_environment=patient) as floor:
+    with running_floor(tmp_path, lines=10 * LINES, time_factor=FACTOR, server_environment=patient) as floor:
         floor.start()
         stoppers = floor.settings.data / STOPPERS
         until(lambda: hash_secret(floor.token) in read_stoppers(stoppers), what="the token in the standby's file")
