@@ -108,6 +108,7 @@ async def _life(services: Services) -> AsyncIterator[None]:
         delivery = Delivery(ways)
         behind += [delivery.run(), watch_mills(services.fleet, delivery.tell)]
     tasks = [asyncio.create_task(work) for work in behind]
+    await services.fleet.meet_agents()
     yield
     services.feed.close()
     for task in tasks:

@@ -59,6 +59,12 @@ class AgentLinks:
             raise no_machine(machine, known)
         return self.get_link(known[machine])
 
+    async def meet_agents(self) -> None:
+        """Find out where every mill's agent is, before anybody presses. One that is away is passed over."""
+        known, _ = await self.list_machines()
+        met = (self.get_link(machine).find_address() for machine in known.values())
+        await asyncio.gather(*met, return_exceptions=True)
+
     async def close(self) -> None:
         if self._http is not None:
             await self._http.aclose()

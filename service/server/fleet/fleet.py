@@ -38,6 +38,7 @@ from service.settings import ServerSettings
 from service.store.base import Store
 
 WATCH_S = 10.0
+_MEET_S = 1.0  # at the start, for all agents
 _MOST_FOLLOWERS = 300
 _log = structlog.get_logger("api")
 
@@ -61,6 +62,12 @@ class Fleet:
     async def await_end(self, seconds: float) -> bool:
         """Wait so long, or until the server ends: then True."""
         return await self._core.await_end(seconds)
+
+    async def meet_agents(self) -> None:
+        """Find out where the mills' agents are: a stop that comes first shall not have to."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_MEET_S):
+                await self._core.meet_agents()
 
     async def watch(self, every_s: float = WATCH_S) -> None:
         """Look at every open run now and then: one that ends while nobody asks is closed all the same."""

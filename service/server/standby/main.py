@@ -72,11 +72,9 @@ async def _serve(settings: ServerSettings, listener: socket.socket, line: socket
 
 
 async def _meet_agents(links: AgentLinks) -> None:
-    """Know where every mill's agent is before anybody presses, until cancelled."""
+    """Keep in mind where the mills' agents are, until cancelled."""
     while True:
-        known, _ = await links.list_machines()
-        met = (links.get_link(machine).find_address() for machine in known.values())
-        await asyncio.gather(*met, return_exceptions=True)
+        await links.meet_agents()
         await asyncio.sleep(_MEET_S)
 
 
