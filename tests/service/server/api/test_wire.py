@@ -69,7 +69,10 @@ def stop(server: ApiServer, headers: dict[str, str]) -> int:
     return httpx.post(path, headers=headers, timeout=PATIENCE_S).status_code
 
 
-BODY = b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\nx"
+BODY = (
+    b"POST /v1/pairings HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"  # open to everybody
+    b"Content-Length: 1000\r\n\r\nx"
+)
 SOCKET = (
     b"GET /v1/stops HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nX-Forwarded-For: 192.0.2.1\r\n\r\n"
@@ -89,6 +92,18 @@ def test_strangers_take_no_place_of_those_who_are_known_and_of_stops(
         until(lambda: server.admission.count <= 1 + 3)
         assert stop(server, known) == 404 and stop(server, {}) == 404
         assert kept.get("/v1/jobs", headers=known).status_code == 200
+
+
+@pytest.mark.parametrize("words", [BODY, SOCKET], ids=["body", "socket"])
+def test_a_connection_that_is_lost_leaves_its_place(small: tuple[ApiServer, dict[str, str]], words: bytes) -> None:
+    server, _ = small
+    server.admission.wait_s = 1e6
+    with opened(server) as wire:
+        wire.sendall(words)
+        until(lambda: server.admission.count == 1)
+        if words == SOCKET:
+            assert b"101" in read_until(wire, b"\r\n\r\n")
+    until(lambda: server.admission.count == 0)
 
 
 @pytest.mark.parametrize("words", [BODY, SOCKET], ids=["body", "socket"])
