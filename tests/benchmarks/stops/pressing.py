@@ -27,6 +27,8 @@ PATIENCE_S = 10.0  # a press that has not arrived by then counts as so long
 _SETTLE_S = 30.0
 _PAUSE_S = (0.05, 0.15)
 
+_BROKEN = ("RemoteDisconnected", "ConnectionResetError")
+
 Press = Callable[[], str]
 """Sends one HOLD and waits for what is said to it: "" where it was taken."""
 
@@ -102,7 +104,13 @@ def _live(status: dict) -> bool:  # type: ignore[type-arg]
 
 
 def by_server(floor: Floor, token: str) -> Press:
-    return lambda: _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token)
+    """One whose connection breaks is sent once more, as the page does it."""
+
+    def press() -> str:
+        said = _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token)
+        return _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token) if said.startswith(_BROKEN) else said
+
+    return press
 
 
 class BySocket:
