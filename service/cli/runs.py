@@ -175,7 +175,10 @@ def _print_plan(plan: dict[str, Any]) -> None:
 
 
 def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
-    """Send a stop as `_send_command`; where it may not have arrived, the person is sent to the mill's own stop."""
+    """Send a stop as `_send_command`, or to the mill's agent on this computer where its server does not answer; where
+    it may not have arrived, the person is sent to the mill's own stop.
+    """
+    from service.client.local_agents import stop_at_agents
     from service.client.server import GoneError, RefusedError
     from service.errors import FailedError
 
@@ -184,6 +187,9 @@ def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> N
     except (GoneError, RefusedError) as error:
         if isinstance(error, RefusedError) and error.status < 500:
             raise
+        if (machine := stop_at_agents(run, verb)) is not None:
+            print(f"{verb}: taken by the agent of {machine}; {error}")
+            return
         doubt = f"the {verb} may not have arrived: use the mill's own stop"
         raise FailedError(*str(error).split("\n"), doubt) from None
 

@@ -7,7 +7,9 @@ talk to us; a name cannot be re-pointed when only addresses and known names are 
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
+from collections.abc import Iterable
 
 from phrases.phrase import Phrase
 from service.errors import InputError
@@ -37,18 +39,22 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
         )
 
 
-def own_names() -> frozenset[str]:
-    """Return names under which this computer may be called."""
-    return frozenset({"localhost", socket.gethostname().lower()})
+def own_names(more: Iterable[str] = ()) -> frozenset[str]:
+    """Return names under which this computer may be called, lower case. more: by the settings."""
+    return frozenset({"localhost", socket.gethostname().lower(), *(name.lower() for name in more)})
+
+
+_AUTHORITY = re.compile(r"(?:\[(?P<v6>[^\[\]@/]+)\]|(?P<name>[^\[\]@/:]+))(?::[0-9]{0,5})?")
 
 
 def is_own_host(header: str, names: frozenset[str]) -> bool:
-    """Return whether a Host header, lower case, holds one of the names or an address, with or without a port."""
-    name = header.rpartition("]")[0].removeprefix("[") if header.startswith("[") else header.partition(":")[0]
-    if name in names:
+    """Return whether a Host header, lower case, is one of the names or an address, with or without a port."""
+    parts = _AUTHORITY.fullmatch(header)
+    if parts is None:
+        return False
+    if parts["name"] in names:
         return True
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address(parts["name"] or parts["v6"]).version == (4 if parts["name"] else 6)
     except ValueError:
         return False
-    return True

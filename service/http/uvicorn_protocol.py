@@ -1,72 +1,114 @@
-"""uvicorn's HTTP/1.1, where the answers that it gives by itself are problems like all others of ours.
-
-A connection that brings no whole request head is closed after a while; uvicorn waits for one for ever. Where there are
-too many connections, those that ask for nothing make room for those that do, strangers before callers whom the
-application has let in once: whoever owns a mill keeps a way to it.
+"""uvicorn's HTTP/1.1, where the answers that it gives by itself are problems like all others of ours, and where
+connections have places (`admission`): uvicorn waits for a request for ever, and counts a stop like any other.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import functools
 import json
 import resource
+import socket
 from typing import Any, cast
 
 import h11
-from starlette.types import Message, Receive, Scope, Send
+import uvicorn
+from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phrases.phrase import Phrase
+from service.http.acceptor import Acceptor
+from service.http.admission import PLACE, Admission, Place, is_stop
 from service.http.problems import Problem, problem_body, problem_response
 
 HEADER_BYTES = 32 << 10
+SOCKET_BYTES = 4096  # of one message over a WebSocket
 VERSION_HEADER = "Causticmill-Version"  # with every answer
-_REQUEST_HEAD_S = 30.0
-_STRANGER = frozenset({400, 401, 403, 421, 429, 431})
 
 
-def allow_open_files(most: int) -> None:
-    """Raise this process's limit of open files to `most`, or as far as it may."""
+def allow_open_files(most: int) -> int:
+    """Raise this process's limit of open files to `most`, or as far as it may; return what it is then."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     if soft != resource.RLIM_INFINITY and soft < most:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+
+
+class HttpServer(uvicorn.Server):
+    """uvicorn with an acceptor of ours and places for its connections."""
+
+    def __init__(self, config: uvicorn.Config, admission: Admission) -> None:
+        config.http = cast("type[asyncio.Protocol]", functools.partial(ProblemProtocol, admission))
+        super().__init__(config)
+        self._admission = admission
+        self._acceptors: list[Acceptor] = []
+        self._beginnings: set[asyncio.Task[None]] = set()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup([])
+        few, wait_s = self._admission.strangers, self._admission.wait_s
+        self._acceptors = [Acceptor(each, self.begin, silent=few, wait_s=wait_s) for each in sockets or ()]
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for acceptor in self._acceptors:
+            acceptor.close()
+        await super().shutdown(sockets)
+
+    def begin(self, connection: socket.socket, come: bytes = b"") -> None:
+        """Serve a connection. come: what another process has read of it."""
+        protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        protocol.first_data = come
+        begin_connection(protocol, connection, self._beginnings)
+
+
+def begin_connection(protocol: asyncio.Protocol, connection: socket.socket, tasks: set[asyncio.Task[None]]) -> None:
+    """Set a connection up for its protocol. tasks: where this work is kept until it is done."""
+    loop = asyncio.get_running_loop()
+
+    async def begin() -> None:
+        with contextlib.suppress(OSError):  # its caller has gone
+            await loop.connect_accepted_socket(lambda: protocol, connection)
+
+    task = loop.create_task(begin())
+    tasks.add(task)
+    task.add_done_callback(tasks.discard)
 
 
 class ProblemProtocol(H11Protocol):
     """What is refused here never reaches the application."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    _place: Place
+    first_data = b""  # of a connection that another process has begun to read
+
+    def __init__(self, admission: Admission, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self._admission = admission
         self._app = self.app
-        self._most, self.limit_concurrency = self.limit_concurrency, None
         self.app = self._admit
-        self._waits_since_s: float | None = None  # for a request's head; None: a request is being answered
-        self._head_timer: asyncio.TimerHandle | None = None
-        self._is_known = False  # the application has let a request of this connection in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(cast("asyncio.Transport", transport))
-        self._await_head()
-        if self._most is not None and len(self.connections) > self._most:
-            self._make_room()
+        self._place = self._admission.enter(self.transport)
+        self.app_state = {**self.app_state, PLACE: self._place}
+        if self.first_data:
+            self.data_received(self.first_data)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         self._note_request()
 
     def on_response_complete(self) -> None:
-        self._await_head()
+        self._place.await_request()
         super().on_response_complete()
         self._note_request()  # the next one may be here already
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
-        self._await_nothing()
-
-    def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        self._await_nothing()
-        super().handle_websocket_upgrade(event)
+        self._place.leave()
 
     def send_400_response(self, msg: str) -> None:
         words = Phrase("this is not a request in HTTP/1.1: {cause}", cause=msg)
@@ -83,40 +125,17 @@ class ProblemProtocol(H11Protocol):
         self.transport.close()
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if self._most is not None and len(self.tasks) > self._most:
+        if self._admission.is_full and not self._place.is_stop:
             headers = {"Retry-After": "5", "Connection": "close"}
             problem = Problem(503, Phrase("too many requests at once"), headers=headers)
             await problem_response(problem)(scope, receive, send)
             return
-
-        async def send_noted(message: Message) -> None:
-            if message["type"] == "http.response.start" and message["status"] not in _STRANGER:
-                self._is_known = True
-            await send(message)
-
-        await self._app(scope, receive, send_noted)
-
-    def _await_head(self) -> None:
-        self._await_nothing()
-        self._waits_since_s = self.loop.time()
-        self._head_timer = self.loop.call_later(_REQUEST_HEAD_S, self.transport.close)
+        await self._app(scope, receive, send)
 
     def _note_request(self) -> None:
-        if self.cycle is not None and not self.cycle.response_complete:
-            self._await_nothing()
-
-    def _await_nothing(self) -> None:
-        self._waits_since_s = None
-        if self._head_timer is not None:
-            self._head_timer.cancel()
-
-    def _make_room(self) -> None:
-        """Close the connection that has asked for nothing for the longest time."""
-        others = [each for each in self.connections if isinstance(each, ProblemProtocol) and each is not self]
-        idle = [
-            (each._is_known, each._waits_since_s, id(each), each) for each in others if each._waits_since_s is not None
-        ]
-        if idle:
-            *_, longest = min(idle)
-            longest._await_nothing()
-            longest.transport.abort()
+        if self.cycle is None or self.cycle.response_complete:
+            return
+        if is_stop(self.scope["method"], self.scope["path"]):
+            self._place.answer_stop()
+        elif self._place.is_known or not self.cycle.more_body:
+            self._place.await_nothing()

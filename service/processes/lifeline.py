@@ -1,4 +1,5 @@
-"""What a child of `serve` has from its supervisor: a pipe to beat into, and the address to serve, bound already.
+"""What a child of `serve` has from its supervisor: a pipe to beat into, the address to serve, bound already, and the
+line between API and standby.
 
 The pipe tells both ways: without beats the supervisor takes the child for frozen, and a supervisor that is gone closes
 it. Only what the standard library has is imported here.
@@ -6,6 +7,7 @@ it. Only what the standard library has is imported here.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import select
@@ -17,9 +19,13 @@ from collections.abc import Callable
 
 BEAT_FD = "CAUSTICMILL_BEAT_FD"
 LISTEN_FD = "CAUSTICMILL_LISTEN_FD"
+LINE_FD = "CAUSTICMILL_LINE_FD"
 SUPERVISOR = "CAUSTICMILL_SUPERVISOR"
 PAIRING_OFFER = "CAUSTICMILL_PAIRING_OFFER"
 BEAT_S = 0.5
+SERVING, GONE = b"serving", b"gone"  # what is said on the line between API and standby
+SERVING_EVERY_S = 0.5
+LINE_BYTES = 400_000  # at most in one message: what was read of a connection that is handed over
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # what ends the server, and with it its children
 _SET_PDEATHSIG = 1
 
@@ -39,6 +45,27 @@ def inherit_socket() -> socket.socket | None:
     """Return the address the supervisor has bound; None: not started by it, or not to serve."""
     descriptor = _take_descriptor(LISTEN_FD)
     return None if descriptor is None else socket.socket(fileno=descriptor)
+
+
+def inherit_line() -> socket.socket | None:
+    """Return this process's end of the line between the API and its standby; None: not started by the supervisor."""
+    descriptor = _take_descriptor(LINE_FD)
+    return None if descriptor is None else socket.socket(fileno=descriptor)
+
+
+def make_line() -> tuple[socket.socket, socket.socket]:
+    """Return the ends of the standby and of the API. They outlive both: what was sent to one that dies is not lost."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    for end in ends:
+        end.setblocking(False)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, LINE_BYTES)
+    return ends
+
+
+def say(line: socket.socket, word: bytes) -> None:
+    """Say SERVING or GONE to the standby, if there is one that listens."""
+    with contextlib.suppress(OSError):
+        line.send(word)
 
 
 def _take_descriptor(name: str) -> int | None:

@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 
+from service.server.stoppers import FILE as STOPPERS
+from service.server.stoppers import hash_secret, read_stoppers
 from service.settings import ServerSettings
 from tests.disturbances.disk import SmallDisk, missing_for_slow, missing_for_small, slow_disk, small_disk
 from tests.disturbances.floor import MILL, Floor, running_floor
 from tests.disturbances.proxy import HoldingProxy
 from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 from tests.service.store.conftest import s3_address, s3_urls  # noqa: F401 - fixtures
-from tests.waiting import seen, until
+from tests.waiting import PATIENCE_S, seen, until
 
 LINES = 300
 FACTOR = 2.0  # some ten seconds of cutting
@@ -186,3 +189,26 @@ def _hold(floor: Floor) -> None:
     address = f"{floor.url}/v1/machines/{MILL}/control/hold"
     answer = httpx.post(address, headers=headers, timeout=20.0, trust_env=False)
     assert answer.status_code == 202, answer.text
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_a_stop_arrives_while_there_is_no_api(tmp_path: Path, killed: bool) -> None:
+    """It is being started again, and gets no further, or it hangs. A stop comes by a token from elsewhere."""
+    api, patient = "service.server.api.main", {"CAUSTICMILL_LEASE_S": "3600"}
+    with running_floor(tmp_path, lines=10 * LINES, time_factor=FACTOR, server_environment=patient) as floor:
+        floor.start()
+        stoppers = floor.settings.data / STOPPERS
+        until(lambda: hash_secret(floor.token) in read_stoppers(stoppers), what="the token in the standby's file")
+        before = floor.serving.child(api)
+        if killed:
+            floor.kill_api()
+            until(lambda: floor.serving.child(api) not in (0, before), what="another API")
+        hanging = floor.serving.child(api)
+        floor.serving.kill(hanging, signal.SIGSTOP)
+        headers = {"Authorization": f"Bearer {floor.token}", "X-Forwarded-For": "192.0.2.1"}
+        stop = f"{floor.url}/v1/machines/{MILL}/control/hold"
+        answer = httpx.post(stop, headers=headers, timeout=PATIENCE_S, trust_env=False)
+        assert answer.status_code == 202, answer.text
+        assert floor.mill.held()
+        floor.serving.kill(hanging, signal.SIGCONT)
+        floor.until_state("held")

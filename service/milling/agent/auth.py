@@ -12,6 +12,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.http.admission import note_known
 from service.http.hosts import is_own_host, own_names
 from service.http.problems import Problem, problem_response
 from service.processes.private import keep_private
@@ -91,4 +92,5 @@ class AgentGuard:
         kind, _, token = headers.get(b"authorization", b"").partition(b" ")
         if kind.lower() != b"bearer" or not hmac.compare_digest(token.strip(), self._token):
             return Problem(401, "a token is needed: Authorization: Bearer ...", field="Authorization")
+        note_known(scope)
         return None

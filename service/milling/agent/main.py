@@ -28,7 +28,8 @@ from machines.profile import MachineProfile
 from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
 from service.errors import InputError, printable
-from service.http.uvicorn_protocol import HEADER_BYTES, ProblemProtocol, allow_open_files
+from service.http.admission import Admission
+from service.http.uvicorn_protocol import HEADER_BYTES, HttpServer, allow_open_files
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
 from service.milling.agent.audit import AuditLog
@@ -47,7 +48,7 @@ _MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 _GOING = (RunState.RUNNING, RunState.RECOVERING, RunState.HOLDING, RunState.STOPPING)
 _STANDSTILL_S = 10.0
 _DRAIN_S = 2
-_CONNECTIONS = 200
+_CONNECTIONS, _STRANGERS = 200, 100
 _FILES = 1024
 CatchStop = Callable[[], AbstractContextManager[asyncio.Event]]
 
@@ -128,9 +129,7 @@ async def _serve(
     server = _Server(
         uvicorn.Config(
             make_app(agent),
-            http=ProblemProtocol,
             ws="none",
-            limit_concurrency=_CONNECTIONS,
             h11_max_incomplete_event_size=HEADER_BYTES,
             log_config=None,
             log_level="warning",
@@ -139,7 +138,8 @@ async def _serve(
             server_header=False,
             timeout_keep_alive=60,
             timeout_graceful_shutdown=_DRAIN_S,
-        )
+        ),
+        Admission(most=_CONNECTIONS, strangers=_STRANGERS),
     )
     watch.start()
     try:
@@ -160,7 +160,7 @@ async def _serve(
         audit.close()
 
 
-class _Server(uvicorn.Server):
+class _Server(HttpServer):
     """uvicorn without its signal handlers: ours hold the mill first."""
 
     @contextlib.contextmanager

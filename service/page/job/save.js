@@ -7,12 +7,13 @@ import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { language, t } from "../lib/language.js";
+import { at } from "../lib/root.js";
 import { bytes, percent } from "../lib/words.js";
 
 /** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told.
  * @param {{url: string, name: string, size?: number, words: any, plain?: boolean, fetched?: boolean}} options */
 export function saveLink({ url, name, size, words, plain = false, fetched = false }) {
-  const link = h("a", { class: plain ? "" : "button", href: url, download: name }, words ?? name);
+  const link = h("a", { class: plain ? "" : "button", href: at(url), download: name }, words ?? name);
   link.addEventListener("click", (event) => {
     if (!api.token && !fetched) return;
     event.preventDefault();
@@ -30,7 +31,7 @@ export function sheetOf(artifacts) {
 
 /** The setup sheet: opens beside this page; where that needs a token, it is saved with its pictures in it. */
 export function sheetLink(file, words) {
-  const link = h("a", { href: file.url, target: "_blank", rel: "noopener" }, words);
+  const link = h("a", { href: at(file.url), target: "_blank", rel: "noopener" }, words);
   link.addEventListener("click", (event) => {
     if (!api.token) return;
     event.preventDefault();

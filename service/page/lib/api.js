@@ -7,6 +7,7 @@
  */
 
 import { readAnswer, t } from "./language.js";
+import { at } from "./root.js";
 
 const TIMEOUT_MS = 20_000;
 const AGREE_MS = 5000;
@@ -213,7 +214,7 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, k
   if (token) own.Authorization = `Bearer ${token}`;
   const signals = [signal, timeout_ms ? AbortSignal.timeout(timeout_ms) : null].filter(Boolean);
   try {
-    const response = await fetch(path, {
+    const response = await fetch(at(path), {
       method,
       headers: own,
       body,
@@ -278,7 +279,7 @@ async function probe(tries) {
   await new Promise((done) => setTimeout(done, PROBE_MS[Math.min(tries, PROBE_MS.length - 1)]));
   if (!away) return;
   try {
-    const response = await fetch("/", {
+    const response = await fetch(at("/"), {
       headers: { Accept: "application/json" },
       cache: "no-store",
       signal: AbortSignal.timeout(4000),

@@ -1,5 +1,7 @@
 /** Elements without a framework: made in one call, filled with nodes and texts, never with markup. */
 
+import { at } from "./root.js";
+
 const SVG = "http://www.w3.org/2000/svg";
 const AS_ATTRIBUTE = /^(aria-|data-|role$|for$|list$|form$|colspan$|rowspan$|width$|height$)/;
 
@@ -71,7 +73,7 @@ export function sheet(href) {
     sheets.set(
       href,
       new Promise((done) => {
-        document.head.append(h("link", { rel: "stylesheet", href, onload: done, onerror: done }));
+        document.head.append(h("link", { rel: "stylesheet", href: at(href), onload: done, onerror: done }));
       }),
     );
   }

@@ -4,6 +4,8 @@
  * first that is not seen on every screen. tests/page/test_languages.py holds them complete.
  */
 
+import { at } from "./root.js";
+
 /** What each language calls itself. */
 export const LANGUAGES = { en: "English", de: "Deutsch", ja: "日本語" };
 const KEPT = "causticmill-language";
@@ -24,7 +26,7 @@ let coming;
 document.documentElement.lang = table ? language : "en";
 
 async function load(folder) {
-  const answer = await fetch(`/page/languages/${folder}${language}.json`, { signal: AbortSignal.timeout(LOAD_MS) }).catch(() => null);
+  const answer = await fetch(at(`/page/languages/${folder}${language}.json`), { signal: AbortSignal.timeout(LOAD_MS) }).catch(() => null);
   return answer?.ok ? answer.json().catch(() => null) : null;
 }
 

@@ -6,6 +6,7 @@
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
+import { at } from "../lib/root.js";
 import { isLive, mills } from "./mills.js";
 import { addressOf, needsHand, standingInShop } from "./words.js";
 
@@ -64,7 +65,7 @@ async function endWords(name) {
 
 function tell(name, words) {
   if (!words) return;
-  const shown = new Notification(name, { body: words, tag: name, icon: "/page/icon.svg" });
+  const shown = new Notification(name, { body: words, tag: name, icon: at("/page/icon.svg") });
   shown.onclick = () => {
     focus();
     location.hash = addressOf(name);

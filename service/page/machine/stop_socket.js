@@ -5,6 +5,7 @@
 
 import { api, ProblemError } from "../lib/api.js";
 import { translate } from "../lib/language.js";
+import { at } from "../lib/root.js";
 
 const SILENCE_MS = 13_000; // the server says something every 5 s
 const FIRST_WAIT_MS = 500;
@@ -49,7 +50,7 @@ export class StopSocket {
     this.drop("The way for stops is opened anew.");
     this.token = api.token;
     try {
-      this.socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/v1/stops`);
+      this.socket = new WebSocket(location.origin.replace(/^http/, "ws") + at("/v1/stops"));
     } catch {
       return; // a browser that forbids it: stops go by the other way
     }

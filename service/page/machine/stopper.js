@@ -7,6 +7,7 @@ import { refusal, stands } from "./words.js";
 const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
 const STOP_ANSWER_MS = 6000;
 const BEHIND_MS = 1000;
+const LOST_MS = 1000; // a request whose server died with it is sent once more up to then: another takes it at once
 const BUTTON = t("Use the stop button on the mill itself.");
 
 export class Stopper {
@@ -54,12 +55,14 @@ export class Stopper {
    */
   send(what) {
     if (what === "abort") this.aborts += 1;
-    const { aborts } = this;
+    const { aborts } = this, pressed = Date.now();
     const timeout = new Error("No answer in time.");
     const note = ({ mill }) => (this.answered = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
     const first = Promise.race([this.socket.send(this.name, what), after(STOP_ANSWER_MS).then(() => Promise.reject(timeout))]).then(note);
     const how = { timeout_ms: STOP_ANSWER_MS, quiet: true, keepalive: true };
-    const post = () => api.post(`/v1/machines/${encodeURIComponent(this.name)}/control/${what}`, {}, how).then(note);
+    const ask = () => api.post(`/v1/machines/${encodeURIComponent(this.name)}/control/${what}`, {}, how).then(note);
+    const isLost = ({ status }) => status === 0 && Date.now() - pressed < LOST_MS && aborts === this.aborts;
+    const post = () => ask().catch((error) => (isLost(error) ? ask() : Promise.reject(error)));
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;
     first.then(() => (answered = true)).catch(() => {});

@@ -4,6 +4,7 @@ import { saveLink } from "../job/save.js";
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";
+import { at } from "../lib/root.js";
 import { sentence } from "../lib/words.js";
 
 const TITLE = t("Measure your mill and your finish");
@@ -26,7 +27,7 @@ export function couponPart({ take }) {
   function show(chosen) {
     if (chosen === profile) return;
     profile = chosen;
-    link.href = `${address()}.zip`;
+    link.href = at(`${address()}.zip`);
     link.download = `coupon-${profile}.zip`;
     photo.clear(); // it was another mill's
   }

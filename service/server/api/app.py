@@ -13,7 +13,8 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware import Middleware
 
-from service.server.api.access.guard import STOPS, Guard
+from service.http.admission import STOPS
+from service.server.api.access.guard import Guard
 from service.server.api.errors import install_problems
 from service.server.api.intake.body import BodyLimit, BodyTimeout
 from service.server.api.metrics import MetricsMiddleware
@@ -32,7 +33,6 @@ from service.server.api.routes import (
     photos,
     profiles,
     runs,
-    stops,
     submit,
     tools,
 )
@@ -66,7 +66,6 @@ _ROUTERS = (
     machines,
     control,
     runs,
-    stops,
     health,
     identity,
     page,
@@ -109,6 +108,7 @@ async def _life(services: Services) -> AsyncIterator[None]:
         delivery = Delivery(ways)
         behind += [delivery.run(), watch_mills(services.fleet, delivery.tell)]
     tasks = [asyncio.create_task(work) for work in behind]
+    await services.fleet.meet_agents()
     yield
     services.feed.close()
     for task in tasks:

@@ -20,11 +20,21 @@ from importlib import metadata
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import Receive, Scope, Send
 
 from machines.clock import Timeout
 from service.errors import EXIT_FAILURE, ServiceError
+from service.http.admission import Admission
+from service.http.hosts import own_names
 from service.http.listener import bind_address, url_of
-from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
+from service.http.uvicorn_protocol import (
+    HEADER_BYTES,
+    SOCKET_BYTES,
+    VERSION_HEADER,
+    HttpServer,
+    allow_open_files,
+)
+from service.http.websocket_protocol import PlacedWebSocket
 from service.logs import configure_logs
 from service.processes import lifeline
 from service.processes.private import keep_private
@@ -45,17 +55,18 @@ from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine
+from service.server.standby.line import take_over
+from service.server.stop_socket import StopSockets
+from service.server.stoppers import FILE as STOPPERS
 from service.settings import ServerSettings
 from service.store.opening import open_store
 
 _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
-_CONNECTIONS = 1000
-_SOCKET_BYTES = 4096  # of one message about a stop
+_CONNECTIONS, _STRANGERS = 1000, 200
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
-_TURN_S = 0.5
 _STUCK_S = 10.0
 
 
@@ -70,9 +81,10 @@ def main() -> int:
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
         listener = lifeline.inherit_socket() or bind_address(settings.host, settings.port)
+        line = lifeline.inherit_line()
         url = url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
-            asyncio.run(_serve(services, listener))
+            asyncio.run(_serve(services, listener, line))
     except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
@@ -112,7 +124,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(exact_estimates.close)
         looks = Estimator(module=LOOKING, what="look")
         stack.callback(looks.close)
-        stop_access = StopAccess(tokens)
+        stop_access = StopAccess(tokens, settings.data / STOPPERS)
         stack.callback(stop_access.close)
         fleet = Fleet(settings, database, store, book)
         yield Services(
@@ -124,6 +136,12 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             tokens=tokens,
             pairings=pairings,
             stop_access=stop_access,
+            stop_sockets=StopSockets(
+                fleet.stops,
+                stop_access.find,
+                names=own_names(settings.allowed_hosts),
+                behind_proxy=settings.behind_proxy,
+            ),
             terminal=CodeOnTerminal(pairings, offer, url),
             fleet=fleet,
             pictures=pictures,
@@ -136,33 +154,61 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         )
 
 
-async def _serve(services: Services, listener: socket.socket) -> None:
-    server = server_of(services, on_ready=lambda: print(f"causticmill on {url_of(listener)}", flush=True))
+async def _serve(services: Services, listener: socket.socket, line: socket.socket | None) -> None:
+    """line: to the standby, which serves stops while this process does not"""
+
+    def begin() -> None:
+        print(f"causticmill on {url_of(listener)}", flush=True)
+        if line is not None:
+            take_over(line, server.begin)
+            lifeline.say(line, lifeline.SERVING)
+
+    def end() -> None:
+        if line is not None:
+            lifeline.say(line, lifeline.GONE)
+
+    server = server_of(services, begin, end)
     if services.settings.prepare:
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
-    turning = asyncio.create_task(_turn())
+    turning = asyncio.create_task(_turn(server, line))
     gc.freeze()  # what is here now stays: not worth looking at again and again
     await server.serve(sockets=[listener])
     turning.cancel()
 
 
-async def _turn() -> None:
-    """Tell the supervisor of us while the loop turns; one that hangs is started again."""
+async def _turn(server: Server, line: socket.socket | None) -> None:
+    """Tell supervisor and standby of us while the loop turns; one that hangs is started again."""
     hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # looked at with every beat
     lifeline.healthy = lambda: not hang.is_over
     while True:
-        await asyncio.sleep(_TURN_S)
+        await asyncio.sleep(lifeline.SERVING_EVERY_S)
         hang.restart()
+        if line is not None and server.serves:
+            lifeline.say(line, lifeline.SERVING)
 
 
-def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
-    """Make uvicorn as we want it; `on_ready` is called once it serves."""
+def server_of(
+    services: Services,
+    on_ready: Callable[[], None] = lambda: None,
+    on_end: Callable[[], None] = lambda: None,
+    *,
+    admission: Admission | None = None,
+) -> Server:
+    """Make uvicorn as we want it; `on_ready` is called once it serves, `on_end` when it accepts nothing any more.
+
+    admission : None for the usual places
+    """
+    app = make_app(services)
+
+    async def serve(scope: Scope, receive: Receive, send: Send) -> None:
+        """Strangers may open sockets: that they pass by all of what requests need keeps them cheap."""
+        await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
+
     config = uvicorn.Config(
-        make_app(services),
-        http=ProblemProtocol,
-        ws="wsproto",
-        ws_max_size=_SOCKET_BYTES,
+        serve,
+        ws=PlacedWebSocket,
+        ws_max_size=SOCKET_BYTES,
         lifespan="on",
         log_config=None,
         access_log=False,
@@ -170,20 +216,32 @@ def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -
         proxy_headers=False,
         headers=[(VERSION_HEADER, metadata.version("causticmill"))],
         h11_max_incomplete_event_size=HEADER_BYTES,
-        limit_concurrency=_CONNECTIONS,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_DRAIN_S,
     )
-    return Server(config, services, on_ready)
+    admission = admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+    return Server(config, admission, services, on_ready, on_end)
 
 
-class Server(uvicorn.Server):
+class Server(HttpServer):
     """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
 
-    def __init__(self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None]) -> None:
-        super().__init__(config)
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        admission: Admission,
+        services: Services,
+        on_ready: Callable[[], None],
+        on_end: Callable[[], None],
+    ) -> None:
+        super().__init__(config, admission)
         self._services = services
         self._on_ready = on_ready
+        self._on_end = on_end
+
+    @property
+    def serves(self) -> bool:
+        return self.started and not self.should_exit
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="api")
@@ -196,6 +254,7 @@ class Server(uvicorn.Server):
             self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._on_end()
         self._services.feed.close()
         self._services.fleet.end_streams()
         await super().shutdown(sockets)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from service.server.database.tokens import TokenBook
     from service.server.fleet.fleet import Fleet
     from service.server.queue.engine import JobEngine
+    from service.server.stop_socket import StopSockets
     from service.settings import ServerSettings
     from service.store.base import Store
 
@@ -36,6 +37,7 @@ class Services:
     tokens: TokenBook
     pairings: PairingBook
     stop_access: StopAccess
+    stop_sockets: StopSockets
     terminal: CodeOnTerminal
     fleet: Fleet
     pictures: PictureChecker

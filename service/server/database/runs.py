@@ -20,13 +20,19 @@ from service.server.database.connection import begin_reading, begin_writing, clo
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
 from service.server.database.records import ClientKey, Job, KeyReusedError
-from service.server.database.states import STATE_WORDS, JobState
+from service.server.database.states import (
+    ABORTED,
+    FINISHED,
+    LOST,
+    PREPARING,
+    REFUSED,
+    STATE_WORDS,
+    JobState,
+)
 from service.server.database.tables import idempotency_keys, runs
 
 Json = dict[str, Any]
 
-PREPARING, PARKED, REFUSED = "preparing", "parked", "refused"
-FINISHED, ABORTED, INTERRUPTED, LOST = "finished", "aborted", "interrupted", "lost"
 ENDED = frozenset({FINISHED, ABORTED})  # of the agent's words
 LIVE_WORDS = frozenset(state.value for state in LIVE)
 _WORDS = 1000

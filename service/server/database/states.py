@@ -28,6 +28,10 @@ class StageState(StrEnum):
     CANCELLED = "cancelled"
 
 
+PREPARING, PARKED, REFUSED = "preparing", "parked", "refused"
+FINISHED, ABORTED, INTERRUPTED, LOST = "finished", "aborted", "interrupted", "lost"
+"""States of runs: the agents' words, and ours (preparing, refused, lost)."""
+
 _S = JobState
 
 TRANSITIONS: dict[JobState, frozenset[JobState]] = {

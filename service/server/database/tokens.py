@@ -5,7 +5,6 @@ The secret is 256 random bits, so its hash needs no salt and no slow function, a
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import itertools
 import re
@@ -23,6 +22,7 @@ from phrases.phrase import Phrase
 from service.errors import InputError
 from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.tables import pairings, tokens
+from service.server.stoppers import hash_secret
 
 PREFIX = "cm_"  # so that people and secret scanners know one when they see it
 _SECRET = re.compile(r"cm_[A-Za-z0-9_-]{43}")
@@ -148,12 +148,11 @@ class TokenBook:
         token = _token(row)
         return token if token.live(now) else None
 
-    def find_stoppers(self) -> dict[str, Token]:
-        """Find by the hash of its secret every token that may stop mills: revoked ones may not, ended ones may."""
+    def find_unrevoked(self) -> dict[str, Token]:
+        """Find by the hash of its secret every token that was not revoked, ended ones too."""
         with begin_reading(self.engine) as connection:
             rows = connection.execute(select(tokens).where(tokens.c.revoked_at.is_(None))).mappings()
-            found = {str(row["sha256"]): _token(row) for row in rows}
-        return {digest: token for digest, token in found.items() if TokenScope.MACHINE_RUN in token.scopes}
+            return {str(row["sha256"]): _token(row) for row in rows}
 
     def note_use(self, token: Token, *, renew_s: float | None = None) -> None:
         """Write down that it is in use, at most once a minute; renew_s: a paired one lives so long from now on."""
@@ -212,11 +211,6 @@ def _insert(connection: Connection, token: Token) -> str:
 
 def _new_id() -> str:
     return uuid.uuid4().hex[:12]
-
-
-def hash_secret(secret: str) -> str:
-    """Return what is kept of a secret."""
-    return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def _token(row: RowMapping) -> Token:

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from machines.runs import RunState
 from service.http.problems import Problem, ServerCode
 from service.server.schemas.base import Body, PhraseView
+from service.server.schemas.control import OrderView
 from service.server.schemas.runs import Holder
 
 MOST_BYTES = 4_000_000
@@ -129,3 +130,48 @@ def _is_number(values: Json, name: str, least: float, most: float) -> bool:
     if not isinstance(value, int | float) or isinstance(value, bool) or not isfinite(value):
         return False
     return least <= value <= most and (isinstance(least, float) or value == int(value))
+
+
+def make_order_view(machine: str, order: str, status: Json) -> OrderView:
+    """Return what an order or a stop beside a run is answered with."""
+    return OrderView(machine=machine, order=order, mill=make_mill_view(status))
+
+
+def make_mill_view(status: Json) -> Json:
+    """Return what the mill does, out of its agent's status."""
+    told = table(status, "status")
+    names = (
+        "state",
+        "detail",
+        "code",
+        "alarm",
+        "work_mm",
+        "machine_mm",
+        "feed_mm_per_min",
+        "spindle_rpm",
+        "overrides",
+        "position_trusted",
+        "spindle_on",
+        "pins",
+        "controller",
+    )
+    return {name: told.get(name) for name in names} | {
+        "buffer_share": _buffer_share(status),
+        "connected": status.get("connected", False),
+        "problem": status.get("problem", ""),
+        "needs": status.get("needs", []),
+        "latched": status.get("latched", ""),
+        "zeroed": status.get("zeroed", ""),
+        "zeroed_anew": status.get("zeroed_anew", ""),
+        "stops": status.get("stops", 0),
+        "setup": str(status.get("setup", ""))[:100],
+        "phrases": phrases_of(status) or {},
+    }
+
+
+def _buffer_share(status: Json) -> float | None:
+    """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
+    used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
+    if not isinstance(used, int) or not isinstance(room, int) or room <= 0:
+        return None
+    return round(min(1.0, max(0.0, used / room)), 3)

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import httpx
 import sqlalchemy as sa
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
 from service.server.database.jobs import JobBook
-from service.server.database.runs import (
-    FINISHED,
-    LIVE_WORDS,
-    LOST,
-    RunBook,
-    RunRow,
-    UnknownRunError,
-    make_reason,
-    word_state,
-)
+from service.server.database.runs import LIVE_WORDS, RunBook, RunRow, UnknownRunError, make_reason, word_state
+from service.server.database.states import FINISHED, LOST
 from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
+from service.server.fleet.agent_links import AgentLinks
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.registry import KnownMachine, read_machines
 from service.settings import ServerSettings
@@ -44,11 +36,6 @@ class Seen:
     away: Problem | None = None
 
 
-def no_machine(name: str, known: Iterable[str]) -> Problem:
-    words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
-    return Problem(404, Phrase("no machine '{name}'; known: {known}", name=name, known=words), field="machine")
-
-
 def not_handed_over(run: RunRow) -> Problem:
     words = Phrase(
         "the run is {state}: its program has not been handed over, nothing moves", state=word_state(run.state)
@@ -56,23 +43,19 @@ def not_handed_over(run: RunRow) -> Problem:
     return Problem(409, words, field="run")
 
 
-class FleetCore:
+class FleetCore(AgentLinks):
     """Asks, and writes down what it is told. Moves nothing."""
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, jobs: JobBook) -> None:
-        self.settings = settings
+        super().__init__(settings)
         self.store = store
         self.ending = asyncio.Event()
         self.jobs = jobs
         self.runs = RunBook(database)
-        self.links: dict[str, AgentLink] = {}
-        self.stopped_s: dict[str, float] = {}  # when a stop of a machine came by last, by `suspend_aware_clock_s`
         self.live_runs: set[str] = set()  # as last seen
         self.known_runs: dict[str, RunRow] = {}  # handed over: machine and the agent's id of them never change
-        self._http: httpx.AsyncClient | None = None
         # Of its own, so that an order to a mill never waits behind uploads and downloads.
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="fleet")
-        self._looking = ThreadPoolExecutor(1, thread_name_prefix="fleet-profiles")
 
     async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
         """Run a call that waits for the database or a disk, off the event loop."""
@@ -81,31 +64,6 @@ class FleetCore:
 
     async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
         return await self.do(read_machines, self.settings)
-
-    async def find_machine(self, name: str) -> KnownMachine:
-        """Return the machine; Problem 404 where there is none of this name."""
-        known, _ = await self.list_machines()
-        if name not in known:
-            raise no_machine(name, known)
-        return known[name]
-
-    def get_link(self, machine: KnownMachine) -> AgentLink:
-        """Return the link to its agent; a new one where the machine has changed."""
-        found = self.links.get(machine.name)
-        if found is None or found.machine != machine:
-            found = self.links[machine.name] = AgentLink(machine, self.get_http_client)
-        return found
-
-    def known_link(self, machine: str) -> AgentLink | None:
-        """Return the link used before, without a look at any file."""
-        return self.links.get(machine)
-
-    async def renew_link(self, machine: str) -> AgentLink:
-        """Return the link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
-        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
-        if machine not in known:
-            raise no_machine(machine, known)
-        return self.get_link(known[machine])
 
     def remember(self, run: RunRow) -> RunRow:
         """Return where this run is, so that a stop of it asks no database."""
@@ -161,15 +119,5 @@ class FleetCore:
         return self.ending.is_set()
 
     async def close(self) -> None:
-        if self._http is not None:
-            await self._http.aclose()
-            self._http = None
+        await super().close()
         self._threads.shutdown(wait=False, cancel_futures=True)
-        self._looking.shutdown(wait=False, cancel_futures=True)
-
-    def get_http_client(self) -> httpx.AsyncClient:
-        """Return one client for all agents and cameras, made in the loop that uses it. No proxies: all are near."""
-        if self._http is None:
-            limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
-            self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})
-        return self._http

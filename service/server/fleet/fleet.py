@@ -15,15 +15,17 @@ from service.errors import printable
 from service.http.problems import Problem
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
-from service.server.database.runs import PREPARING, RunRow, UnknownRunError
+from service.server.database.runs import RunRow, UnknownRunError
+from service.server.database.states import PREPARING
 from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
 from service.server.fleet.agent_feed import known_id
 from service.server.fleet.agent_replies import parse_reply
 from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore, Seen
 from service.server.fleet.handover import Handovers
-from service.server.fleet.machine_commands import ASK_S, OrderContext, Orders
+from service.server.fleet.machine_commands import ASK_S, Orders
 from service.server.fleet.machine_events import MachineEvents
+from service.server.fleet.order_context import OrderContext
 from service.server.fleet.programs import programs_of
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view
@@ -36,6 +38,7 @@ from service.settings import ServerSettings
 from service.store.base import Store
 
 WATCH_S = 10.0
+_MEET_S = 1.0  # at the start, for all agents
 _MOST_FOLLOWERS = 300
 _log = structlog.get_logger("api")
 
@@ -59,6 +62,12 @@ class Fleet:
     async def await_end(self, seconds: float) -> bool:
         """Wait so long, or until the server ends: then True."""
         return await self._core.await_end(seconds)
+
+    async def meet_agents(self) -> None:
+        """Find out where the mills' agents are: a stop that comes first shall not have to."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_MEET_S):
+                await self._core.meet_agents()
 
     async def watch(self, every_s: float = WATCH_S) -> None:
         """Look at every open run now and then: one that ends while nobody asks is closed all the same."""

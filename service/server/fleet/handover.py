@@ -13,15 +13,8 @@ from collections.abc import AsyncIterator, Iterator
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.database.records import ClientKey, Job, UnknownJobError
-from service.server.database.runs import (
-    PREPARING,
-    REFUSED,
-    JobNotReadyError,
-    MachineTakenError,
-    NewRun,
-    RunRow,
-    make_reason,
-)
+from service.server.database.runs import JobNotReadyError, MachineTakenError, NewRun, RunRow, make_reason
+from service.server.database.states import PREPARING, REFUSED
 from service.server.fleet.agent_client import AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.core import FleetCore, Seen

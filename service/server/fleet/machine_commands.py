@@ -10,35 +10,17 @@ for a grant is what can be late: one that has waited for more than ASK_S since i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from urllib.parse import quote
 
 from machines.mill.orders import LEASE_S, Refusal, suspend_aware_clock_s
 from service.http.problems import Problem
-from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
 from service.server.fleet.agent_client import AgentLink, Json, require_answer
-from service.server.fleet.agent_replies import parse_holder, parse_reply
+from service.server.fleet.agent_replies import make_order_view, parse_holder, parse_reply
 from service.server.fleet.core import FleetCore
-from service.server.fleet.representation import make_order_view
+from service.server.fleet.order_context import OrderContext
 from service.server.schemas.control import ControlView, GrantView, OrderView
 
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OrderContext:
-    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
-
-    name: str
-    origin: str
-    control: str = ""
-    grant: str = ""
-    arrived_s: float = 0.0
-
-    def headers(self) -> dict[str, str]:
-        values = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
-        return {name: value for name, value in values.items() if value}
 
 
 class Orders:

@@ -10,13 +10,13 @@ from machines.profile import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
 from service.server.database.records import Job
-from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
-from service.server.fleet.agent_replies import Json, parse_holder, phrases_of, table
+from service.server.database.runs import RunRow
+from service.server.database.states import ABORTED, INTERRUPTED, PARKED
+from service.server.fleet.agent_replies import Json, make_mill_view, parse_holder, phrases_of, table
 from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
 from service.server.schemas.base import phrase_views
-from service.server.schemas.control import OrderView
 from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
 ORDER: Check = "order"
@@ -153,7 +153,7 @@ def make_machine_view(
         profile=shown,
         phrases=phrase_views((machine.problem, shown)),
         agent=_agent(status, away),
-        mill=None if status is None else _mill(status),
+        mill=None if status is None else make_mill_view(status),
         run=None if run is None else _open_run(run),
         control=parse_holder(lease) if (lease := table(status or {}, "control")) else None,
         links={
@@ -196,48 +196,3 @@ def _open_run(run: RunRow) -> OpenRun:
         **_why(run),
         **_how_far(run.view or {}),
     )
-
-
-def make_order_view(machine: str, order: str, status: Json) -> OrderView:
-    """Return what an order or a stop beside a run is answered with."""
-    return OrderView(machine=machine, order=order, mill=_mill(status))
-
-
-def _mill(status: Json) -> Json:
-    """Return what the mill does, out of its agent's status."""
-    told = table(status, "status")
-    names = (
-        "state",
-        "detail",
-        "code",
-        "alarm",
-        "work_mm",
-        "machine_mm",
-        "feed_mm_per_min",
-        "spindle_rpm",
-        "overrides",
-        "position_trusted",
-        "spindle_on",
-        "pins",
-        "controller",
-    )
-    return {name: told.get(name) for name in names} | {
-        "buffer_share": _buffer_share(status),
-        "connected": status.get("connected", False),
-        "problem": status.get("problem", ""),
-        "needs": status.get("needs", []),
-        "latched": status.get("latched", ""),
-        "zeroed": status.get("zeroed", ""),
-        "zeroed_anew": status.get("zeroed_anew", ""),
-        "stops": status.get("stops", 0),
-        "setup": str(status.get("setup", ""))[:100],
-        "phrases": phrases_of(status) or {},
-    }
-
-
-def _buffer_share(status: Json) -> float | None:
-    """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
-    used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
-    if not isinstance(used, int) or not isinstance(room, int) or room <= 0:
-        return None
-    return round(min(1.0, max(0.0, used / room)), 3)

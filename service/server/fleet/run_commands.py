@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from machines.mill.orders import Refusal
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
-from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow, word_state
+from service.server.database.runs import MachineTakenError, RunRow, word_state
+from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import parse_reply, run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
-from service.server.fleet.machine_commands import OrderContext
+from service.server.fleet.order_context import OrderContext
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
 from service.server.schemas.runs import RecoveryView
 

@@ -1,9 +1,7 @@
-"""Stops: hold, abort, jog-cancel. Taken from everybody who may, at any time.
+"""Stops of mills and of runs, with what the database adds.
 
-Theory of operation. Between the request and the agent there is memory only: which link a machine has, which machine a
-run is on. No database, no thread, no lock and no profile file is waited for before the stop has left; what they add
-(where an agent has moved to, what the run's row says) is waited for afterwards, for a moment. A stop that may be meant
-for two agents goes to both: to stop a mill that did not need it costs little.
+Theory of operation. Nothing of the database is waited for before a stop has left (`machine_stops`): which machine a run
+is on is remembered, or all agents are asked. What the run's row says is waited for afterwards, for a moment.
 """
 
 from __future__ import annotations
@@ -11,53 +9,28 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
-from service.server.database.runs import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow, make_reason, read_reason
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
+from service.server.database.runs import ENDED, RunRow, make_reason, read_reason
+from service.server.database.states import ABORTED, INTERRUPTED, PARKED
+from service.server.fleet.agent_client import AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
-from service.server.fleet.machine_commands import OrderContext
-from service.server.fleet.representation import make_order_view
-from service.server.schemas.control import OrderView
+from service.server.fleet.machine_stops import MachineStops, find_refusal
+from service.server.fleet.order_context import OrderContext
 
 T = TypeVar("T")
-_LOOK_S = 0.2  # for a look at the profiles before the answer: a page that has none after 0.3 s says a stop again
-_RENEW_S = 1.0  # for that look where the known agent does not answer
 _BOOK_S = 0.3  # for the database, after the stop has left
 
 
-class Stops:
+class Stops(MachineStops):
+    """Stops of mills and of runs."""
+
     def __init__(self, core: FleetCore) -> None:
+        super().__init__(core)
         self._core = core
-        self._behind: set[asyncio.Future[Any]] = set()  # what goes on after the answer
-
-    async def stop_machine(self, machine: str, stop: Stop, context: OrderContext) -> OrderView:
-        """Stop, twice where no answer came. Problem 404 where there is no such machine, 503 or 504 for no answer."""
-        self._core.stopped_s[machine] = context.arrived_s
-        path = f"/v1/control/{stop.value}"
-        known = self._core.known_link(machine)
-        if known is None:
-            known = await self._find_present_link(machine, None)
-            answer = await require_answer(known.send_urgent(path, headers=context.headers()), stop)
-            return make_order_view(machine, stop.value, answer)
-        sending = self._go_on(known.send_urgent(path, headers=context.headers()))
-        present = self._go_on(self._stop_present(machine, known, path, context))
-        await asyncio.wait({present}, timeout=_LOOK_S)
-        waiting: set[asyncio.Future[Any]] = {sending, present}
-        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-        if present.done() or sending.exception() is not None:
-            sending = await present or sending
-        return make_order_view(machine, stop.value, await require_answer(sending, stop))
-
-    async def _stop_present(
-        self, machine: str, known: AgentLink, path: str, context: OrderContext
-    ) -> asyncio.Future[Json] | None:
-        """Send the stop to where the mill's agent is now; None where that is the known one."""
-        present = await self._find_present_link(machine, known)
-        return None if present is known else self._go_on(present.send_urgent(path, headers=context.headers()))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
         """Stop as `stop_machine` the mill that has this run. Problem 404, 409 where the run is not on its mill.
@@ -65,8 +38,8 @@ class Stops:
         An abort also gives up a run that never reached its mill, or that its agent is no longer about.
         """
         known = self._core.known_runs.get(run_id)
-        for machine in [known.machine] if known else list(self._core.links):
-            self._core.stopped_s[machine] = context.arrived_s
+        if known:
+            self._core.stopped_s[known.machine] = context.arrived_s
         try:
             stopping = self._stop_known(known, stop, context) if known else self._ask_all(run_id, stop, context)
             run, view = await stopping
@@ -92,35 +65,15 @@ class Stops:
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         """Ask all agents for a run that this process has not seen yet, by our id. Problem where none of them has it."""
-        path = f"/v1/runs/{run_id}:{stop.value}"
-        links = await self._list_links()
-        answers = await asyncio.gather(
-            *(link.send_urgent(path, headers=context.headers()) for link in links), return_exceptions=True
-        )
-        for link, answer in zip(links, answers, strict=True):
+        answers = await self.ask_agents(run_id, stop, context)
+        for link, answer in answers:
             if isinstance(answer, dict):
                 row = self._core.do(self._core.runs.get, run_id)
                 return await self.wait_briefly(row, _make_row(run_id, link, answer)), answer
-        refused = next((one for one in answers if isinstance(one, Problem) and one.status == 409), None)
         run = await self._core.get_row(run_id)
         if run.agent_run is None:
             raise not_handed_over(run)
-        away = next((one for one in answers if isinstance(one, AgentAwayError)), None)
-        unknown = Problem(404, f"no agent knows run {run_id}", field="run", code=ServerCode.RUN_UNKNOWN)
-        raise refused or (away.problem(stop) if away else unknown)
-
-    async def _find_present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
-        """Return the link by the profiles as they are now; the known one where that takes too long."""
-        looking = self._go_on(self._core.renew_link(machine))
-        await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
-        if not looking.done() or (known is not None and looking.exception() is not None):
-            assert known is not None
-            return known
-        return looking.result()
-
-    async def _list_links(self) -> list[AgentLink]:
-        known, _ = await self._core.list_machines()
-        return [self._core.get_link(machine) for machine in known.values()]
+        raise find_refusal(run_id, stop, answers)
 
     async def _give_up(self, run_id: str, problem: Problem) -> Seen:
         run = await self._core.get_row(run_id)
@@ -138,17 +91,6 @@ class Stops:
 
     async def _close(self, run: RunRow, words: str, reason: Json | None = None) -> None:
         await self._core.do(self._core.runs.close, run.id, ABORTED, words, reason)
-
-    def _go_on(self, work: Awaitable[T]) -> asyncio.Future[T]:
-        task = asyncio.ensure_future(work)
-        self._behind.add(task)
-        task.add_done_callback(self._forget)
-        return task
-
-    def _forget(self, task: asyncio.Future[Any]) -> None:
-        self._behind.discard(task)
-        if not task.cancelled():
-            task.exception()  # told to whoever still waits; nobody may, and then it is no news
 
 
 def _apply_view(run: RunRow, view: Json) -> RunRow:

@@ -8,7 +8,7 @@ from uuid import UUID
 from pydantic import BeforeValidator, Field
 
 from machines.runs import RunState
-from service.server.database.runs import LOST, PREPARING, REFUSED
+from service.server.database.states import LOST, PREPARING, REFUSED
 from service.server.schemas.base import Body, Phrases, Sha256, Time, one_of
 
 RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]

@@ -25,6 +25,7 @@ class SupervisedChild:
 
     trusted : the server was ready with it
     lease_s : it is killed when it was not heard of for so long; `passed` are descriptors it inherits
+    on_end  : called each time that it has ended
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class SupervisedChild:
         lease_s: float,
         passed: tuple[int, ...],
         say: Say,
+        on_end: Callable[[], None] = lambda: None,
     ) -> None:
         self.name = name
         self.beats: int | None = None
@@ -48,6 +50,7 @@ class SupervisedChild:
         self._lease_s = lease_s
         self._passed = passed
         self._say = say
+        self._on_end = on_end
         self._process: subprocess.Popen[bytes] | None = None
         self._started_at = self._listened_at = 0.0
         self._silence = Timeout(lease_s, most_s=lease_s)  # looked at four times a lease
@@ -131,6 +134,7 @@ class SupervisedChild:
         self.code, self._process = self._process.returncode, None
         os.close(self.beats)
         self.beats = None
+        self._on_end()
         if not wanted or self.refused or self.failed:
             return
         self.failures += 1

@@ -1,9 +1,9 @@
 """`python -m service.server.supervisor.supervisor`: the process of `causticmill serve`, configured by its environment.
 
-It locks the data folder, binds the address, and starts worker and API as its children; it starts either again when it
-dies or freezes, and ends both when it is told to. It holds nothing else, and imports only what the standard library
-has: it lives as long as the server does. Children die with it, whatever ends it (`processes.lifeline`); agents of mills
-do not.
+It locks the data folder, binds the address, and starts worker, API and the API's standby, which serves stops, as its
+children; it starts each again when it dies or freezes, and ends all when it is told to. It holds nothing else, and
+imports only what the standard library has: it lives as long as the server does. Children die with it, whatever ends it
+(`processes.lifeline`); agents of mills do not.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from service.server.supervisor.child import SupervisedChild
 
 _PREFIX = "CAUSTICMILL_"
 _MODULES = {
+    "stops": "service.server.standby.main",
     "worker": "service.server.worker.main",
     "API": "service.server.api.main",
     "agents": "service.server.supervisor.start_agents",
@@ -66,8 +67,9 @@ class Supervisor:
         self._starter: subprocess.Popen[bytes] | None = None
         self._starts = modules.get("agents")
         self._probe = "/readyz" if "worker" in modules else "/livez"
-        names = [name for name in ("worker", "API", *_SIMULATED) if name in modules]
-        self._children = [_watch(name, modules[name], listener, offer) for name in names]
+        names = [name for name in ("stops", "worker", "API", *_SIMULATED) if name in modules]
+        self._line = lifeline.make_line()
+        self._children = [_watch(name, modules[name], listener, self._line, offer) for name in names]
 
     def run(self) -> int:
         """Run until told to stop, or until a child refuses its configuration; return the exit code."""
@@ -197,13 +199,25 @@ def _read_setting(name: str) -> str:
     return os.environ[f"{_PREFIX}{name}"]
 
 
-def _watch(name: str, module: str, listener: socket.socket, offer: str) -> SupervisedChild:
+def _watch(
+    name: str, module: str, listener: socket.socket, line: tuple[socket.socket, socket.socket], offer: str
+) -> SupervisedChild:
     environment = os.environ | {f"{_PREFIX}PORT": str(listener.getsockname()[1])}
+    standby, api = line
     passed: tuple[int, ...] = ()
+
+    def note_end() -> None:
+        if name == "API":
+            lifeline.say(api, lifeline.GONE)
+
+    if name in ("API", "stops"):
+        end = api if name == "API" else standby
+        passed = (listener.fileno(), end.fileno())
+        environment |= {lifeline.LISTEN_FD: str(passed[0]), lifeline.LINE_FD: str(passed[1])}
     if name == "API":
-        passed = (listener.fileno(),)
-        environment |= {lifeline.LISTEN_FD: str(listener.fileno()), lifeline.PAIRING_OFFER: offer}
-    return SupervisedChild(name, module, environment, lease_s=float(_read_setting("LEASE_S")), passed=passed, say=_say)
+        environment |= {lifeline.PAIRING_OFFER: offer}
+    lease_s = float(_read_setting("LEASE_S"))
+    return SupervisedChild(name, module, environment, lease_s=lease_s, passed=passed, say=_say, on_end=note_end)
 
 
 @contextlib.contextmanager

@@ -73,6 +73,17 @@ def _conditions(floor: Floor, disk: SlowDisk | None) -> Iterator[Figure]:
         yield from _rows("token expired", presser, {"server": by_server(floor, ended)}, _SHORT_S / 3)
         with conditions.silent_connections(floor):
             yield from pressed(f"{conditions.SILENT} silent connections", _SHORT_S)
+        with conditions.slow_bodies(floor):
+            yield from pressed(f"{conditions.SILENT} slow bodies", _SHORT_S)
+        for count in (conditions.SILENT, 3000):
+            with conditions.silent_sockets(floor, count):
+                yield from pressed(f"{count} silent WebSockets", _SHORT_S)
+        with conditions.bogus_tokens(floor):
+            yield from pressed(f"{conditions.GUESSERS} callers with bogus tokens", _SHORT_S)
+        with conditions.api_restarts(floor):
+            yield from pressed("the API is killed every 4 s", _LONG_S)
+        with conditions.locked_database(floor), conditions.api_restarts(floor):
+            yield from pressed("the same, database locked", _LONG_S)
         with conditions.busy_computer():
             yield from pressed(f"{conditions.LOOPS} busy loops", _LONG_S, most_ms=_WORST_BUSY_MS)
 

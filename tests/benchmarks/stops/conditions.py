@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import resource
+import secrets
 import select
 import socket
 import subprocess
@@ -14,6 +15,7 @@ import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
+import httpx
 from sqlalchemy import update
 
 from service.server.database.tables import tokens
@@ -24,6 +26,8 @@ STREAMS = 50
 SILENT = 1100
 _AGAIN, _AGAIN_S = 50, 0.5  # so many of those that were cut come again, so often
 READYZ = 20
+GUESSERS = 8
+_RESTART_EVERY_S = 4.0
 LOOPS = 50
 _LOCKED = """
 import sqlite3, sys
@@ -68,37 +72,104 @@ def silent_connections(floor: Floor) -> Iterator[None]:
 
     One that is cut comes again, as of whoever means harm.
     """
-    with contextlib.ExitStack() as stack:
-        for url in (floor.url, floor.agent_url):
-            stack.enter_context(_kept_silent(url))
-        time.sleep(1.0)
+    with _crowd(floor.url, SILENT), _crowd(floor.agent_url, SILENT):
         yield
 
 
 @contextlib.contextmanager
-def _kept_silent(url: str) -> Iterator[None]:
-    address = (urlsplit(url).hostname, urlsplit(url).port)
+def slow_bodies(floor: Floor) -> Iterator[None]:
+    """Heads that promise a body of which a byte comes now and then, at the server and at the agent; no token."""
+    with contextlib.ExitStack() as stack:
+        for url, path in ((floor.url, "/v1/jobs"), (floor.agent_url, "/v1/runs")):
+            head = f"POST {path} HTTP/1.1\r\nHost: {_host(url)}\r\nContent-Length: 100000\r\n\r\nx"
+            stack.enter_context(_crowd(url, SILENT, hello=head.encode(), drip=b"x"))
+        yield
+
+
+@contextlib.contextmanager
+def silent_sockets(floor: Floor, count: int) -> Iterator[None]:
+    """WebSockets for stops that never say who they are; a proxy has passed them on."""
+    words = ("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13", "X-Forwarded-For: 192.0.2.1")
+    key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="
+    head = "\r\n".join(("GET /v1/stops HTTP/1.1", f"Host: {_host(floor.url)}", *words, key, "", ""))
+    with _crowd(floor.url, count, hello=head.encode()):
+        yield
+
+
+@contextlib.contextmanager
+def bogus_tokens(floor: Floor) -> Iterator[None]:
+    """Callers who try tokens as fast as they are answered, for jobs and for stops."""
+    parts = urlsplit(floor.url)
+
+    def attempt(stop: threading.Event) -> None:
+        number = 0
+        connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=20)
+        while not stop.is_set():
+            number += 1
+            secret = f"cm_{secrets.token_urlsafe(32)}"
+            headers = {"Authorization": f"Bearer {secret}", "X-Forwarded-For": "192.0.2.1"}
+            method, path = ("GET", "/v1/jobs") if number % 2 else ("POST", f"/v1/machines/{MILL}/control/hold")
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                connection.request(method, path, headers=headers)
+                connection.getresponse().read()
+                continue
+            connection.close()
+        connection.close()
+
+    with contextlib.ExitStack() as stack:
+        for _ in range(GUESSERS):
+            stack.enter_context(in_background(attempt))
+        yield
+
+
+@contextlib.contextmanager
+def api_restarts(floor: Floor) -> Iterator[None]:
+    """The API is killed again and again, each time some seconds after it has come back."""
+
+    def kill(stop: threading.Event) -> None:
+        while not stop.wait(_RESTART_EVERY_S):
+            if floor.serving.child("service.server.api.main"):
+                floor.kill_api()
+
+    with in_background(kill):
+        yield
+    with contextlib.suppress(httpx.HTTPError):
+        httpx.get(f"{floor.url}/livez", timeout=30, trust_env=False)
+
+
+@contextlib.contextmanager
+def _crowd(url: str, count: int, *, hello: bytes = b"", drip: bytes = b"") -> Iterator[None]:
+    """Connections of strangers: each says hello, then drips; one that is cut comes again."""
+    address = (str(urlsplit(url).hostname), int(urlsplit(url).port or 0))
     held: dict[int, socket.socket] = {}
     poll = select.poll()
 
-    def dial(count: int) -> None:
-        for _ in range(count):
-            one = socket.socket()
-            one.setblocking(False)
-            one.connect_ex(address)
-            held[one.fileno()] = one
-            poll.register(one, select.POLLIN | select.POLLHUP)
+    def dial(number: int) -> None:
+        for _ in range(number):
+            with contextlib.suppress(OSError):
+                one = socket.create_connection(address, timeout=5)
+                one.setblocking(False)
+                one.send(hello)
+                held[one.fileno()] = one
+                poll.register(one, select.POLLIN | select.POLLHUP)
 
     def keep(stop: threading.Event) -> None:
-        while not stop.is_set():
+        while not stop.wait(_AGAIN_S):
             for number, _ in poll.poll(0):
-                poll.unregister(number)
-                held.pop(number).close()
-            dial(min(_AGAIN, SILENT - len(held)))
-            stop.wait(_AGAIN_S)
+                data = b""
+                with contextlib.suppress(OSError):
+                    data = held[number].recv(4096)
+                if not data:
+                    poll.unregister(number)
+                    held.pop(number).close()
+            for one in held.values():
+                with contextlib.suppress(OSError):
+                    one.send(drip)
+            dial(min(_AGAIN, count - len(held)))
 
-    dial(SILENT)
+    dial(count)
     with in_background(keep):
+        time.sleep(1.0)
         yield
     for one in held.values():
         one.close()

@@ -27,6 +27,8 @@ PATIENCE_S = 10.0  # a press that has not arrived by then counts as so long
 _SETTLE_S = 30.0
 _PAUSE_S = (0.05, 0.15)
 
+_BROKEN = ("RemoteDisconnected", "ConnectionResetError")
+
 Press = Callable[[], str]
 """Sends one HOLD and waits for what is said to it: "" where it was taken."""
 
@@ -102,34 +104,52 @@ def _live(status: dict) -> bool:  # type: ignore[type-arg]
 
 
 def by_server(floor: Floor, token: str) -> Press:
-    return lambda: _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token)
+    """One whose connection breaks is sent once more, as the page does it."""
+
+    def press() -> str:
+        said = _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token)
+        return _posted(floor.url, f"/v1/machines/{MILL}/control/hold", token) if said.startswith(_BROKEN) else said
+
+    return press
 
 
 class BySocket:
-    """The way that is kept for stops (/v1/stops), open from before, as a page has it."""
+    """The way that is kept for stops (/v1/stops), open from before, as a page has it; one that broke is opened anew."""
 
     def __init__(self, floor: Floor, token: str) -> None:
-        parts = urlsplit(floor.url)
+        self._address = urlsplit(floor.url)
+        self._token = token
         self._number = 0
-        self._socket = socket.create_connection((str(parts.hostname), parts.port))
+        self._lock = threading.Lock()
+        self._open()
+
+    def _open(self) -> None:
+        self._socket = socket.create_connection((str(self._address.hostname), self._address.port), timeout=PATIENCE_S)
+        self._socket.settimeout(None)
         self._wire = WSConnection(ConnectionType.CLIENT)
         self._answers: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._lock = threading.Lock()
         self._closed = ""
-        self._send(Request(host=parts.netloc, target="/v1/stops"))
-        threading.Thread(target=self._read, daemon=True).start()
-        assert self._answer({"open"}), "no way for stops"
-        self._send(Message(json.dumps({"token": token})))
-        assert self._answer({"ready"}), "no way for stops"
+        self._send(Request(host=self._address.netloc, target="/v1/stops"))
+        threading.Thread(target=self._read, args=(self._socket,), daemon=True).start()
+        if not self._answer({"open", "closed"}).get("open"):
+            return
+        self._send(Message(json.dumps({"token": self._token})))
+        self._answer({"ready", "closed"})
 
     def __call__(self) -> str:
-        self._number += 1
-        try:
-            self._send(Message(json.dumps({"id": self._number, "machine": MILL, "what": "hold"})))
-        except (OSError, LocalProtocolError):
-            return f"the socket is closed: {self._closed}"
-        answer = self._answer({"id", "closed"})
-        return "" if answer.get("taken") else str(answer.get("detail") or f"no answer {self._closed}")[:100]
+        """Press; where the socket breaks, once more over a new one: a stop that comes twice does no harm."""
+        said = ""
+        for _ in range(3):
+            with contextlib.suppress(OSError, LocalProtocolError):
+                if self._closed:
+                    self._open()
+                self._number += 1
+                self._send(Message(json.dumps({"id": self._number, "machine": MILL, "what": "hold"})))
+                answer = self._answer({"id", "closed"})
+                if "closed" not in answer:
+                    return "" if answer.get("taken") else str(answer.get("detail") or "no answer")[:100]
+            said = f"the socket is closed: {self._closed}"
+        return said
 
     def close(self) -> None:
         self._socket.close()
@@ -147,15 +167,16 @@ class BySocket:
         with self._lock:
             self._socket.sendall(self._wire.send(event))
 
-    def _read(self) -> None:
+    def _read(self, wire: socket.socket) -> None:
         """As a browser does, also while nobody presses: the server asks whether we are there."""
         with contextlib.suppress(OSError):
-            while not self._closed and (data := self._socket.recv(65536)):
+            while not self._closed and (data := wire.recv(65536)):
                 self._wire.receive_data(data)
                 for event in self._wire.events():
                     self._heard(event)
-        self._closed = self._closed or "it ended"
-        self._answers.put({"closed": True})
+        if wire is self._socket:
+            self._closed = self._closed or "it ended"
+            self._answers.put({"closed": True})
 
     def _heard(self, event: Event) -> None:
         if isinstance(event, Ping):

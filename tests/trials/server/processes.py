@@ -17,6 +17,7 @@ _KINDS = (
     ("service.server.worker.process.forkserver", "fork server"),
     ("service.server.worker.main", "worker"),
     ("service.server.api.main", "api"),
+    ("service.server.standby.main", "standby"),
     ("service.server.api.intake.picture_child", "picture"),
     (" serve", "host"),
     (" worker", "worker"),
@@ -26,9 +27,9 @@ _ID = 36  # characters of a job's id
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """kind: host, api, worker, fork server, stage, picture or other; job: the one that a stage's process works for.
+    """kind: host, api, standby, worker, fork server, stage, picture or other.
 
-    frozen: stopped by SIGSTOP
+    job: the one that a stage's process works for; frozen: stopped by SIGSTOP
     """
 
     pid: int

@@ -12,21 +12,24 @@ import asyncio
 import contextlib
 import math
 import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from urllib.parse import urlsplit
+from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from phrases.phrase import Phrase
-from service.http.hosts import is_own_host, own_names
+from service.http.admission import is_stop, note_known
+from service.http.hosts import own_names
 from service.http.problems import Problem, problem_response
-from service.server.api.access.client_address import is_here
+from service.server.api.access.client_address import address_of, is_here
+from service.server.api.access.headers import Headers, read_headers, read_secret, refuse_foreign_page
 from service.server.api.access.scopes import (
     ANONYMOUS,
+    MACHINE_RUN,
     Principal,
     is_at_server,
     not_authorised,
@@ -42,28 +45,13 @@ OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this c
 OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
 OPEN_BELOW = "/page/"  # files that hold no data
 
-STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
-STOP_SOCKET = "/v1/stops"
-
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-_SINGLE = frozenset(
-    {
-        b"host",
-        b"authorization",
-        b"origin",
-        b"content-type",
-        b"idempotency-key",
-        b"last-event-id",
-        b"causticmill-control",
-        b"causticmill-grant",
-    }
-)
-_MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
 _BURST_S = 10.0
-_LOOK_UPS = 8
+_LOOK_UPS = 4
+_WRONG_PER_S, _WRONG_AT_ONCE = 20.0, 200.0  # tokens that we have not seen, from one address
 
-Headers = dict[bytes, bytes]
 _MOST_CALLERS = 10_000
+T = TypeVar("T")
 
 
 @dataclass(slots=True)
@@ -112,43 +100,33 @@ class Guard:
         self._stop_access = services.stop_access
         self._fleet = services.fleet
         self._behind_proxy = settings.behind_proxy
-        self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
+        self._names = own_names(settings.allowed_hosts)
         self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
         # A proxy that adds no header of its own makes strangers look like callers on this computer.
         self._open_here = OPEN_HERE - ({"/metrics"} if settings.behind_proxy else set())
         self._requests = Limiter(settings.requests_per_s, _BURST_S * settings.requests_per_s)
         self._jobs = Limiter(settings.jobs_per_min / 60, settings.jobs_per_min)
+        self._wrong = Limiter(_WRONG_PER_S, _WRONG_AT_ONCE)
         # Threads of its own: a hold never waits for its caller to be recognised behind slow downloads.
         self._threads = ThreadPoolExecutor(_LOOK_UPS, thread_name_prefix="guard")
         self._notes = ThreadPoolExecutor(1, thread_name_prefix="guard-notes")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        try:
-            await (self._admit(scope) if scope["type"] == "http" else self._admit_socket(scope))
-        except Problem as problem:
-            if scope["type"] == "http":
+        if scope["type"] == "http":
+            try:
+                await self._admit(scope)
+            except Problem as problem:
                 await problem_response(problem)(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008})
-            return
+                return
         await self._app(scope, receive, send)
 
     async def _admit(self, scope: Scope) -> None:
-        headers = _plain_headers(scope)
-        host = headers.get(b"host", b"").decode("latin-1").lower()
-        if not is_own_host(host, self._names):
-            words = Phrase(
-                "Host is '{host}'; allowed: localhost, an address, or a name of this server", host=host[:100]
-            )
-            raise Problem(403, words)
+        headers = read_headers(scope, self._names)
         if scope["method"] not in _SAFE or scope["path"] in OPEN_HERE:
-            _refuse_foreign_page(headers, host)
+            refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
         here = is_here(scope, headers)
         note_arrival(scope, at_server=here and not self._behind_proxy)
-        if scope["method"] == "POST" and scope["path"].endswith(STOPS):
+        if is_stop(scope["method"], scope["path"]):
             await self._admit_stop(scope, headers)
             return
         if here and scope["path"] in self._open_here:  # and stays so when the database is away
@@ -158,60 +136,59 @@ class Guard:
         if scope["path"] in OPEN or scope["path"].startswith(OPEN_BELOW):
             self._charge(scope, None)
             return
-        principal = await self._caller(headers, here)
-        if principal is not None:
-            note_principal(scope, principal)
-        self._charge(scope, principal)
+        principal = await self._identify(scope, headers, here)
         if principal is None:
             wrong = b"authorization" in headers
             raise not_authorised(Phrase("this token is unknown, expired or revoked")) if wrong else not_authorised()
-
-    async def _admit_socket(self, scope: Scope) -> None:
-        """Admit the way for stops, the only socket; who may use it, it finds out itself."""
-        headers = _plain_headers(scope)
-        host = headers.get(b"host", b"").decode("latin-1").lower()
-        if scope["path"] != STOP_SOCKET or not is_own_host(host, self._names):
-            raise Problem(404, Phrase("no such socket"))
-        _refuse_foreign_page(headers, host)
-        note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
+        if not principal.anonymous:
+            self._charge(scope, principal)
 
     async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
         """Admit a stop, which is never too much and asks for nothing that could be busy: a token that was seen before
         is known from memory. One that was not is looked up as for any request.
         """
-        secret = _secret(headers.get(b"authorization", b""))
-        if (token := self._stop_access.find(secret)) is not None:
-            note_principal(scope, _principal(token))
+        secret = read_secret(headers)
+        if (stopper := self._stop_access.find(secret)) is not None:
+            note_known(scope)
+            note_principal(scope, Principal(name=stopper.name, scopes=frozenset({MACHINE_RUN}), id=stopper.id))
             note_stopper(scope)
         elif is_at_server(scope):
             note_stopper(scope)
         else:
-            principal = await self._caller(headers, is_here(scope, headers))
+            principal = await self._identify(scope, headers, is_here(scope, headers))
             if principal is None:
-                self._charge(scope, None)
                 raise not_authorised()
-            note_principal(scope, principal)
 
-    async def _caller(self, headers: Headers, here: bool) -> Principal | None:
-        ask = asyncio.get_running_loop().run_in_executor
-        shown = headers.get(b"authorization")
+    async def _identify(self, scope: Scope, headers: Headers, here: bool) -> Principal | None:
+        """Find out who calls. Who shows no token that we know is charged before the database is asked."""
+        shown, secret = b"authorization" in headers, read_secret(headers)
+        if not self._stop_access.knows(secret):
+            self._charge(scope, None, limiter=self._wrong if shown else self._requests)
         try:
-            if shown is not None:
-                token = await ask(self._threads, self._tokens.find, secret := _secret(shown))
-                if token is not None:
-                    self._stop_access.remember(secret, token)
-                return self._accept_token(token) if token else None
-            if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.has_ever_had_any):
-                return ANONYMOUS
+            if shown:
+                token = await self._look_up(self._tokens.find, secret)
+                principal = None if token is None else self._accept_token(token, secret)
+            elif here and self._anonymous_jobs and not await self._look_up(self._tokens.has_ever_had_any):
+                principal = ANONYMOUS
+            else:
+                principal = None
         except SQLAlchemyError:
             words = Phrase("the database cannot be asked who you are; try again")
             raise Problem(503, words, headers={"Retry-After": "2"}) from None
-        return None
+        if principal is not None:
+            note_principal(scope, principal)
+            if not principal.anonymous:
+                note_known(scope)
+        return principal
 
-    def _accept_token(self, token: Token) -> Principal:
+    async def _look_up(self, find: Callable[..., T], *arguments: str) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, find, *arguments)
+
+    def _accept_token(self, token: Token, secret: str) -> Principal:
         """Accept a token. Its use is noted by another thread: a busy database must not hold a caller up who only
         reads.
         """
+        self._stop_access.remember(secret, token)
         self._notes.submit(self._note_use, token)
         return _principal(token)
 
@@ -220,54 +197,18 @@ class Guard:
         with contextlib.suppress(SQLAlchemyError):
             self._tokens.note_use(token, renew_s=PAGE_TOKEN_LIFE_S if self._fleet.has_live_run else None)
 
-    def _charge(self, scope: Scope, principal: Principal | None, *, bucket: str = "peer") -> None:
+    def _charge(
+        self, scope: Scope, principal: Principal | None, *, bucket: str = "peer", limiter: Limiter | None = None
+    ) -> None:
         """Raise 429 for one who asks for too much."""
-        method, path, peer = scope["method"], scope["path"], scope.get("client")
-        caller = f"{bucket} {peer[0] if peer else '?'}"
-        if principal is not None and not principal.anonymous:
-            caller = f"token {principal.id}"
-        if wait_s := math.ceil(self._requests.wait_s(caller)):
+        method, path = scope["method"], scope["path"]
+        caller = f"token {principal.id}" if principal else f"{bucket} {self._address(scope)}"
+        if wait_s := math.ceil((limiter or self._requests).wait_s(caller)):
             words = Phrase("too many requests; try again in {wait_s} s", wait_s=wait_s)
         elif method == "POST" and path == "/v1/jobs" and (wait_s := math.ceil(self._jobs.wait_s(caller))):
             words = Phrase("too many new jobs; try again in {wait_s} s", wait_s=wait_s)
         if wait_s:
             raise Problem(429, words, headers={"Retry-After": str(wait_s)})
 
-
-def _plain_headers(scope: Scope) -> Headers:
-    """Return the headers as a table; a Problem where one that decides something is there twice, or where they are a
-    flood.
-    """
-    pairs = scope["headers"]
-    if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
-        raise Problem(
-            431, Phrase("allowed: {count} headers of {most} bytes in all", count=_MOST_HEADERS, most=_MOST_HEADER_BYTES)
-        )
-    for name, count in Counter(name for name, _ in pairs).items():
-        if count > 1 and name in _SINGLE:
-            words = Phrase("{count} {name} headers", count=count, name=name.decode())
-            raise Problem(400, words, field=name.decode())
-    return dict(pairs)
-
-
-def _refuse_foreign_page(headers: Headers, host: str) -> None:
-    """Refuse a page of another site, which can make a browser send us things; the browser says so."""
-    origin = headers.get(b"origin")
-    if origin is not None and _site(origin) != host:
-        words = Phrase("Origin is another site; changes are taken from this server's own pages only")
-        raise Problem(403, words, field="Origin")
-    if headers.get(b"sec-fetch-site", b"none").lower() not in (b"none", b"same-origin"):
-        words = Phrase("another site sent this; changes are taken from this server's own pages only")
-        raise Problem(403, words, field="Origin")
-
-
-def _secret(authorization: bytes) -> str:
-    kind, _, secret = authorization.decode("latin-1").partition(" ")
-    return secret.strip() if kind.lower() == "bearer" else ""
-
-
-def _site(origin: bytes) -> str | None:
-    try:
-        return urlsplit(origin.decode("latin-1").lower()).netloc
-    except ValueError:
-        return None
+    def _address(self, scope: Scope) -> str:
+        return address_of(scope, behind_proxy=self._behind_proxy)

@@ -11,9 +11,8 @@ from service.milling.agent.callers import CONTROL, GRANT
 from service.server.api.access.client_address import address_of
 from service.server.api.access.scopes import arrival_s, principal_of
 from service.server.api.services import services_of
-from service.server.fleet.machine_commands import OrderContext
+from service.server.fleet.order_context import AT_THE_SERVER, OrderContext
 
-_AT_THE_SERVER = "somebody at the server's computer"
 _Word = {"max_length": 100, "pattern": r"^[!-~]*$"}
 
 Shown = Annotated[str, Header(alias=CONTROL, description="the `control` of who has control of the mill", **_Word)]
@@ -36,7 +35,7 @@ def context_of(connection: HTTPConnection, *, control: str = "", grant: str = ""
     principal = principal_of(connection.scope)
     behind_proxy = services_of(connection).settings.behind_proxy
     return OrderContext(
-        name=name or (principal.name if principal is not None else _AT_THE_SERVER),
+        name=name or (principal.name if principal is not None else AT_THE_SERVER),
         origin=address_of(connection.scope, behind_proxy=behind_proxy),
         control=control,
         grant=grant,

@@ -15,7 +15,7 @@ from service.server.api.access.scopes import Operator, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.routes.machines import MachineName
 from service.server.api.services import services_of
-from service.server.fleet.machine_commands import OrderContext
+from service.server.fleet.order_context import OrderContext
 from service.server.schemas.base import Body
 from service.server.schemas.control import (
     BlockBody,

@@ -17,6 +17,7 @@ import httpx
 import uvicorn
 from PIL import Image
 
+from service.http.admission import Admission
 from service.http.listener import bind_address, url_of
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
@@ -32,7 +33,8 @@ from tests.waiting import PATIENCE_S, until
 class ApiServer:
     """`client` talks to it over the wire; `services` are its own, for a look behind."""
 
-    def __init__(self, services: Services, address: str, server: uvicorn.Server) -> None:
+    def __init__(self, services: Services, address: str, server: uvicorn.Server, admission: Admission) -> None:
+        self.admission = admission
         self.services = services
         self.address = address
         self.server = server
@@ -84,15 +86,16 @@ class ApiServer:
 
 
 @contextlib.contextmanager
-def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
+def api_server(data: Path, *, admission: Admission | None = None, **settings: Any) -> Iterator[ApiServer]:
     given = ServerSettings.load(
         **{"data": data, "port": 0, "requests_per_s": 1e5, "jobs_per_min": 1e6, "free_disk_mb": 0} | settings
     )
     migrate(given)
     with contextlib.closing(bind_address(given.host, given.port)) as listener, open_services(given) as services:
-        server = server_of(services)
+        admission = admission or Admission(most=1000, strangers=200)
+        server = server_of(services, admission=admission)
         with _serving(server, listener):
-            running = ApiServer(services, url_of(listener), server)
+            running = ApiServer(services, url_of(listener), server, admission)
             with running.client:
                 yield running
 

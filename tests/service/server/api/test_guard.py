@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.server.api.access.client_address import is_here
-from service.server.api.access.guard import _MOST_CALLERS, Limiter
+from service.server.api.access.guard import _MOST_CALLERS, _WRONG_AT_ONCE, Limiter
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S
 
@@ -144,3 +144,47 @@ def test_health_checks_are_charged_like_other_requests(tmp_path: Path) -> None:
         assert server.client.get("/livez").status_code == 200
         for path in ("/livez", "/readyz", "/metrics"):
             problem(server.client.get(path), 429)
+
+
+ORIGINS = [
+    ("http://localhost", True), ("HTTP://LOCALHOST", True), ("https://localhost", False), ("ftp://localhost", False),
+    ("chrome-extension://localhost", False), ("http://localhost:81", False), ("http://localhost@evil.com", False),
+    ("http://localhost/", False), ("null", False), ("localhost", False), ("", False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("origin", "own"), ORIGINS)
+def test_an_origin_is_ours_by_scheme_name_and_port(closed: tuple[ApiServer, str], origin: str, own: bool) -> None:
+    """We speak HTTP: another scheme at our name is another server. Behind a proxy pages may have come by HTTPS."""
+    status = sent(closed[0], "POST /v1/jobs HTTP/1.1", "Host: localhost", f"Origin: {origin}")
+    assert status == (401 if own else 403)
+    proxied = ("Host: localhost", f"Origin: {origin}", "X-Forwarded-For: 192.0.2.1")
+    assert sent(closed[0], "POST /v1/jobs HTTP/1.1", *proxied) == (401 if own or origin.startswith("https:") else 403)
+
+
+@pytest.mark.parametrize("host", ["[::1].evil.com", "[localhost]", "localhost:80.evil.com"])
+def test_a_name_that_only_begins_like_ours_is_refused(closed: tuple[ApiServer, str], host: str) -> None:
+    assert sent(closed[0], "GET /v1/jobs HTTP/1.1", f"Host: {host}") == 403
+
+
+def test_bogus_tokens_are_charged_before_the_database_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And neither a token that is known nor its stops pay for them."""
+    with api_server(tmp_path / "data") as server:
+        services, asked = server.services, []
+        good = services.tokens.create("good", ["jobs:read", "machine:run"])[1]
+        find = services.tokens.find
+        monkeypatch.setattr(type(services.tokens), "find", lambda _, secret: asked.append(secret) or find(secret))
+
+        def get(token: str) -> int:
+            return server.client.get("/v1/jobs", headers={"Authorization": f"Bearer {token}"}).status_code
+
+        assert get(good) == 200
+        count = 3 * int(_WRONG_AT_ONCE)
+        statuses = [get(f"cm_{number:043}") for number in range(count)]
+        assert set(statuses) == {401, 429}
+        assert len(asked) == 1 + statuses.count(401) < count
+        assert get(good) == 200
+        stop = {"Authorization": f"Bearer {good}", "X-Forwarded-For": "192.0.2.1"}
+        asked.clear()
+        assert server.client.post("/v1/machines/none/control/hold", headers=stop).status_code == 404
+        assert asked == []

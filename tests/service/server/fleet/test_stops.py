@@ -24,7 +24,6 @@ from machines.errors import MachineError
 from machines.journal.disk import RealFile
 from machines.mill.orders import Caller, Stop, suspend_aware_clock_s
 from service.milling.agent.mill_access import MillAccess
-from service.server.api.routes import stops as stops_route
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from service.server.fleet import agent_client
@@ -228,7 +227,7 @@ def test_the_socket_is_for_our_own_pages_and_known_tokens(floor: Shop) -> None:
 
 def test_a_page_that_goes_is_no_error(floor: Shop, caplog: pytest.LogCaptureFixture) -> None:
     """Whether it says so or its connection is cut: nobody has to read a traceback of it."""
-    open_ones = stops_route._open
+    open_ones = floor.server.services.stop_sockets.open
     for says_so in (True, False):
         page = StopSocket(floor.server.port)
         assert page.hear() == {"ready": True} and open_ones

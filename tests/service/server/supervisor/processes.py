@@ -21,7 +21,7 @@ from tests.waiting import PATIENCE_S, until
 
 HERE = Path(__file__).parent
 CODE = rf"(?:[{ALPHABET}]{{4}}-){{2}}[{ALPHABET}]{{4}}"
-STAND_INS = ("worker=stand_in_worker", "API=stand_in_api", "agents=stand_in_agents")
+STAND_INS = ("stops=", "worker=stand_in_worker", "API=stand_in_api", "agents=stand_in_agents")
 
 
 def is_alive(pid: int) -> bool:

@@ -17,6 +17,7 @@ from tests.service.server.supervisor.processes import Serving, descendants, is_a
 from tests.waiting import PATIENCE_S, until
 
 API, WORKER = "service.server.api.main", "service.server.worker.main"
+STANDBY = "service.server.standby.main"
 
 
 def ready(serving: Serving) -> bool:
@@ -43,7 +44,11 @@ def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path, starts: int) ->
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("module", "word", "told"),
-    [(API, signal.SIGTERM, "ended with exit code 0"), (WORKER, signal.SIGKILL, "was ended by SIGKILL")],
+    [
+        (API, signal.SIGTERM, "ended with exit code 0"),
+        (WORKER, signal.SIGKILL, "was ended by SIGKILL"),
+        (STANDBY, signal.SIGKILL, "was ended by SIGKILL"),
+    ],
 )
 def test_what_ended_is_ready_again(tmp_path: Path, module: str, word: signal.Signals, told: str) -> None:
     with served("--no-agents", data=tmp_path) as serving:

@@ -1,0 +1,132 @@
+"""Who has a place at a server, and whose connection is closed where there are too many.
+
+Theory of operation. A caller who has not shown a token is a stranger. What strangers have still to send (a head, a
+body, the first message of a WebSocket) is awaited on a few places only: the stranger who has kept us waiting longest
+loses the place to the next one, and none is waited for longer than a fixed time, however many bytes come meanwhile. A
+stop is known by its head: from then on its connection holds no place and is never closed to make room. Nobody who has
+shown a token is closed as long as there is a stranger.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+
+from starlette.types import Scope
+
+PLACE = "causticmill.place"  # in the `state` of a scope
+STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
+"""Ends of the paths of stops, at the server and at an agent."""
+
+
+def is_stop(method: str, path: str) -> bool:
+    """Return whether a request stops a mill."""
+    return method == "POST" and path.endswith(STOPS)
+
+
+class Admission:
+    """The places of one server. For one event loop.
+
+    most      : connections in all
+    strangers : of which so many may belong to strangers who have still to send something
+    wait_s    : for a stranger's whole request, or first message; and for the next head of anybody's connection
+    """
+
+    def __init__(self, *, most: int, strangers: int, wait_s: float = 30.0) -> None:
+        self.most = most
+        self.strangers = strangers
+        self.wait_s = wait_s
+        self._places: dict[Place, None] = {}
+        self._waiting: dict[Place, None] = {}  # strangers; the one who has kept us waiting longest is first
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether there are too many connections, and none of them may be closed to make room."""
+        return len(self._places) > self.most
+
+    @property
+    def count(self) -> int:
+        return len(self._places)
+
+    def enter(self, transport: asyncio.Transport) -> Place:
+        """Give a new connection a place."""
+        place = Place(self, transport)
+        self._places[place] = None
+        place.await_request()
+        if len(self._places) > self.most and (other := self._find_other(place)) is not None:
+            other.close()
+        return place
+
+    def _await(self, place: Place) -> None:
+        self._waiting[place] = None
+        if len(self._waiting) > self.strangers:
+            next(iter(self._waiting)).close()
+
+    def _await_nothing(self, place: Place) -> None:
+        self._waiting.pop(place, None)
+
+    def _leave(self, place: Place) -> None:
+        self._waiting.pop(place, None)
+        self._places.pop(place, None)
+
+    def _find_other(self, new: Place) -> Place | None:
+        """Find whom to close: strangers first, then who has asked for nothing for longest. None: all are at work."""
+        others = [place for place in self._places if place is not new and not place.is_stop]
+        classes = (
+            (place for place in self._waiting if place is not new),
+            (place for place in others if not place.is_known),
+            (place for place in others if place.is_awaited),
+        )
+        return next(itertools.chain(*classes), None)
+
+
+class Place:
+    """What is known of one connection."""
+
+    def __init__(self, admission: Admission, transport: asyncio.Transport) -> None:
+        self._admission = admission
+        self._transport = transport
+        self._timer: asyncio.TimerHandle | None = None
+        self.is_known = False  # its caller has shown a token
+        self.is_stop = False  # it brings a stop that is not answered yet
+        self.is_awaited = False  # its caller has still to send something
+
+    def await_request(self) -> None:
+        """Wait for a request, from now on and for a fixed time."""
+        self.await_nothing()
+        self.is_stop, self.is_awaited = False, True
+        self._timer = asyncio.get_running_loop().call_later(self._admission.wait_s, self.close)
+        if not self.is_known:
+            self._admission._await(self)
+
+    def await_nothing(self) -> None:
+        """The request is here."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self.is_awaited = False
+        self._admission._await_nothing(self)
+
+    def answer_stop(self) -> None:
+        self.await_nothing()
+        self.is_stop = True
+
+    def identify(self) -> None:
+        """The caller has shown a token."""
+        self.is_known = True
+        self.await_nothing()
+
+    def leave(self) -> None:
+        """The connection is lost."""
+        self.await_nothing()
+        self._admission._leave(self)
+
+    def close(self) -> None:
+        self.leave()
+        self._transport.abort()
+
+
+def note_known(scope: Scope) -> None:
+    """Note that the caller has shown a token."""
+    place = (scope.get("state") or {}).get(PLACE)
+    if isinstance(place, Place):  # an application may be called without a server
+        place.identify()

@@ -1,0 +1,142 @@
+"""`python -m service.server.standby.main`: the standby's process, a child of the supervisor.
+
+It imports neither database nor framework, so that stops are served a moment after the start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import sys
+from importlib import metadata
+from typing import Any
+
+import uvicorn
+from starlette.types import Receive, Scope, Send
+from uvicorn.server import ServerState
+
+from service.errors import ServiceError
+from service.http.acceptor import Acceptor
+from service.http.admission import Admission, is_stop
+from service.http.uvicorn_protocol import (
+    HEADER_BYTES,
+    SOCKET_BYTES,
+    VERSION_HEADER,
+    ProblemProtocol,
+    allow_open_files,
+    begin_connection,
+)
+from service.http.websocket_protocol import PlacedWebSocket
+from service.processes import lifeline
+from service.processes.priority import go_first
+from service.server.fleet.agent_links import AgentLinks
+from service.server.fleet.machine_stops import MachineStops
+from service.server.standby.app import StandbyApp
+from service.server.standby.line import ApiWatch
+from service.server.stoppers import FILE, StopperFile
+from service.settings import ServerSettings
+
+_CONNECTIONS, _STRANGERS, _FILES = 1000, 200, 4096
+_MEET_S = 10.0
+_HELD_S = 25.0  # for the API to serve again
+
+
+def main() -> int:
+    """Run until SIGTERM."""
+    listener, line = lifeline.inherit_socket(), lifeline.inherit_line()
+    assert listener is not None and line is not None
+    try:
+        settings = ServerSettings.load()
+    except ServiceError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
+    go_first()
+    allow_open_files(_FILES)
+    asyncio.run(_serve(settings, listener, line))
+    return 0
+
+
+async def _serve(settings: ServerSettings, listener: socket.socket, line: socket.socket) -> None:
+    stop = asyncio.Event()
+    for kind in lifeline.STOPPING:
+        asyncio.get_running_loop().add_signal_handler(kind, stop.set)
+    links = AgentLinks(settings)
+    standby = Standby(StandbyApp(settings, MachineStops(links), StopperFile(settings.data / FILE)), listener, line)
+    meeting = asyncio.create_task(_meet_agents(links))
+    await stop.wait()
+    meeting.cancel()
+    standby.close()
+    await links.close()
+
+
+async def _meet_agents(links: AgentLinks) -> None:
+    """Keep in mind where the mills' agents are, until cancelled."""
+    while True:
+        await links.meet_agents()
+        await asyncio.sleep(_MEET_S)
+
+
+class Standby:
+    """Accepts connections while the API does not."""
+
+    def __init__(self, app: StandbyApp, listener: socket.socket, line: socket.socket) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._config = uvicorn.Config(
+            app,
+            ws=PlacedWebSocket,
+            ws_max_size=SOCKET_BYTES,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            h11_max_incomplete_event_size=HEADER_BYTES,
+            timeout_keep_alive=30,
+        )
+        self._config.load()
+        self._state = ServerState()
+        self._state.default_headers = [(VERSION_HEADER.encode(), metadata.version("causticmill").encode())]
+        self._admission = Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+        self._beginnings: set[asyncio.Task[None]] = set()
+        wait_s = self._admission.wait_s
+        self._acceptor = Acceptor(listener, self._begin, silent=_STRANGERS, wait_s=wait_s)
+        self._api = ApiWatch(line, lambda serves: self._acceptor.pause() if serves else self._acceptor.resume())
+
+    def close(self) -> None:
+        self._acceptor.close()
+
+    def _begin(self, connection: socket.socket) -> None:
+        protocol = StandbyProtocol(
+            self._api, self._admission, config=self._config, server_state=self._state, app_state={}, _loop=self._loop
+        )
+        begin_connection(protocol, connection, self._beginnings)
+
+
+class StandbyProtocol(ProblemProtocol):
+    """Keeps what is no stop for the API."""
+
+    def __init__(self, api: ApiWatch, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._api = api
+        self._come = b""
+
+    def data_received(self, data: bytes) -> None:
+        self._come += data
+        super().data_received(data)
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if is_stop(scope["method"], scope["path"]):
+            await super()._admit(scope, receive, send)
+            return
+        self.transport.pause_reading()
+        connection = self.transport.get_extra_info("socket").fileno()
+        if await self._api.hand_over(connection, self._come, _HELD_S):
+            self.cycle.disconnected = True  # the answer comes from the API
+            self.transport.abort()
+        else:
+            await super()._admit(scope, receive, send)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,63 @@
+"""Which tokens may stop mills: kept in a file beside the database, so that a stop never waits for one.
+
+The file holds SHA-256 digests of secrets of 256 random bits, which open nothing, and is its account's alone. The API
+writes it; who serves stops reads it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+FILE = "stop-tokens.json"  # in the data folder
+
+
+@dataclass(frozen=True, slots=True)
+class Stopper:
+    """Whose token it is."""
+
+    id: str
+    name: str
+
+
+def hash_secret(secret: str) -> str:
+    """Return what is kept of a secret."""
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def read_stoppers(path: Path) -> dict[str, Stopper]:
+    """Return by the digests of their tokens who may stop mills; nobody where the file cannot be read."""
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
+        return {str(digest): Stopper(**row) for digest, row in json.loads(path.read_bytes()).items()}
+    return {}
+
+
+def write_stoppers(path: Path, stoppers: Mapping[str, Stopper]) -> None:
+    """Write the file as a whole or not at all. OSError."""
+    draft = path.with_suffix(".new")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        json.dump({digest: asdict(stopper) for digest, stopper in stoppers.items()}, file)
+    draft.replace(path)
+
+
+class StopperFile:
+    """The file as it is now, read anew only where it has changed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._seen: tuple[int, int] | None = None
+        self._stoppers: dict[str, Stopper] = {}
+
+    def find(self, secret: str) -> Stopper | None:
+        """Find whose token this is, if it may stop mills."""
+        with contextlib.suppress(OSError):
+            status = self._path.stat()
+            if (seen := (status.st_mtime_ns, status.st_ino)) != self._seen:
+                self._seen, self._stoppers = seen, read_stoppers(self._path)
+        return self._stoppers.get(hash_secret(secret)) if secret else None

@@ -1,0 +1,137 @@
+"""The standby: it stops mills while there is no API, and keeps everything else for it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.http.listener import bind_address
+from service.processes.lifeline import GONE, SERVING, make_line, say
+from service.server.fleet.agent_links import AgentLinks
+from service.server.fleet.machine_stops import MachineStops
+from service.server.standby.app import StandbyApp
+from service.server.standby.main import Standby
+from service.server.stoppers import FILE, Stopper, StopperFile, hash_secret, read_stoppers, write_stoppers
+from service.settings import ServerSettings
+from tests.service.server.fleet.rogue import Rogue, as_json, rogue_agent
+from tests.service.server.fleet.shop import own_folders
+from tests.waiting import PATIENCE_S, seen, until
+
+ELSEWHERE = {"X-Forwarded-For": "192.0.2.1"}
+HOLD = "/v1/machines/far/control/hold"
+
+
+@dataclass
+class Alone:
+    """A standby in a thread, without an API; `api` is that one's end of the line."""
+
+    url: str
+    data: Path
+    agent: Rogue
+    api: socket.socket
+
+    def post(self, path: str, token: str = "", **headers: str) -> httpx.Response:
+        own = {"Authorization": f"Bearer {token}"} if token else {}
+        return httpx.post(self.url + path, headers=own | headers, timeout=PATIENCE_S, trust_env=False)
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Alone]:
+    own_folders(monkeypatch, tmp_path)
+    data, listing, key = tmp_path / "data", tmp_path / "agents.toml", tmp_path / "token"
+    data.mkdir()
+    key.write_text("x" * 40 + "\n")
+    key.chmod(0o600)
+    with rogue_agent("far") as agent, contextlib.closing(bind_address("127.0.0.1", 0)) as listener:
+        agent.answers = lambda _method, _path: as_json({"status": {"state": "hold"}, "id": "1", "state": "held"}, 202)
+        listing.write_text(f'[[agents]]\nmachine = "far"\nurl = "{agent.url}"\ntoken_file = "token"\n')
+        settings = ServerSettings(data=data, agents_file=listing)
+        line, api = make_line()
+        loop, over = asyncio.new_event_loop(), asyncio.Event()
+
+        async def serve() -> None:
+            links = AgentLinks(settings)
+            app = StandbyApp(settings, MachineStops(links), StopperFile(data / FILE))
+            standby = Standby(app, listener, line)
+            await over.wait()
+            standby.close()
+            await links.close()
+
+        thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+        thread.start()
+        yield Alone(f"http://127.0.0.1:{listener.getsockname()[1]}", data, agent, api)
+        loop.call_soon_threadsafe(over.set)
+        thread.join(PATIENCE_S)
+        loop.close()
+        for end in (line, api):
+            end.close()
+
+
+def test_it_stops_a_mill_and_a_run_without_api_and_database(alone: Alone) -> None:
+    assert alone.post(HOLD).status_code == 202
+    assert ("POST", "/v1/control/hold") in alone.agent.asked
+    answer = alone.post("/v1/runs/abc:abort")
+    assert (answer.status_code, answer.json()["id"]) == (202, "abc")
+    assert ("POST", "/v1/runs/abc:abort") in alone.agent.asked
+    assert alone.post("/v1/machines/none/control/hold").status_code == 404
+
+
+def test_who_may_is_known_from_the_file(alone: Alone) -> None:
+    """From elsewhere a token that the API has written down, and no other; no page of another site."""
+    write_stoppers(alone.data / FILE, {hash_secret("cm_mine"): Stopper("1", "Ada")})
+    assert ((alone.data / FILE).stat().st_mode & 0o777) == 0o600
+    assert "cm_mine" not in (alone.data / FILE).read_text()
+    assert alone.post(HOLD, "cm_mine", **ELSEWHERE).status_code == 202
+    assert alone.post(HOLD, "cm_other", **ELSEWHERE).status_code == 401
+    assert alone.post(HOLD, **ELSEWHERE).status_code == 401
+    assert alone.post(HOLD, Origin="https://evil.example").status_code == 403
+    assert alone.post(HOLD, Host="[::1].evil.com").status_code == 403
+    write_stoppers(alone.data / FILE, {})
+    assert alone.post(HOLD, "cm_mine", **ELSEWHERE).status_code == 401
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b'{"a": 1}', b'{"a": {"x": 1}}', b"\xff"])
+def test_a_file_that_says_nothing_lets_nobody_stop(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / FILE).write_bytes(content)
+    assert read_stoppers(tmp_path / FILE) == {}
+
+
+def test_what_is_no_stop_waits_for_the_api_and_is_handed_over_whole(alone: Alone) -> None:
+    with socket.create_connection(("127.0.0.1", int(alone.url.rpartition(":")[2])), timeout=PATIENCE_S) as caller:
+        request = b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nhalf a body"
+        caller.sendall(request)
+        assert alone.post(HOLD).status_code == 202  # meanwhile
+        say(alone.api, SERVING)
+        alone.api.setblocking(True)
+        come, (descriptor,), _, _ = socket.recv_fds(alone.api, 100_000, 1)
+        assert come == request
+        with socket.socket(fileno=descriptor) as connection:
+            connection.setblocking(True)
+            caller.sendall(b", and its end")
+            assert connection.recv(100) == b", and its end"
+            connection.sendall(b"HTTP/1.1 202 Accepted\r\n\r\n")
+        assert caller.recv(100).startswith(b"HTTP/1.1 202")
+
+
+def test_it_accepts_nobody_while_the_api_serves_and_takes_over_where_that_falls_silent(alone: Alone) -> None:
+    port = int(alone.url.rpartition(":")[2])
+    say(alone.api, SERVING)
+
+    def answered(within_s: float) -> bool:
+        with contextlib.suppress(OSError, httpx.HTTPError):
+            return httpx.post(f"{alone.url}{HOLD}", timeout=within_s, trust_env=False).status_code == 202
+        return False
+
+    seen(lambda: answered(0.2), lambda yes: not yes)  # it waits in the queue of the one who serves
+    until(lambda: answered(PATIENCE_S), what="the standby, after a silence")
+    say(alone.api, SERVING)
+    say(alone.api, GONE)
+    assert answered(PATIENCE_S) and port
