@@ -28,7 +28,7 @@ HANGS_S = (1.0, 4.0, 9.0, 15.0, 15.0, 20.0)
 HUNG_WRITES = (0, 0, 0, 1, 1, 2, 3, 4, 5, 6, 7)  # a resume writes once; a start has written 8 times when the mill cuts
 HUNG_ORDERS = ("start", "start", "recover", "resume run", "resume run", "probe", "override", "jog")
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
-LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G1 Z-1 F200"]
+LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G0 X1 Y0", "G1 Z-1 F200"]
 LINES += [f"G1 X{1 + i % 40} Y{i // 40} F600" for i in range(200)] + ["G0 Z5", "M5", "M2"]
 BODIES = {
     "jog": {"by_mm": [1.0, 0.0, 0.0], "feed_mm_per_min": 600},
