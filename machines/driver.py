@@ -201,9 +201,20 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The controller started anew (banner): its buffers, modal state and G92 are gone."""
+    """The controller started anew (banner): its buffers, modal state and G92 are gone.
+
+    place_kept : machine coordinates mean what they meant before: it was our own reset of a mill that stood
+    """
 
     banner: str
+    place_kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FrameChanged:
+    """A setting was changed on which machine coordinates rest: the position is not trusted any more."""
+
+    words: Phrase
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +233,7 @@ class Notice:
     words: Phrase
 
 
-Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | CommandDone | Notice
+Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | FrameChanged | CommandDone | Notice
 
 
 @dataclass(slots=True)

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from machines.driver import CheckMode, Command, CommandDone, Home, JogCancel, MillState, Override, TrustPosition
+from machines.driver import (
+    CheckMode,
+    Command,
+    CommandDone,
+    FrameChanged,
+    Home,
+    JogCancel,
+    MillState,
+    Override,
+    TrustPosition,
+)
 from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
 from machines.grbl.codes import error_words
 from machines.grbl.link import GrblLink
@@ -159,9 +169,10 @@ class CommandChannel:
         """Take over what a sequence leaves behind."""
         self._sequence = self._waiting = None
         view = self.link.view
-        if outcome.settings is not None:
-            view.settings = outcome.settings
-            view.modes = outcome.settings.parser_state or view.modes
+        changes = view.take_settings(outcome.settings) if outcome.settings is not None else ()
+        if changes:
+            words = Phrase("the position is not trusted any more: {settings}", settings=", ".join(changes))
+            self.link.events.append(FrameChanged(words))
         view.vouch(outcome.vouched)
         self._on_end(failure, outcome.answer, now_s)
 

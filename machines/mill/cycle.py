@@ -10,6 +10,7 @@ from machines.driver import (
     CommandDone,
     Event,
     Faulted,
+    FrameChanged,
     MillState,
     Notice,
     ProgramDone,
@@ -20,7 +21,7 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
-from machines.mill.link import AWAY
+from machines.mill.link import AWAY, get_settings
 from machines.mill.run_control import RunControl
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext
@@ -83,13 +84,13 @@ class MillCycle:
         until_s = self.context.clock() + ASK_S
         answer: dict[str, Any] | None = None
         ended = False
-        # The work position comes with the offset, and that only with every tenth report or so.
+        # The work position comes with the offset, the spindle with the overrides: each only with every tenth report.
         stops = self.context.orders.stops
         while (
             self.context.clock() < until_s
             and self.context.link.driver is driver
             and self.context.orders.stops == stops
-            and not (ended and driver.status.work_mm is not None)
+            and not (ended and driver.status.work_mm is not None and driver.status.spindle_on is not None)
         ):
             for event in driver.poll(0.05):
                 self._handle(event)
@@ -112,6 +113,8 @@ class MillCycle:
                     self.control.note_stop(event)
                 case Restarted():
                     self._note_restart(event)
+                case FrameChanged():
+                    self._note_frame(event)
                 case CommandDone():
                     self.commands.note_end(event)
                 case Notice():
@@ -126,9 +129,17 @@ class MillCycle:
         self.publish()
 
     def _note_restart(self, event: Restarted) -> None:
-        self.context.link.setup.parser_state = None
+        link, runs = self.context.link, self.context.runs
         self.context.log.say("link", Phrase("controller restarted: {banner}", banner=event.banner))
+        if event.place_kept:
+            runs.note_reset(link.status, link.setup.parser_state, get_settings(link.driver))
+        else:
+            link.setup.forget_place()
+            runs.note_restart()
+        link.setup.parser_state = None
         self.unattended.note_touch()
-        if not self.context.link.status.position_trusted:
-            self.context.link.setup.forget_place()
-            self.context.runs.note_restart()
+
+    def _note_frame(self, event: FrameChanged) -> None:
+        self.context.log.say("notice", event.words)
+        self.context.link.setup.forget_place()
+        self.context.runs.note_frame_change()

@@ -170,7 +170,9 @@ def test_a_pulled_cable_interrupts_and_nothing_moves_by_itself_afterwards(shop: 
     assert shop.cuts == before and shop.state is RunState.INTERRUPTED
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready, plan.needs
-    assert any("never restarted" in words for words in plan.words) and any("spindle is ON" in w for w in plan.words)
+    assert any("has not lost its count" in words for words in plan.words) and any(
+        "spindle is ON" in w for w in plan.words
+    )
     shop.mill.recover(shop.id, YES_ALL)
     shop.until(RunState.FINISHED)
 
