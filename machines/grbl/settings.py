@@ -91,12 +91,13 @@ class ControllerSettings:
     def reach_mm(self) -> tuple[tuple[float, float], ...] | None:
         """Least and greatest machine coordinate of each axis.
 
-        From -travel to 0, or from 0 to travel for an axis that homes to its low end in a firmware built with a forced
-        origin ($I says Z).
+        From -travel to 0, or from 0 to travel for an axis that homes to its low end in a firmware with a forced origin
+        ($I says Z; grblHAL: 8 in $22).
         """
         if self.travel_mm is None:
             return None
-        low_ends = int(self.number(23) or 0) if "Z" in self.options else 0
+        forced = "Z" in self.options or (self.firmware == "grblhal" and bool(int(self.number(22) or 0) & 8))
+        low_ends = int(self.number(23) or 0) if forced else 0
         return tuple((0.0, mm) if low_ends >> axis & 1 else (-mm, 0.0) for axis, mm in enumerate(self.travel_mm))
 
     @property
