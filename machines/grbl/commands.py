@@ -86,7 +86,7 @@ class CommandChannel:
             if isinstance(command, CheckMode) and not command.on:
                 self.banner_due_s = now_s + BANNER_S
             self.command = command
-            self.run(make_sequence(command, link.view.settings), self._end_command, now_s)
+            self.run(make_sequence(command, link.view.settings, link.view.modes), self._end_command, now_s)
 
     def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float) -> None:
         """Begin a sequence."""

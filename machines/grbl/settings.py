@@ -140,6 +140,12 @@ class ControllerSettings:
         """Letters of [OPT:]; None where the controller does not tell."""
         return self.options.partition(",")[0] if self.options else None
 
+    @property
+    def mist(self) -> bool | None:
+        """Whether it is built with M7; None where it does not tell."""
+        letters = self.option_letters
+        return None if letters is None or self.firmware not in _TELL_MIST else MIST in letters
+
     def to_dict(self) -> dict[str, Any]:
         return {
             "values": {str(number): value for number, value in sorted(self.values.items())},
@@ -240,8 +246,7 @@ def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> Phra
 
     mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.
     """
-    letters = settings.option_letters
-    if not mist_line or letters is None or settings.firmware not in _TELL_MIST or MIST in letters:
+    if not mist_line or settings.mist is not False:
         return Phrase("")
     return Phrase(
         "line {line}: M7 (mist) is error:20 on this controller: it is built without it ([OPT:{options}] has no M); "

@@ -16,6 +16,7 @@ from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, NOTIFY_SILENC
 from machines.grbl.tracking import Place
 from phrases.phrase import Phrase
 
+BUFFER_REPORTS = 3  # in a row that show more bytes in the controller than may be there
 DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
 
 
@@ -34,6 +35,7 @@ class StreamMonitor:
     _idle_reports: int = 0  # Idle with nothing unanswered
     _standing_reports: int = 0  # Idle in a row, with no answer between
     _standing_heard_s: float = 0.0  # when the first of them came
+    _full_reports: int = 0  # in a row, with more bytes in the receive buffer than may be there
 
     def note_sign(self) -> None:
         """Begin anew to wait for a sign."""
@@ -47,7 +49,7 @@ class StreamMonitor:
     def begin(self) -> None:
         """Begin to watch a program."""
         self.note_sign()
-        self._idle_reports = 0
+        self._idle_reports = self._full_reports = 0
 
     def take_ok(self, stream: Stream) -> None:
         """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
@@ -130,6 +132,9 @@ class StreamMonitor:
             words = Phrase("the controller reports '{state}' in the middle of a program", state=report.state)
             self.stops.raise_fault(FaultCause.ALARM, words, stream.first_line, now_s)
             return
+        self._compare_buffer(report, now_s)
+        if self.link.phase is not Phase.STREAMING:
+            return
         if report.state in ("Run", "Hold", "Idle"):
             self._compare_place(stream, now_s)
             if self.link.phase is not Phase.STREAMING:
@@ -142,6 +147,27 @@ class StreamMonitor:
             stream.tracker.note_all_executed()
             if stream.drained:
                 self._finish(stream, report, now_s)
+
+    def _compare_buffer(self, report: Status, now_s: float) -> None:
+        """Hold Bf: against what is under way: an answer too many lets more lines out than the buffer is sure to take.
+
+        All answers that were said before a report have come before it, so the buffer never holds more than is under
+        way. The oldest line has left it while the mill runs, for it is being read or waits for room in the planner.
+        """
+        stream, used = self._stream, self.link.view.rx_used
+        first = stream.first
+        taken = len(first[0].text) + 1 if first is not None and report.state == "Run" else 0
+        if used is None or used <= max(stream.window.used - taken, 2 * taken):
+            self._full_reports = 0
+            return
+        self._full_reports += 1
+        if self._full_reports >= BUFFER_REPORTS:
+            words = Phrase(
+                "the controller holds {used} bytes, and at most {allowed} can be there: an answer came twice",
+                used=used,
+                allowed=stream.window.used - taken,
+            )
+            self.stops.raise_fault(FaultCause.REPLY_COUNT, words, stream.first_line, now_s)
 
     def _compare_place(self, stream: Stream, now_s: float) -> None:
         position = self.link.view.work_mm

@@ -39,6 +39,7 @@ class MachineView:
         self.override_reports = 0  # reports with Ov so far
         self.spindle_on: bool | None = None
         self.spindle_stopped = False  # by an alarm; no report has shown it since
+        self.rx_empty: int | None = None  # most bytes of room that Bf: has reported: the buffer was empty then
         self._vouched: set[str] = set()
         self._stood_mm: Triple | None = None  # where the mill stood before the last banner
         self._kept_by_reset = False  # that banner answers a reset of ours
@@ -121,9 +122,19 @@ class MachineView:
         if report.overrides is not None:
             self.overrides = report.overrides
             self.override_reports += 1
+        if report.buffer is not None:
+            self.rx_empty = max(self.rx_empty or 0, report.buffer[1])
         if report.accessories is not None:
             self.spindle_on = "S" in report.accessories or "C" in report.accessories
         return moved
+
+    @property
+    def rx_used(self) -> int | None:
+        """Bytes of lines in the controller's receive buffer, by the latest report; None where it has no Bf:."""
+        report = self.report
+        if report is None or report.buffer is None or self.rx_empty is None:
+            return None
+        return self.rx_empty - report.buffer[1]
 
     def _unit_mm(self) -> float | None:
         return self.settings.unit_mm if self.identified else None

@@ -24,6 +24,7 @@ class MillLimits:
 
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
     homing : machine coordinates mean something
+    mist   : the controller is built with M7; None where it has not told
     """
 
     profile: str
@@ -37,6 +38,7 @@ class MillLimits:
     bytes_per_s: float | None
     spindle_rpm: tuple[float, float]
     homing: bool = False
+    mist: bool | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -65,6 +67,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
         spindle_rpm=spindle,
         homing=profile.homing,
+        mist=told.mist,
     )
 
 

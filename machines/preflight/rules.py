@@ -110,7 +110,7 @@ def warnings(
     if events[tally.OVER_RATE][1]:
         words = Phrase("asks for more feed than an axis can go; the controller cuts slower there")
         yield _at(events, tally.OVER_RATE, words)
-    if events[tally.MIST][1] and not dialect.mist:
+    if events[tally.MIST][1] and not dialect.mist and not limits.mist:
         yield _at(events, tally.MIST, Phrase("M7 is error:20 on stock GRBL 1.1 (built without ENABLE_M7)"))
     low, high = limits.spindle_rpm
     if spindle is not None and spindle[1] > high:

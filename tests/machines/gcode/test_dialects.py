@@ -128,6 +128,26 @@ def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, tex
     assert read(dialect, text.replace(end, f"{line}\n{end}")).state.ended
 
 
+@pytest.mark.parametrize(
+    ("options", "firmware", "warned"),
+    [("", "grbl", True), ("V,15,128", "grbl", True), ("VM,15,128", "grbl", False), ("VM,100,1024", "grblhal", False),
+     ("PHSW", "fluidnc", True)],
+)  # fmt: skip
+def test_mist_is_warned_of_unless_the_controller_says_that_it_has_it(options: str, firmware: str, warned: bool) -> None:
+    from machines.grbl.settings import ControllerSettings
+    from machines.preflight import rules
+    from machines.preflight.limits import MillLimits, limits_of
+    from machines.profile import load_profile
+
+    limits = limits_of(load_profile("grbl", ()), ControllerSettings(options=options, firmware=firmware))
+    assert MillLimits.from_dict(limits.to_dict()) == limits
+    scan = read("grbl", "G21 G90\nG0 X0 Y0 Z5\nM7\nG1 X1 F100\nM2\n")
+    words = rules.warnings(
+        scan.events.tolist(), dialect=scan.dialect, limits=limits, spindle=None, ends=True, moves=True
+    )
+    assert any("M7 is error:20" in one for one in words) is warned
+
+
 def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
     from machines.preflight import rules
     from machines.preflight.limits import limits_of
