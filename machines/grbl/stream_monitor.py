@@ -11,7 +11,7 @@ from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
 from machines.grbl.states import HELD_STATES, Phase
 from machines.grbl.stopping import StopControl
-from machines.grbl.streaming import Flight, Stream, Streamer
+from machines.grbl.streaming import Flight, Stream, Streamer, name_line
 from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, NOTIFY_SILENCE_S, REPORT_SILENCE_S, longest_wait_s
 from machines.grbl.tracking import Place
 from phrases.phrase import Phrase
@@ -71,12 +71,12 @@ class StreamMonitor:
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, 0, now_s)
         elif streamer.echoes and not stream.echoed:
             line = stream.first_line
-            words = Phrase("line {line} was answered ({words}) without its echo", line=line, words=words)
+            words = Phrase("{line} was answered ({words}) without its echo", line=name_line(line), words=words)
             self.stops.raise_fault(FaultCause.ECHO, words, line, now_s)
         elif error:
             block = first[0]
             words = Phrase(
-                "line {line} '{text}' was refused: {words}", line=block.number, text=show(block.text), words=words
+                "{line} '{text}' was refused: {words}", line=name_line(block.number), text=show(block.text), words=words
             )
             self.stops.raise_fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
         else:
@@ -95,8 +95,8 @@ class StreamMonitor:
         elif stream.echoed or _as_read(first[0].text) != _as_read(text):
             block = first[0]
             words = Phrase(
-                "line {line} was sent as '{text}', but read as '{read}'",
-                line=block.number,
+                "{line} was sent as '{text}', but read as '{read}'",
+                line=name_line(block.number),
                 text=show(block.text),
                 read=show(text),
             )
@@ -181,19 +181,19 @@ class StreamMonitor:
             at = " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", position, strict=True))
             words = Phrase(
                 "the mill reports {place}, {distance_mm:.3f} mm from the nearest line that can be under way "
-                "(line {near_line}; allowed {allowed_mm:.3f} mm): a byte was damaged or a step lost",
+                "({near_line}; allowed {allowed_mm:.3f} mm): a byte was damaged or a step lost",
                 place=at,
                 distance_mm=sight.distance_mm,
-                near_line=sight.line,
+                near_line=name_line(sight.line),
                 allowed_mm=stream.tracker.tolerance_mm,
             )
             self.stops.raise_fault(FaultCause.OFF_PATH, words, sight.line, now_s)
         elif sight.place is Place.UNANSWERED:
             line = stream.first_line
             words = Phrase(
-                "the mill is on line {near_line}, but line {line} was never answered: a reply was lost",
-                near_line=sight.line,
-                line=line,
+                "the mill is on {near_line}, but {line} was never answered: a reply was lost",
+                near_line=name_line(sight.line),
+                line=name_line(line),
             )
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, line, now_s)
 
@@ -255,9 +255,9 @@ class StreamMonitor:
         words = _word_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
             words = Phrase(
-                "{words} after line {line} (if a line, it was not cut: look at the part from there on)",
+                "{words} after {line} (if a line, it was not cut: look at the part from there on)",
                 words=words,
-                line=stream.agreed_line,
+                line=name_line(agreed) if (agreed := stream.agreed_line) else Phrase("the start of the program"),
             )
         self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
 
@@ -275,8 +275,8 @@ def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standin
             waited_s=waited_s,
         )
     words = Phrase(
-        "line {line} '{text}' got no answer and nothing moved for {waited_s:.1f} s",
-        line=first[0].number,
+        "{line} '{text}' got no answer and nothing moved for {waited_s:.1f} s",
+        line=name_line(first[0].number),
         text=show(first[0].text),
         waited_s=waited_s,
     )

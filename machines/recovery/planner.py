@@ -85,6 +85,8 @@ def _with_words(
             executed_line=plan.executed_line,
             resume_line=plan.resume_line,
         )
+        if plan.executed_line
+        else Phrase("no line is cut for certain; line {resume_line} is the next one", resume_line=plan.resume_line)
     ]
     if entry is not None:
         if entry.position_mm is None:
@@ -158,9 +160,11 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
 
 def _name_line(reader: ProgramReader, line: int) -> Phrase:
     """Return a line with the sequence number that holds there."""
+    if not line:
+        return Phrase("the start of the program")
     number = None
     try:
-        for one in reader.lines(max(1, line - _LOOK_BACK)) if line else ():
+        for one in reader.lines(max(1, line - _LOOK_BACK)):
             if one.number > line:
                 break
             if (found := _SEQUENCE.match(one.text)) is not None:

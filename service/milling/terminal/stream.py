@@ -321,4 +321,5 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
             )
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail
     executed = run.executed_line if run is not None else 0
-    raise FailedError(f"{cause}; cut for certain up to line {executed:,} of {facts.lines:,}", *left)
+    cut = f"cut for certain up to line {executed:,} of {facts.lines:,}" if executed else "no line is cut for certain"
+    raise FailedError(f"{cause}; {cut}", *left)

@@ -318,6 +318,12 @@ class TestWhatMustBeDoneFirst:
         assert self.needs(raster, spinning, state_before="G1 G54 G21 G90 M5 M9 F900 S0") == []
 
 
+def test_where_nothing_is_cut_no_line_0_is_named(raster: Shop) -> None:
+    words = raster.plan(0).words
+    assert "no line is cut for certain; line 1 is the next one" in words
+    assert "lines up to 3 are cut for certain; line 4 is the next one" in raster.plan(3).words
+
+
 OTHER_FACTS: dict[str, Any] = {
     "run_id": "other", "executed_line": 8, "overlap_line": 7, "position_mm": (1.0, 2.0, 3.5), "blocks": ("G0 Z9",),
     "needs": (Need(MillCode.WAIT, Phrase("wait")),), "refusals": (Phrase("no"),), "zero_back": "G10 L2 P1 X0",
