@@ -130,6 +130,7 @@ class MillStatus:
 
     position_trusted : machine coordinates still mean what they meant at homing or zero-setting
     overrides        : feed, rapid, spindle in percent
+    complete         : every field that the link reports only now and then has come since it was opened
     """
 
     state: MillState = MillState.DISCONNECTED
@@ -145,6 +146,7 @@ class MillStatus:
     overrides: tuple[int, int, int] = (100, 100, 100)
     pins: str = ""
     position_trusted: bool = False
+    complete: bool = True
     controller: str = ""  # version words of the controller, "Grbl 1.1h"
     buffer_bytes: int | None = None  # capacity for bytes under way
     epoch: int = 0  # counts controller restarts

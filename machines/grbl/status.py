@@ -67,6 +67,7 @@ class StatusReporter:
             overrides=view.overrides,
             pins=report.pins if report else "",
             position_trusted=view.trusted,
+            complete=not view.waits_for_fields,
             controller=link.controller,
             buffer_bytes=self.streamer.window_bytes if view.identified else None,
             epoch=link.epoch,

@@ -90,7 +90,7 @@ class MillCycle:
             self.context.clock() < until_s
             and self.context.link.driver is driver
             and self.context.orders.stops == stops
-            and not (ended and driver.status.work_mm is not None and driver.status.spindle_on is not None)
+            and not (ended and driver.status.work_mm is not None and driver.status.complete)
         ):
             for event in driver.poll(0.05):
                 self._handle(event)

@@ -162,3 +162,23 @@ def test_a_jog_that_the_link_has_seen_raises_no_doubt(shop: Shop) -> None:
     shop.bench.command_done(Jog((0.0, 0.0, 3.0), 900.0))
     shop.bench.until_state(MillState.IDLE)
     assert need_codes(shop) == []
+
+
+def test_a_link_that_never_reports_its_spindle_is_waited_for_once(shop: Shop) -> None:
+    """grblHAL leaves the field out where $10 says so: the plan says that it is not known, and is the same each time."""
+    firmware = shop.bench.sim.firmware
+    abort(shop.started(10))
+    replace_owner(shop)
+    shop.bench.until_state(MillState.CONNECTING)
+    digests, took_s = set(), []
+    while len(took_s) < 4:
+        firmware.ov_in = 10**6
+        begun_s = shop.bench.sim.now_s
+        shop.bench.until_state(MillState.IDLE)
+        plan = shop.mill.plan_recovery(shop.id)
+        assert plan.spindle_on is None and plan.ready
+        assert any("not known" in words for words in plan.words)
+        digests.add(plan.digest)
+        took_s.append(shop.bench.sim.now_s - begun_s)
+    assert len(digests) == 1
+    assert max(took_s[1:]) < 1.0
