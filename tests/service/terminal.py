@@ -65,11 +65,11 @@ class Terminal:
         before, self._seen = self.text[self._seen : at], at + len(words)
         return before
 
-    def reads(self, seconds: float) -> None:
-        """Read the screen for so long."""
-        end_s = time.monotonic() + seconds
-        while (left_s := end_s - time.monotonic()) > 0.0:
-            self._read(left_s)
+    def is_gone_after(self, keys: str, seconds: float) -> bool:
+        """Press keys and read the screen for so long at most; whether the command has ended by then."""
+        with contextlib.suppress(OSError):
+            self.types(keys)
+        return not self._read(seconds) or self.process.poll() is not None
 
     def types(self, keys: str) -> None:
         os.write(self.master, keys.encode())

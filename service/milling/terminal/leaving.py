@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from machines.driver import MillState, MillStatus
 from machines.mill.orders import Stop
@@ -120,17 +121,22 @@ def await_status(thread: MillThread, is_open: Callable[[MillStatus], bool]) -> M
 @contextlib.contextmanager
 def ignore_signals() -> Iterator[None]:
     """Ignore signals inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
-    kinds = [
-        kind
-        for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
-        if signal.getsignal(kind) not in (signal.SIG_IGN, None)
-    ]
-    before = {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
+    before = ignore_signals_for_good()
     try:
         yield
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)
+
+
+def ignore_signals_for_good() -> dict[signal.Signals, Any]:
+    """Ignore signals from here to the end of the command, its last words included; return the handlers from before."""
+    kinds = [
+        kind
+        for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+        if signal.getsignal(kind) not in (signal.SIG_IGN, None)
+    ]
+    return {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
 
 
 def _say_loudly(words: str) -> None:

@@ -48,6 +48,7 @@ from service.milling.terminal.leaving import (
     await_status,
     clear_at_the_end,
     ignore_signals,
+    ignore_signals_for_good,
     is_partly_unknown,
 )
 from service.milling.terminal.orders import give_order
@@ -115,13 +116,12 @@ def stream_program(order: StreamOrder) -> None:
     folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
     if find_keyboard() is None:
         print_lines(stop_lines(list_heard_signals()))
-    with contextlib.ExitStack() as ending:
-        outcome, facts = _run_on_mill(order, folder, ending)
-        _conclude(outcome, order, facts)
+    outcome, facts = _run_on_mill(order, folder)
+    _conclude(outcome, order, facts)
 
 
-def _run_on_mill(order: StreamOrder, folder: Path, ending: contextlib.ExitStack) -> tuple[Outcome, Preflight]:
-    """Run the program and let go of the mill. From the start on `ending` ignores signals but those that are watched."""
+def _run_on_mill(order: StreamOrder, folder: Path) -> tuple[Outcome, Preflight]:
+    """Run the program and let go of the mill."""
     with (
         _open_mill(order, folder) as (thread, connector),
         clear_at_the_end(thread, order.next_command) as buffers,
@@ -135,7 +135,7 @@ def _run_on_mill(order: StreamOrder, folder: Path, ending: contextlib.ExitStack)
         print_lines(program_lines(order.program, facts))
         prepare = _prepare_recovery if order.recover else _prepare_new_run
         run_id, begin = prepare(thread, buffers, order, facts)
-        ending.enter_context(ignore_signals())
+        ignore_signals_for_good()  # a Ctrl-C held down must not cut the last words off; `_run` watches for it meanwhile
         return _settle(thread, _run(thread, buffers, order, facts, run_id, begin)), facts
 
 
