@@ -28,6 +28,16 @@ def replace_owner(shop: Shop) -> None:
     shop.bench.mill = shop.bench.new_mill()
 
 
+def lose_power_unseen(shop: Shop) -> None:
+    """Nobody hears its banner."""
+    shop.bench.kill(host_power=False)
+    shop.bench.sim.unplug()
+    shop.bench.sim.power_cycle()
+    shop.bench.sim.advance(shop.bench.sim.now_s + 5.0)
+    shop.bench.sim.replug()
+    shop.bench.mill = shop.bench.new_mill()
+
+
 def need_codes(shop: Shop) -> list[str]:
     return [need.code for need in shop.mill.plan_recovery(shop.id).needs]
 
@@ -77,10 +87,24 @@ def test_a_mill_that_lost_its_power_meanwhile_is_not_where_it_was_left(
 ) -> None:
     stop(shop.started(10))
     shop.bench.until_state(MillState.IDLE)
-    shop.bench.kill(host_power=False)
-    shop.bench.sim.power_cycle()
-    shop.bench.sim.advance(shop.bench.sim.now_s + 5.0)
-    shop.bench.mill = shop.bench.new_mill()
+    lose_power_unseen(shop)
+    shop.bench.until_state(MillState.IDLE)
+    assert need_codes(shop) == ["position"]
+
+
+def test_a_reset_proves_nothing_of_a_mill_that_was_in_doubt_before_it(shop: Shop) -> None:
+    """Its power was off while nobody looked; then it was jogged, held and reset by us."""
+    abort(shop.started(10))
+    shop.bench.until_state(MillState.IDLE)
+    lose_power_unseen(shop)
+    shop.bench.until_state(MillState.IDLE)
+    shop.bench.command_done(Jog((5.0, 5.0, 3.0), 900.0))
+    shop.bench.sim.press("hold")
+    shop.bench.until_state(MillState.HELD)
+    shop.mill.command(Reset())
+    shop.bench.until_state(MillState.IDLE)
+    assert need_codes(shop) == ["position"]
+    replace_owner(shop)
     shop.bench.until_state(MillState.IDLE)
     assert need_codes(shop) == ["position"]
 

@@ -18,6 +18,7 @@ from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import FRAME_SETTINGS, ControllerSettings
 from machines.preflight.preflight import Preflight
+from machines.recovery.needs import position_doubt
 from machines.recovery.plan_model import Need, Present, RecoveryPlan, Reentry
 from machines.recovery.planner import plan_recovery
 from phrases.phrase import Phrase
@@ -288,6 +289,7 @@ class TestWhatMustBeDoneFirst:
             moves = changed and number in FRAME_SETTINGS
             assert [need.code for need in plan.needs] == (["position"] if moves else [])
             assert not moves or f"${number} 2.000 -> 2.016" in plan.needs[0].words
+            assert position_doubt({"position_trusted": True}, present) == ("settings" if moves else "")
 
     def test_settings_that_were_not_reported_say_nothing(self) -> None:
         then: dict[str, Any]
