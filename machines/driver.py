@@ -130,6 +130,7 @@ class MillStatus:
 
     position_trusted : machine coordinates still mean what they meant at homing or zero-setting
     overrides        : feed, rapid, spindle in percent
+    complete         : every field that the link reports only now and then has come since it was opened
     """
 
     state: MillState = MillState.DISCONNECTED
@@ -145,6 +146,7 @@ class MillStatus:
     overrides: tuple[int, int, int] = (100, 100, 100)
     pins: str = ""
     position_trusted: bool = False
+    complete: bool = True
     controller: str = ""  # version words of the controller, "Grbl 1.1h"
     buffer_bytes: int | None = None  # capacity for bytes under way
     epoch: int = 0  # counts controller restarts
@@ -201,9 +203,20 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The controller started anew (banner): its buffers, modal state and G92 are gone."""
+    """The controller started anew (banner): its buffers, modal state and G92 are gone.
+
+    place_kept : machine coordinates mean what they meant before: it was our own reset of a mill that stood
+    """
 
     banner: str
+    place_kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FrameChanged:
+    """A setting was changed on which machine coordinates rest: the position is not trusted any more."""
+
+    words: Phrase
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +235,7 @@ class Notice:
     words: Phrase
 
 
-Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | CommandDone | Notice
+Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | FrameChanged | CommandDone | Notice
 
 
 @dataclass(slots=True)

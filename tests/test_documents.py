@@ -61,7 +61,7 @@ def test_the_tour_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             if words[0] != "stream":
                 assert run([*found, *sizes]) == 0, " ".join(words)
                 continue
-            process = begun(found, tmp_path)
+            process = begun([*found, "--yes"], tmp_path)  # no terminal here
             output, errors = process.communicate()
             assert process.returncode == 0, f"{' '.join(words)}\n{output}\n{errors}"
     finally:

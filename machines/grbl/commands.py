@@ -9,6 +9,7 @@ from machines.driver import (
     CheckMode,
     Command,
     CommandDone,
+    FrameChanged,
     Home,
     JogCancel,
     MillState,
@@ -96,7 +97,7 @@ class CommandChannel:
             if isinstance(command, CheckMode) and not command.on:
                 self.banner_due_s = now_s + BANNER_S + link.silence.late_s
             self.command = command
-            self.run(make_sequence(command, link.view.settings), self._end_command, now_s, require)
+            self.run(make_sequence(command, link.view.settings, link.view.modes), self._end_command, now_s, require)
 
     def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float, require: Require = unconditional) -> None:
         """Begin a sequence."""
@@ -199,9 +200,10 @@ class CommandChannel:
         """Take over what a sequence leaves behind."""
         self._sequence = self._waiting = None
         view = self.link.view
-        if outcome.settings is not None:
-            view.settings = outcome.settings
-            view.modes = outcome.settings.parser_state or view.modes
+        changes = view.take_settings(outcome.settings) if outcome.settings is not None else ()
+        if changes:
+            words = Phrase("the position is not trusted any more: {settings}", settings=", ".join(changes))
+            self.link.events.append(FrameChanged(words))
         view.vouch(outcome.vouched)
         self._on_end(failure, outcome.answer, now_s)
 

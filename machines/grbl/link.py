@@ -158,6 +158,6 @@ class GrblLink:
             return
         (banner, stops), self.restart = self.restart, None
         kept = self.view.judge_place()
-        self.events.append(Restarted(banner))
+        self.events.append(Restarted(banner, kept))
         if stops:
             self.events.append(Stopped(position_kept=kept))

@@ -29,6 +29,7 @@ from machines.grbl.states import Phase
 from machines.grbl.streaming import PLAIN
 from phrases.phrase import Phrase
 
+_REPORTED_MM = 0.01  # half a step and the digits of a report
 _IDLE = frozenset({MillState.IDLE})
 _STANDING = frozenset(
     {MillState.IDLE, MillState.ALARM, MillState.HELD, MillState.CHECK, MillState.SLEEP, MillState.DOOR}
@@ -60,10 +61,14 @@ def check_command(
     settings: ControllerSettings,
     *,
     machine_mm: Triple | None,
+    trusted: bool,
     silent: bool,
 ) -> None:
-    """Raise NotAllowedError unless the command may be carried out now. silent: nothing answers; then a person may send
-    a reset."""
+    """Raise NotAllowedError unless the command may be carried out now.
+
+    machine_mm, trusted : where the mill stands, and whether that is where it counts
+    silent              : nothing answers; then a person may send a reset
+    """
     name = "Line" if isinstance(command, SendBlock) else type(command).__name__
     if silent and isinstance(command, Reset):
         return
@@ -80,7 +85,7 @@ def check_command(
     if isinstance(command, SendBlock) and not _is_plain(command.text):
         words = f"{name}: '{command.text}' is not a plain block"
         raise NotAllowedError(words, code=MillCode.NO_BLOCK, values={"text": command.text})
-    if refusal := _values(command, settings, machine_mm):
+    if refusal := _values(command, settings, machine_mm, trusted=trusted):
         raise NotAllowedError(Phrase("{command}: {refusal}", command=name, refusal=refusal))
 
 
@@ -105,7 +110,9 @@ def check_start(state: MillState, phase: Phase, settings: ControllerSettings) ->
         )
 
 
-def _values(command: Command, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
+def _values(
+    command: Command, settings: ControllerSettings, machine_mm: Triple | None, *, trusted: bool
+) -> Phrase | None:
     if isinstance(command, Override):
         return find_refusal(command.what, command.percent)
     if isinstance(command, Home) and settings.homing is False:
@@ -116,14 +123,36 @@ def _values(command: Command, settings: ControllerSettings, machine_mm: Triple |
             return None
         return Phrase("axes '{axes}': of X, Y, Z", axes=axes)
     if isinstance(command, Jog):
-        if 0.0 < command.feed_mm_per_min <= 100_000.0:
-            return None
-        return Phrase("feed {feed_mm_per_min} mm/min: above 0", feed_mm_per_min=command.feed_mm_per_min)
+        if not 0.0 < command.feed_mm_per_min <= 100_000.0:
+            return Phrase("feed {feed_mm_per_min} mm/min: above 0", feed_mm_per_min=command.feed_mm_per_min)
+        return _jog(command, settings, machine_mm) if settings.homing and trusted else None
     if isinstance(command, ProbeZ):
         return _probe(command)
     if isinstance(command, ProbeCorner):
         return _corner(command, settings, machine_mm)
     return _block(command.text) if isinstance(command, SendBlock) else None
+
+
+def _jog(command: Jog, settings: ControllerSettings, machine_mm: Triple | None) -> Phrase | None:
+    """Refuse a jog of a homed mill that ends outside its travel: with $20=0 the controller itself would not.
+
+    A mill that stands outside already, by a pull-off or a hand, may come back.
+    """
+    if settings.reach_mm is None or machine_mm is None:
+        return None
+    for name, at, by, (low, high) in zip("XYZ", machine_mm, command.by_mm, settings.reach_mm, strict=True):
+        end = at + by
+        beyond_mm = max(low - end, end - high)
+        if beyond_mm > _REPORTED_MM and beyond_mm > max(low - at, at - high):
+            return Phrase(
+                "{axis} would go to {end_mm:.3f} mm in machine coordinates; the machine reaches {low_mm:g} to "
+                "{high_mm:g}",
+                axis=name,
+                end_mm=end,
+                low_mm=low,
+                high_mm=high,
+            )
+    return None
 
 
 def _probe(command: ProbeZ) -> Phrase | None:

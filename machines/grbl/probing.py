@@ -23,7 +23,7 @@ from machines.grbl.asking import (
     ask_offsets,
     require_ok,
 )
-from machines.grbl.settings import ControllerSettings
+from machines.grbl.settings import ControllerSettings, read_settings
 from phrases.phrase import Phrase
 
 BACK_MM = 1.0  # from the fast touch to where the slow one begins
@@ -36,33 +36,57 @@ _Length = Generator[Ask | WaitStill, Answer, float]
 
 def probe_z(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
     """Go down until contact; then set the zero so that the *contact point*, not the place after braking, has its Z."""
-    restore = _words_to_restore(require_ok((yield Ask(b"$G", expect=PARSER_TAG))))
-    down_mm = -abs(command.depth_mm)
-    contact = yield from _touch("Z", down_mm, command.feed_mm_per_min, settings.unit_mm)
-    height_mm = command.plate_mm + (yield from _stand())[2] - contact[2]
-    require_ok((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
-    require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
-    require_ok((yield WaitStill()))
-    require_ok((yield Ask(restore)))
+    contact_mm = yield from _keep_modes(_probe_height(command, settings))
     fresh, told = yield from ask_offsets(settings)
-    return Outcome({"contact_machine_mm": list(contact), "offsets": told}, fresh, vouched="Z")
+    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": told}, fresh, vouched="Z")
 
 
 def probe_corner(command: ProbeCorner, settings: ControllerSettings) -> CommandSequence:
     """Touch Z, X, Y of the plate, each fast, then slowly; then set their zeros at once, from where the tool stands."""
-    restore = b"G0" + _words_to_restore(require_ok((yield Ask(b"$G", expect=PARSER_TAG))))
-    try:
-        contact_mm = yield from _touch_corner(command, settings.unit_mm)
-        zero_mm = find_zero_mm(command, contact_mm)
-        at_mm = yield from _stand()
-        words = "".join(f"{axis}{at - zero:.4f}" for axis, at, zero in zip("XYZ", at_mm, zero_mm, strict=True))
-        require_ok((yield Ask(f"G21G10L20P0{words}".encode())))
-    except SequenceFailedError:
-        yield Ask(restore)  # whatever comes of it: what failed before is what is told
-        raise
-    require_ok((yield Ask(restore)))
+    contact_mm = yield from _keep_modes(_probe_corner(command, settings))
     fresh, told = yield from ask_offsets(settings)
     return Outcome({"contact_machine_mm": list(contact_mm), "offsets": told}, fresh, vouched="XYZ")
+
+
+def _keep_modes(probing: _Triple) -> _Triple:
+    """Bring back the modes from before, whatever comes of it. An alarm ends all of this: see `leave_probing`."""
+    modes = require_ok((yield Ask(b"$G", expect=PARSER_TAG)))
+    restore = _words_to_restore(_parser_state(modes))
+    try:
+        contact_mm = yield from probing
+    except SequenceFailedError:
+        yield Ask(restore)  # what failed before is what is told
+        raise
+    require_ok((yield Ask(restore)))
+    return contact_mm
+
+
+def leave_probing(modes: str) -> Generator[Ask | WaitStill, Answer, None]:
+    """Leave the modes of a probe that an alarm has ended, once lines are taken again.
+
+    G91 and G38 outlive alarm and unlocking: a line of axis words alone would probe from where the tool stands.
+    modes : [GC:] words from before the probe
+    """
+    if any(word.startswith("G38") for word in _parser_state((yield Ask(b"$G", expect=PARSER_TAG))).split()):
+        require_ok((yield Ask(_words_to_restore(modes))))
+
+
+def _probe_height(command: ProbeZ, settings: ControllerSettings) -> _Triple:
+    contact_mm = yield from _touch("Z", -abs(command.depth_mm), command.feed_mm_per_min, settings.unit_mm)
+    height_mm = command.plate_mm + (yield from _stand())[2] - contact_mm[2]
+    require_ok((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
+    require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
+    require_ok((yield WaitStill()))
+    return contact_mm
+
+
+def _probe_corner(command: ProbeCorner, settings: ControllerSettings) -> _Triple:
+    contact_mm = yield from _touch_corner(command, settings.unit_mm)
+    zero_mm = find_zero_mm(command, contact_mm)
+    at_mm = yield from _stand()
+    words = "".join(f"{axis}{at - zero:.4f}" for axis, at, zero in zip("XYZ", at_mm, zero_mm, strict=True))
+    require_ok((yield Ask(f"G21G10L20P0{words}".encode())))
+    return contact_mm
 
 
 def find_zero_mm(command: ProbeCorner, contact_mm: Triple) -> Triple:
@@ -156,10 +180,15 @@ def _stand() -> _Triple:
     return still.machine_mm
 
 
-def _words_to_restore(modal: Answer) -> bytes:
-    """Return words that bring back units and distance mode as [GC:] told before."""
-    words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
-    return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
+def _parser_state(answer: Answer) -> str:
+    """Return the words of [GC:]; "" where it was not told."""
+    return read_settings(answer.heard).parser_state
+
+
+def _words_to_restore(parser_state: str) -> bytes:
+    """Return words that bring back units and distance mode as [GC:] told before, and end probing."""
+    words = parser_state.split()
+    return ("G0" + ("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
 
 
 def _read_probe(answer: Answer, unit_mm: float) -> tuple[Triple, bool]:

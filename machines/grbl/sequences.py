@@ -37,7 +37,7 @@ from machines.grbl.asking import (
     ask_twice,
     require_ok,
 )
-from machines.grbl.probing import probe_corner, probe_z
+from machines.grbl.probing import leave_probing, probe_corner, probe_z
 from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import longest_homing_s
 from phrases.phrase import Phrase
@@ -84,10 +84,18 @@ def describe_settings(settings: ControllerSettings) -> dict[str, object]:
     }
 
 
-def home(settings: ControllerSettings) -> CommandSequence:
+def home(settings: ControllerSettings, modes: str) -> CommandSequence:
+    yield Ask(b"$G", expect=PARSER_TAG)  # the `ok` of a probe comes half a second behind its alarm: it is not of $H
     require_ok((yield Ask(b"$H", longest_homing_s(settings))))
     require_ok((yield WaitStill(REPLY_S)))
+    yield from leave_probing(modes)
     return Outcome(vouched="XYZ")
+
+
+def unlock(modes: str) -> CommandSequence:
+    require_ok((yield Ask(b"$X")))
+    yield from leave_probing(modes)
+    return Outcome()
 
 
 def ask_once(text: bytes) -> CommandSequence:
@@ -129,13 +137,16 @@ def _modal_again(settings: ControllerSettings) -> CommandSequence:
     return Outcome(settings=replace(fresh, parser_state=told or fresh.parser_state))
 
 
-def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequence:
-    """Return the sequence that carries out a command; all but those that are a realtime byte or a note have one."""
+def make_sequence(command: Command, settings: ControllerSettings, modes: str) -> CommandSequence:
+    """Return the sequence that carries out a command; all but those that are a realtime byte or a note have one.
+
+    modes : [GC:] words as they were known last
+    """
     match command:
         case Home():
-            return home(settings)
+            return home(settings, modes)
         case Unlock():
-            return ask_once(b"$X")
+            return unlock(modes)
         case ReadSettings():
             return read_again(settings)
         case Jog():

@@ -231,7 +231,15 @@ class GrblSession:
         """Begin a command; ends with CommandDone. require : holds what it sends later, until something acts"""
         state, link = self.reporter.state, self.link
         seen, silent = link.view, link.offers_reset
-        check_command(command, state, link.phase, seen.settings, machine_mm=seen.machine_mm, silent=silent)
+        check_command(
+            command,
+            state,
+            link.phase,
+            seen.settings,
+            machine_mm=seen.machine_mm,
+            trusted=seen.trusted,
+            silent=silent,
+        )
         if isinstance(command, Reset):
             self.link.events.append(CommandDone(command))
             self.resets.begin_for_person(now_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,6 +15,20 @@ from phrases.phrase import Phrase
 MM_PER_INCH = 25.4
 # Both tell in the letters of [OPT:] where M7 is built in; of FluidNC that is not known.
 MIST, _TELL_MIST = "M", frozenset({"grbl", "grblhal"})
+# Settings on which the meaning of a machine coordinate rests. GRBL counts steps: what turns them into mm, which way
+# they go and where homing begins to count.
+FRAME_SETTINGS = frozenset(
+    {
+        3,  # direction of each axis: the same count lies on the other side
+        22,  # homing, and on grblHAL whether it counts from 0: where the frame begins
+        23,  # homing direction: which end of the travel the frame begins at
+        27,  # pull-off: a frame with a forced origin begins that far from the switch
+        100, 101, 102,  # steps per mm: every coordinate is scaled
+        130, 131, 132,  # travel: an axis that homes to its low end counts from there
+        150, 151, 152,  # microsteps of a driver that grblHAL sets: they scale as steps per mm do
+        160, 161, 162,  # backlash that grblHAL makes up for: every turn lies elsewhere
+    }
+)  # fmt: skip
 OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92"})
 
 
@@ -77,12 +91,13 @@ class ControllerSettings:
     def reach_mm(self) -> tuple[tuple[float, float], ...] | None:
         """Least and greatest machine coordinate of each axis.
 
-        From -travel to 0, or from 0 to travel for an axis that homes to its low end in a firmware built with a forced
-        origin ($I says Z).
+        From -travel to 0, or from 0 to travel for an axis that homes to its low end in a firmware with a forced origin
+        ($I says Z; grblHAL: 8 in $22).
         """
         if self.travel_mm is None:
             return None
-        low_ends = int(self.number(23) or 0) if "Z" in self.options else 0
+        forced = "Z" in self.options or (self.firmware == "grblhal" and bool(int(self.number(22) or 0) & 8))
+        low_ends = int(self.number(23) or 0) if forced else 0
         return tuple((0.0, mm) if low_ends >> axis & 1 else (-mm, 0.0) for axis, mm in enumerate(self.travel_mm))
 
     @property
@@ -125,6 +140,12 @@ class ControllerSettings:
         """Letters of [OPT:]; None where the controller does not tell."""
         return self.options.partition(",")[0] if self.options else None
 
+    @property
+    def mist(self) -> bool | None:
+        """Whether it is built with M7; None where it does not tell."""
+        letters = self.option_letters
+        return None if letters is None or self.firmware not in _TELL_MIST else MIST in letters
+
     def to_dict(self) -> dict[str, Any]:
         return {
             "values": {str(number): value for number, value in sorted(self.values.items())},
@@ -136,6 +157,22 @@ class ControllerSettings:
             "offsets": {name: list(value) for name, value in sorted(self.offsets.items())},
             "parser_state": self.parser_state,
         }
+
+
+def list_frame_changes(before: Mapping[int, str], now: Mapping[int, str]) -> tuple[str, ...]:
+    """Return each setting of FRAME_SETTINGS that is another now, as "$100 250.000 -> 252.000".
+
+    Nothing can be said of what the controller has not told both times.
+    """
+    told = ((number, before[number], now[number]) for number in sorted(FRAME_SETTINGS & before.keys() & now.keys()))
+    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _equal(was, is_now))
+
+
+def _equal(before: str, now: str) -> bool:
+    try:
+        return float(before) == float(now)
+    except ValueError:
+        return before == now
 
 
 def read_settings(replies: Iterable[Reply], banner: str = "") -> ControllerSettings:
@@ -209,8 +246,7 @@ def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> Phra
 
     mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.
     """
-    letters = settings.option_letters
-    if not mist_line or letters is None or settings.firmware not in _TELL_MIST or MIST in letters:
+    if not mist_line or settings.mist is not False:
         return Phrase("")
     return Phrase(
         "line {line}: M7 (mist) is error:20 on this controller: it is built without it ([OPT:{options}] has no M); "

@@ -68,6 +68,7 @@ class StatusReporter:
             overrides=view.overrides,
             pins=report.pins if report else "",
             position_trusted=view.trusted,
+            complete=not view.waits_for_fields,
             controller=link.controller,
             buffer_bytes=self.streamer.window_bytes if view.identified else None,
             epoch=link.epoch,
@@ -148,6 +149,8 @@ class StatusReporter:
             words.append("echo: every line the controller has read is compared with the line sent")
         if corridor := self._corridor_words():
             words.append(corridor)
+        if link.view.rx_used is not None:
+            words.append("the bytes in the controller's buffer (Bf:) are held against those under way")
         if link.view.settings.soft_limits:
             words.append("soft limits of the controller ($20=1)")
         if link.view.settings.hard_limits:

@@ -172,8 +172,8 @@ class StopControl:
             self._hold_seen = self._hold_reports > 0
             if link.phase is Phase.IDENTIFYING:
                 self._greet_again(now_s)  # no line is read now
-        elif report.state == "Run" and link.hold_wanted and link.phase is Phase.STREAMING:
-            self._note_running(now_s)
+        elif link.hold_wanted and link.phase in (Phase.READY, Phase.STREAMING):
+            self._note_no_hold(report, now_s)
         elif report.state in ("Run", "Idle") and link.paused and not link.hold_wanted:
             link.paused = False
         if link.phase is Phase.STOPPING:
@@ -206,13 +206,18 @@ class StopControl:
         self.link.put_hold()
         self._hold_at_s = now_s
 
-    def _note_running(self, now_s: float) -> None:
-        """Note that the mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
-        if now_s <= self._hold_at_s + self._hold_again_s:
+    def _note_no_hold(self, report: Status, now_s: float) -> None:
+        """Note that the mill is not held although that was asked for: someone pressed cycle start, or the '!' was lost.
+
+        What it was let go on with may be over before the next report: then it stands Idle.
+        """
+        if report.state not in ("Run", "Jog", "Idle") or now_s <= self._hold_at_s + self._hold_again_s:
             return
         if self._hold_seen:
-            self.link.hold_wanted = self.link.paused = False
-        else:
+            self.link.hold_wanted = self.link.paused = self._hold_seen = False
+            words = Phrase("cycle start was pressed at the machine: the mill goes on after the hold")
+            self.link.events.append(Notice(words))
+        elif report.state != "Idle":
             self._hold_again(now_s)
 
     def _settle(self, report: Status, now_s: float) -> None:

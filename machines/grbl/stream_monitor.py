@@ -11,11 +11,12 @@ from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status, is_boot_text, show
 from machines.grbl.states import HELD_STATES, Phase
 from machines.grbl.stopping import StopControl
-from machines.grbl.streaming import Flight, Stream, Streamer
+from machines.grbl.streaming import Flight, Stream, Streamer, name_line
 from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, NOTIFY_SILENCE_S, REPORT_SILENCE_S, longest_wait_s
 from machines.grbl.tracking import Place
 from phrases.phrase import Phrase
 
+BUFFER_REPORTS = 3  # in a row that show more bytes in the controller than may be there
 DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
 
 
@@ -35,6 +36,7 @@ class StreamMonitor:
     _standing_reports: int = 0  # Idle in a row, with no answer between
     _standing_heard_s: float = 0.0  # when the first of them came
     _lone_s: float | None = None  # when a line was sent to a mill that stood and had none: its answer tells the way
+    _full_reports: int = 0  # in a row, with more bytes in the receive buffer than may be there
 
     def note_sign(self) -> None:
         """Begin anew to wait for a sign."""
@@ -49,7 +51,7 @@ class StreamMonitor:
     def begin(self) -> None:
         """Begin to watch a program."""
         self.note_sign()
-        self._idle_reports = 0
+        self._idle_reports = self._full_reports = 0
 
     def take_ok(self, stream: Stream) -> None:
         """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
@@ -75,12 +77,12 @@ class StreamMonitor:
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, 0, now_s)
         elif streamer.echoes and not stream.echoed:
             line = stream.first_line
-            words = Phrase("line {line} was answered ({words}) without its echo", line=line, words=words)
+            words = Phrase("{line} was answered ({words}) without its echo", line=name_line(line), words=words)
             self.stops.raise_fault(FaultCause.ECHO, words, line, now_s)
         elif error:
             block = first[0]
             words = Phrase(
-                "line {line} '{text}' was refused: {words}", line=block.number, text=show(block.text), words=words
+                "{line} '{text}' was refused: {words}", line=name_line(block.number), text=show(block.text), words=words
             )
             self.stops.raise_fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
         else:
@@ -99,8 +101,8 @@ class StreamMonitor:
         elif stream.echoed or _as_read(first[0].text) != _as_read(text):
             block = first[0]
             words = Phrase(
-                "line {line} was sent as '{text}', but read as '{read}'",
-                line=block.number,
+                "{line} was sent as '{text}', but read as '{read}'",
+                line=name_line(block.number),
                 text=show(block.text),
                 read=show(text),
             )
@@ -138,6 +140,9 @@ class StreamMonitor:
             words = Phrase("the controller reports '{state}' in the middle of a program", state=report.state)
             self.stops.raise_fault(FaultCause.ALARM, words, stream.first_line, now_s)
             return
+        self._compare_buffer(report, now_s)
+        if self.link.phase is not Phase.STREAMING:
+            return
         if report.state in ("Run", "Hold", "Idle"):
             self._compare_place(stream, now_s)
             if self.link.phase is not Phase.STREAMING:
@@ -151,6 +156,27 @@ class StreamMonitor:
             if stream.drained:
                 self._finish(stream, report, now_s)
 
+    def _compare_buffer(self, report: Status, now_s: float) -> None:
+        """Hold Bf: against what is under way: an answer too many lets more lines out than the buffer is sure to take.
+
+        All answers that were said before a report have come before it, so the buffer never holds more than is under
+        way. The oldest line has left it while the mill runs, for it is being read or waits for room in the planner.
+        """
+        stream, used = self._stream, self.link.view.rx_used
+        first = stream.first
+        taken = len(first[0].text) + 1 if first is not None and report.state == "Run" else 0
+        if used is None or used <= max(stream.window.used - taken, 2 * taken):
+            self._full_reports = 0
+            return
+        self._full_reports += 1
+        if self._full_reports >= BUFFER_REPORTS:
+            words = Phrase(
+                "the controller holds {used} bytes, and at most {allowed} can be there: an answer came twice",
+                used=used,
+                allowed=stream.window.used - taken,
+            )
+            self.stops.raise_fault(FaultCause.REPLY_COUNT, words, stream.first_line, now_s)
+
     def _compare_place(self, stream: Stream, now_s: float) -> None:
         position = self.link.view.work_mm
         if position is None:
@@ -163,19 +189,19 @@ class StreamMonitor:
             at = " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", position, strict=True))
             words = Phrase(
                 "the mill reports {place}, {distance_mm:.3f} mm from the nearest line that can be under way "
-                "(line {near_line}; allowed {allowed_mm:.3f} mm): a byte was damaged or a step lost",
+                "({near_line}; allowed {allowed_mm:.3f} mm): a byte was damaged or a step lost",
                 place=at,
                 distance_mm=sight.distance_mm,
-                near_line=sight.line,
+                near_line=name_line(sight.line),
                 allowed_mm=stream.tracker.tolerance_mm,
             )
             self.stops.raise_fault(FaultCause.OFF_PATH, words, sight.line, now_s)
         elif sight.place is Place.UNANSWERED:
             line = stream.first_line
             words = Phrase(
-                "the mill is on line {near_line}, but line {line} was never answered: a reply was lost",
-                near_line=sight.line,
-                line=line,
+                "the mill is on {near_line}, but {line} was never answered: a reply was lost",
+                near_line=name_line(sight.line),
+                line=name_line(line),
             )
             self.stops.raise_fault(FaultCause.REPLY_COUNT, words, line, now_s)
 
@@ -238,9 +264,9 @@ class StreamMonitor:
         words = _word_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
             words = Phrase(
-                "{words} after line {line} (if a line, it was not cut: look at the part from there on)",
+                "{words} after {line} (if a line, it was not cut: look at the part from there on)",
                 words=words,
-                line=stream.agreed_line,
+                line=name_line(agreed) if (agreed := stream.agreed_line) else Phrase("the start of the program"),
             )
         self.stops.raise_fault(FaultCause.STALL, words, stream.first_line, now_s)
 
@@ -258,8 +284,8 @@ def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standin
             waited_s=waited_s,
         )
     words = Phrase(
-        "line {line} '{text}' got no answer and nothing moved for {waited_s:.1f} s",
-        line=first[0].number,
+        "{line} '{text}' got no answer and nothing moved for {waited_s:.1f} s",
+        line=name_line(first[0].number),
         text=show(first[0].text),
         waited_s=waited_s,
     )

@@ -22,6 +22,11 @@ DEFAULT_PLANNER_BLOCKS = 15
 Flight = tuple[ProgramLine, Step]
 
 
+def name_line(number: int) -> Phrase:
+    """Return a line as a sentence names it; blocks that bring the tool back in have no number."""
+    return Phrase("line {line}", line=number) if number else Phrase("a block of the way in")
+
+
 class Stream:
     """Lines on their way. `fill` gives bytes to write now; they are counted the moment they are given."""
 

@@ -53,7 +53,7 @@ class Transmitter:
         if link.phase in (Phase.STOPPING, Phase.CLEARING):
             return BUSY_S
         drained = stream is not None and stream.drained
-        if self.commands.override.active or drained or link.view.work_offset is None:
+        if self.commands.override.active or drained or link.view.waits_for_fields:
             return min(QUICK_S, link.options.poll_s)
         return link.options.run_poll_s if link.phase is Phase.STREAMING else link.options.poll_s
 

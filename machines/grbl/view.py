@@ -5,10 +5,22 @@ from __future__ import annotations
 from machines.driver import Triple
 from machines.grbl.codes import POSITION_LOST_ALARMS, SPINDLE_ON_ALARMS
 from machines.grbl.replies import Status
-from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+from machines.grbl.settings import MM_PER_INCH, ControllerSettings, list_frame_changes
 from machines.grbl.states import stands
 
 _AXES = frozenset("XYZ")
+_REPORTS_TO_ALL = 40  # by then GRBL has reported every field twice; a firmware that leaves one out never does
+
+
+def counts_on(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
+    """Return whether a mill that stood at one machine coordinate and stands at another has kept its count for certain.
+
+    The same place, not zero: a controller that lost its power counts from 0,0,0.
+    """
+    if before_mm is None or now_mm is None:
+        return False
+    same = all(abs(a - b) <= tolerance_mm for a, b in zip(before_mm, now_mm, strict=True))
+    return same and any(abs(a) > tolerance_mm for a in now_mm)
 
 
 class MachineView:
@@ -27,6 +39,7 @@ class MachineView:
         self.override_reports = 0  # reports with Ov so far
         self.spindle_on: bool | None = None
         self.spindle_stopped = False  # by an alarm; no report has shown it since
+        self.rx_empty: int | None = None  # most bytes of room that Bf: has reported: the buffer was empty then
         self._vouched: set[str] = set()
         self._stood_mm: Triple | None = None  # where the mill stood before the last banner
         self._kept_by_reset = False  # that banner answers a reset of ours
@@ -63,16 +76,29 @@ class MachineView:
         disproves it, whoever sent the reset.
         """
         before, now = self._stood_mm, self.machine_mm
-        step = self.settings.step_mm or (0.01, 0.01, 0.01)
+        tolerance_mm = max(self.settings.step_mm or (0.01,)) + self.report_step_mm
         kept = self._kept_by_reset
         if before is not None and now is not None:
-            least = self.report_step_mm
-            same = all(abs(a - b) <= s + least for a, b, s in zip(before, now, step, strict=True))
-            kept = same and (kept or any(abs(a) > s + least for a, s in zip(now, step, strict=True)))
+            stays = all(abs(a - b) <= tolerance_mm for a, b in zip(before, now, strict=True))
+            kept = (kept and stays) or counts_on(before, now, tolerance_mm)
         self._stood_mm = None
         if not kept:
             self.lose_position()
         return kept
+
+    def take_settings(self, settings: ControllerSettings) -> tuple[str, ...]:
+        """Take settings read anew; return which of the frame have changed: then the position is trusted no longer."""
+        changes = list_frame_changes(self.settings.values, settings.values)
+        if changes:
+            self.lose_position()
+        self.settings = settings
+        self.modes = settings.parser_state or self.modes
+        return changes
+
+    @property
+    def waits_for_fields(self) -> bool:
+        """Fields that come only with every tenth report or so are still to come."""
+        return self.work_offset is None or (self.spindle_on is None and self.reports < _REPORTS_TO_ALL)
 
     def take_alarm(self, number: int) -> None:
         self.alarm = self.locked_by = number
@@ -96,9 +122,19 @@ class MachineView:
         if report.overrides is not None:
             self.overrides = report.overrides
             self.override_reports += 1
+        if report.buffer is not None:
+            self.rx_empty = max(self.rx_empty or 0, report.buffer[1])
         if report.accessories is not None:
             self.spindle_on = "S" in report.accessories or "C" in report.accessories
         return moved
+
+    @property
+    def rx_used(self) -> int | None:
+        """Bytes of lines in the controller's receive buffer, by the latest report; None where it has no Bf:."""
+        report = self.report
+        if report is None or report.buffer is None or self.rx_empty is None:
+            return None
+        return self.rx_empty - report.buffer[1]
 
     def _unit_mm(self) -> float | None:
         return self.settings.unit_mm if self.identified else None

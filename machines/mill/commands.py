@@ -32,6 +32,7 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError, WrongStateError
 from machines.gcode.words import strip_block
+from machines.mill.link import get_settings
 from machines.mill.orders import NOBODY, Caller, Order
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext
@@ -136,6 +137,8 @@ class Commands:
         axes = _find_axes_zeroed(command)
         if isinstance(command, Home):
             setup.homed = True
+        if isinstance(command, TrustPosition) and self._last is not None and self._last[0] is command:
+            self.context.runs.note_trust(get_settings(self.context.link.driver))
         if "Z" in axes:
             self.context.runs.note_touch_off()
         if axes:

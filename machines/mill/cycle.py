@@ -10,6 +10,7 @@ from machines.driver import (
     CommandDone,
     Event,
     Faulted,
+    FrameChanged,
     MillState,
     Notice,
     ProgramDone,
@@ -21,7 +22,7 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
-from machines.mill.link import AWAY
+from machines.mill.link import AWAY, get_settings
 from machines.mill.run_control import RunControl
 from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext
@@ -92,9 +93,9 @@ class MillCycle:
                     answer = None if event.failure else dict(event.answer)
             if ended_s is None:
                 continue  # the driver ends it: it knows how late its answers are
-            # The work position comes with the offset, and that only with every tenth report or so.
-            told = driver.status.work_mm is not None or self.context.clock() >= ended_s + PLACE_S
-            if answer is None or told:
+            # The work position comes with the offset, the spindle with the overrides: each only with some reports.
+            whole = driver.status.work_mm is not None and driver.status.complete
+            if answer is None or whole or self.context.clock() >= ended_s + PLACE_S:
                 break
         return answer
 
@@ -110,6 +111,8 @@ class MillCycle:
                     self.control.note_stop(event)
                 case Restarted():
                     self._note_restart(event)
+                case FrameChanged():
+                    self._note_frame(event)
                 case CommandDone():
                     self.commands.note_end(event)
                 case Notice():
@@ -124,9 +127,17 @@ class MillCycle:
         self.publish()
 
     def _note_restart(self, event: Restarted) -> None:
-        self.context.link.setup.parser_state = None
+        link, runs = self.context.link, self.context.runs
         self.context.log.say("link", Phrase("controller restarted: {banner}", banner=event.banner))
+        if event.place_kept:
+            runs.note_reset(link.status, link.setup.parser_state, get_settings(link.driver))
+        else:
+            link.setup.forget_place()
+            runs.note_restart()
+        link.setup.parser_state = None
         self.unattended.note_touch()
-        if not self.context.link.status.position_trusted:
-            self.context.link.setup.forget_place()
-            self.context.runs.note_restart()
+
+    def _note_frame(self, event: FrameChanged) -> None:
+        self.context.log.say("notice", event.words)
+        self.context.link.setup.forget_place()
+        self.context.runs.note_frame_change()

@@ -42,7 +42,7 @@ class Setup:
     def digest(self, status: MillStatus, needs: tuple[Phrase, ...]) -> str:
         """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
-        rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, needs)
+        rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, bool(needs))
         return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
 
 

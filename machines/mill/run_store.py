@@ -18,13 +18,17 @@ from pathlib import Path
 from typing import Any
 
 from machines.codes import MillCode
+from machines.driver import MillStatus
 from machines.errors import JournalError, NotAllowedError
 from machines.gcode.program import ProgramReader
+from machines.grbl.settings import ControllerSettings
 from machines.journal.disk import os_words
 from machines.journal.journal import Journal, JournalContent, read_journal
 from machines.mill.run import OWNER_LOST, Run
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
+from machines.recovery.needs import position_doubt
+from machines.recovery.plan_model import Present
 from machines.runs import RECOVERABLE, RunState, RunView
 from phrases.phrase import Phrase
 
@@ -259,6 +263,30 @@ class RunStore:
         """Note for all runs that could be recovered that the controller has forgotten its position."""
         for run in self.recoverable():
             run.write("restarted", restarted=True)
+            self.let_rest(run)
+
+    def note_reset(self, status: MillStatus, parser_state: str | None, settings: ControllerSettings | None) -> None:
+        """Note a reset that kept the count: where nothing was in doubt, the place at which the mill stands proves it.
+
+        The reset wipes out the other proof, feed and spindle.
+        """
+        for run in [*self.recoverable(), *([self.live] if self.live is not None else [])]:
+            present = Present.of_run(run.record, status, parser_state, settings)
+            if status.machine_mm is not None and not position_doubt(run.record, present):
+                run.write("reset", stood_mm=status.machine_mm)
+                self.let_rest(run)
+
+    def note_frame_change(self) -> None:
+        """Note for all runs that could be recovered that a setting was changed on which their position rests."""
+        for run in self.recoverable():
+            run.write("frame", reframed=True)
+            self.let_rest(run)
+
+    def note_trust(self, settings: ControllerSettings | None) -> None:
+        """Note that a person has said that the position is right, with the settings as they are."""
+        told = {} if settings is None else {"settings": settings.to_dict()}
+        for run in self.recoverable():
+            run.write("trusted", reframed=False, **told)
             self.let_rest(run)
 
     def note_zero(self, axes: str) -> None:

@@ -61,6 +61,7 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
     if not modes:
         return
     missing = [mode for mode in (*facts.assumed, *_PRESUMED) if mode not in modes]
+    missing += ["G0"] if any(mode.startswith("G38") for mode in modes) else []  # axis words alone would probe
     if missing:
         raise NotAllowedError(
             Phrase(

@@ -7,7 +7,7 @@ as the program needs it (asked anew), the journal safe on disk, and only then th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.codes import MillCode
@@ -58,12 +58,9 @@ class RecoveryPlanner:
         answer = self.cycle.read_settings()
         settings, setup = get_settings(self.context.link.driver) if answer else None, self.context.link.setup
         by_its_count = setup.homed or (settings is not None and bool(settings.soft_limits))
-        present = Present(
-            status=self.context.link.status,
+        present = replace(
+            Present.of_run(run.record, self.context.link.status, setup.parser_state, settings),
             offsets=answer.get("offsets") if answer else None,
-            parser_state=setup.parser_state,
-            restarted=bool(run.record.get("restarted")),
-            vouched_axes=str(run.record.get("zeroed", "")),
             homed=setup.homed,
             top_mm=top_of_travel_mm(settings) if by_its_count else None,
         )
@@ -189,6 +186,7 @@ class RunStarter:
             "zeroed": "", "adrift": "", "touch_off": "", "sent_line": 0, "answered_line": 0,
             "controller": status.controller, "epoch": status.epoch, "position_trusted": status.position_trusted,
             "homed": self.context.link.setup.homed,
+            "reframed": False, "stood_mm": None,
             "machine_mm": status.machine_mm, "work_mm": status.work_mm, "work_offset_mm": status.work_offset_mm,
             "wall_s": round(self.context.wall_clock(), 3), "warnings": list(dict.fromkeys(warnings)),
             "travel_in_doubt": bool(placement.problems),

@@ -92,7 +92,7 @@ def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Trip
     settings, record = get_settings(driver), run.record
     if settings is None or reader.index.dialect not in GRBL_DIALECTS:
         return None
-    present = Present(status=driver.status, parser_state=settings.parser_state, restarted=bool(record.get("restarted")))
+    present = Present.of_run(record, driver.status, settings.parser_state, settings)
     if position_doubt(record, present):
         return None
     last = int(record.get("sent_line") or 0)

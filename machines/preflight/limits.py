@@ -25,6 +25,7 @@ class MillLimits:
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
     homing : machine coordinates mean something
     safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
+    mist   : the controller is built with M7; None where it has not told
     """
 
     profile: str
@@ -41,6 +42,7 @@ class MillLimits:
     homing: bool = False
     top_z_mm: float | None = None
     work_offset: int = 1
+    mist: bool | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -72,6 +74,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         homing=profile.homing,
         top_z_mm=profile.top_z_mm,
         work_offset=profile.work_offset,
+        mist=told.mist,
     )
 
 

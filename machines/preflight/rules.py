@@ -261,7 +261,7 @@ def _judge_machine_moves(reading: Reading) -> Phrase | None:
 
 
 def _judge_mist(reading: Reading) -> Phrase | None:
-    if reading.dialect is None or reading.dialect.mist:
+    if reading.dialect is None or reading.dialect.mist or reading.limits.mist:
         return None
     return _judge_event(tally.MIST, Phrase("M7 is error:20 on stock GRBL 1.1 (built without ENABLE_M7)"))(reading)
 

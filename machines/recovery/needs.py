@@ -7,17 +7,22 @@ from typing import Any
 
 from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
+from machines.grbl.view import counts_on
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Need, Present
 from phrases.phrase import Phrase
 
 _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
+_PLACE_MM = (
+    0.004  # a place is reported with three decimals, in inch with four, and may have been in the other unit before
+)
 
 
 DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
     "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
     "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
+    "settings": Phrase("settings on which the position rests were changed since the run stopped"),
     "unseen": Phrase("nothing shows that the controller went on without a restart while it was out of sight"),
 }
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
@@ -59,10 +64,19 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     yield from needs_of_standing_mill(status)
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
         return
+    if status.machine_mm is None and status.state is not MillState.IDLE:
+        return  # a controller that is held does not say in which unit it reports: the place is known after the reset
     if status.state is MillState.IDLE and status.work_mm is None:
         words = Phrase("the mill has not reported its position yet: wait a second")
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
-    if (doubt := position_doubt(record, present)) != "":
+    if changes := ", ".join(present.frame_changes):
+        words = Phrase(
+            "settings on which the position rests are others than when the part was cut ({settings}): put them back "
+            "and home the mill, or, if you know that the position is right, say so (trust position)",
+            settings=changes,
+        )
+        yield Need(MillCode.POSITION, words, {"doubt": "settings", "settings": changes})
+    elif doubt := position_doubt(record, present):
         words = Phrase(
             "{doubt}: home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you "
             "know that it is right, say so (trust position)",
@@ -72,16 +86,29 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
 
 
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
-    """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut."""
-    if present.status.position_trusted:
+    """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut.
+
+    The one judgement, on a link that has seen everything as on a new one. What proves that a controller which was out
+    of sight has kept its count: feed or spindle are set still, or it stands where it was left. Other settings of the
+    frame are in doubt even on a mill that was homed since: what is cut already was cut by the old ones.
+    """
+    if present.frame_changes:
+        return "settings"
+    status = present.status
+    if status.position_trusted:
         return ""
     if present.restarted:
         return "restarted"
+    if record.get("reframed"):
+        return "settings"
     if not record.get("position_trusted"):
         return "unconfirmed"
-    if not never_restarted(present.parser_state, record.get("state_before")):
-        return "unseen"
-    return ""
+    left_mm = record.get("stood_mm") or record.get("machine_mm")
+    if counts_on(left_mm, status.machine_mm, _PLACE_MM) or never_restarted(
+        present.parser_state, record.get("state_before")
+    ):
+        return ""
+    return "unseen"
 
 
 def never_restarted(parser_state: str | None, at_start: str | None = None) -> bool:

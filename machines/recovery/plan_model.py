@@ -11,6 +11,7 @@ from typing import Any
 from machines.codes import MillCode
 from machines.driver import MillStatus, ProgramLine, Triple
 from machines.gcode.program import ProgramReader
+from machines.grbl.settings import ControllerSettings, list_frame_changes
 from phrases.phrase import Phrase, phrases_in
 
 _NOT_THERE = Phrase(
@@ -53,6 +54,7 @@ class Present:
     """What is known of the mill now. `offsets` and `parser_state` are None where the link does not tell.
 
     restarted : a restart of the controller was seen since the run stopped
+    frame_changes : settings of the frame that are others than when the run was cut, in figures
     vouched_axes : axes of which a person has set the work zero anew since the run stopped
     homed : machine coordinates are those of a homing cycle
     top_mm : highest machine Z that can be reached; None where that is not certain
@@ -62,9 +64,30 @@ class Present:
     offsets: Mapping[str, Sequence[float]] | None = None
     parser_state: str | None = None
     restarted: bool = False
+    frame_changes: tuple[str, ...] = ()
     vouched_axes: str = ""
     homed: bool = False
     top_mm: float | None = None
+
+    @staticmethod
+    def of_run(
+        record: Mapping[str, Any], status: MillStatus, parser_state: str | None, settings: ControllerSettings | None
+    ) -> Present:
+        """Return what is known of the mill now that concerns the run of this journal."""
+        then = (record.get("settings") or {}).get("values") or {}
+        now = settings.values if settings is not None else {}
+        return Present(
+            status=status,
+            parser_state=parser_state,
+            restarted=bool(record.get("restarted")),
+            frame_changes=list_frame_changes({int(number): str(value) for number, value in then.items()}, now),
+            vouched_axes=str(record.get("zeroed") or ""),
+        )
+
+
+def _round(values_mm: Sequence[float] | None) -> list[float] | None:
+    """Round to what a controller reports."""
+    return None if values_mm is None else [round(value, 3) + 0.0 for value in values_mm]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +99,9 @@ class RecoveryPlan:
     position_mm   : where the tool is put down (work frame); None: the program starts from its top
     blocks        : sent before the program
     zero_back     : a block that sets the work zero that the run was cut at; "" where it is the same, or not certain
+    spindle_on    : whether it turns now; None where the link does not tell
+    tool_mm       : where the tool is now (work frame)
+    offsets       : all offsets now, by name
     """
 
     run_id: str
@@ -90,6 +116,9 @@ class RecoveryPlan:
     words: tuple[Phrase, ...] = ()
     zero_back: str = ""
     motion: str = ""  # motion word put before the first line, which relies on an earlier one
+    spindle_on: bool | None = None
+    tool_mm: Triple | None = None
+    offsets: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def ready(self) -> bool:
@@ -101,15 +130,28 @@ class RecoveryPlan:
 
     @property
     def digest(self) -> str:
-        """Tell one plan from another: a person's word is for the plan that they have read."""
-        return hashlib.sha256(json.dumps(self._members(), sort_keys=True).encode()).hexdigest()[:16]
+        """Tell one plan from another: a person's word is for the plan that they have read.
+
+        Made of facts alone: words may change while nothing does.
+        """
+        facts = {
+            "run": self.run_id,
+            "executed_line": self.executed_line,
+            "overlap_line": self.overlap_line,
+            "position_mm": _round(self.position_mm),
+            "blocks": self.blocks,
+            "motion": self.motion,
+            "ready": self.ready,
+            "needs": [(need.code, sorted(need.values.items())) for need in self.needs],
+            "zero_back": self.zero_back,
+            "spindle_on": self.spindle_on,
+            "tool_mm": _round(self.tool_mm),
+            "offsets": {name: _round(values) for name, values in self.offsets.items()},
+        }
+        return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
     def as_dict(self) -> dict[str, Any]:
-        members = self._members()
-        return members | {"plan": self.digest, "phrases": phrases_in(members)}
-
-    def _members(self) -> dict[str, Any]:
-        return {
+        members = {
             "run": self.run_id,
             "executed_line": self.executed_line,
             "resume_line": self.resume_line,
@@ -124,6 +166,7 @@ class RecoveryPlan:
             "zero_back": self.zero_back,
             "words": list(self.words),
         }
+        return members | {"plan": self.digest, "phrases": phrases_in(members)}
 
     def with_place(self, problems: tuple[Phrase, ...], *, refused: bool) -> RecoveryPlan:
         """Return the plan with what leaves the travel: refused where machine coordinates are certain, else told.

@@ -69,6 +69,9 @@ def plan_recovery(
         differences=differences,
         zero_back=zero_back(record, present, entry) if tells else "",
         motion=entry.motion if entry else "",
+        spindle_on=present.status.spindle_on,
+        tool_mm=present.status.work_mm,
+        offsets=present.offsets or {},
     )
     return _with_words(plan, record, present, entry)
 
@@ -82,6 +85,8 @@ def _with_words(
             executed_line=plan.executed_line,
             resume_line=plan.resume_line,
         )
+        if plan.executed_line
+        else Phrase("no line is cut for certain; line {resume_line} is the next one", resume_line=plan.resume_line)
     ]
     if entry is not None:
         if entry.position_mm is None:
@@ -103,6 +108,8 @@ def _with_words(
     status = present.status
     if status.spindle_on:
         words.append(Phrase("the spindle is ON now"))
+    elif status.spindle_on is None:
+        words.append(Phrase("whether the spindle turns is not known: look at it"))
     if status.work_mm is not None:
         words.append(Phrase("the tool is at {work_mm} (work) now", work_mm=axes_words(status.work_mm)))
     last = record.get("work_mm")
@@ -114,9 +121,7 @@ def _with_words(
             )
         )
     if entry is not None and not status.position_trusted and position_doubt(record, present) == "":
-        words.append(
-            Phrase("the controller never restarted (its feed or spindle is still set): its position is what it was")
-        )
+        words.append(Phrase("the controller has not lost its count since then: its position is what it was"))
     overrides = record.get("overrides")
     if overrides and list(overrides) != [100, 100, 100]:
         feed, rapid, spindle = overrides
@@ -155,9 +160,11 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
 
 def _name_line(reader: ProgramReader, line: int) -> Phrase:
     """Return a line with the sequence number that holds there."""
+    if not line:
+        return Phrase("the start of the program")
     number = None
     try:
-        for one in reader.lines(max(1, line - _LOOK_BACK)) if line else ():
+        for one in reader.lines(max(1, line - _LOOK_BACK)):
             if one.number > line:
                 break
             if (found := _SEQUENCE.match(one.text)) is not None:

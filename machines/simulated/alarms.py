@@ -33,9 +33,9 @@ def cut_off(fw: Controller, code: int) -> None:
     if block is not None:
         slip = fw.traits.reset_slip_mm
         sx, sy, sz = fw.shift
-        start = (x + sx, y + sy, z + sz)
+        start = fw.to_physical(x, y, z)
         fw.shift = (sx + slip * block.ux, sy + slip * block.uy, sz + slip * block.uz)
-        end = (x + fw.shift[0], y + fw.shift[1], z + fw.shift[2])
+        end = fw.to_physical(x, y, z)
         on = fw.spindle_on()
         fw.recording.add(CutSegment(start, end, block.rapid, block.feed, on, block.line, fw.now_s, False, "slip"))
     fw.position_lost = True

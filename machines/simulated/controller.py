@@ -44,7 +44,8 @@ class Controller:
         self.settings = traits.all_settings()
         self.startup = {0: "", 1: ""}
         self.interpreter = SimulatedInterpreter(mist=traits.mist)
-        self.shift: Triple = ZERO  # physical position = machine position + shift
+        self.scale: Triple = (1.0, 1.0, 1.0)  # physical position = machine position x scale + shift
+        self.shift: Triple = ZERO
         self.probed: Triple = ZERO
         self.probe_found = False
         self.pressed: set[str] = set()  # pins held: "D" door, limits "X" "Y" "Z"
@@ -109,9 +110,24 @@ class Controller:
         return self.spindle_rpm * self.spindle_percent / 100 if self.spindle_on() else 0.0
 
     def physical(self) -> Triple:
-        x, y, z = self.stepper.where(self.now_s)
-        sx, sy, sz = self.shift
-        return (x + sx, y + sy, z + sz)
+        return self.to_physical(*self.stepper.where(self.now_s))
+
+    def to_physical(self, x: float, y: float, z: float) -> Triple:
+        """Return where the tool is for the firmware's machine coordinates."""
+        (kx, ky, kz), (sx, sy, sz) = self.scale, self.shift
+        return (kx * x + sx, ky * y + sy, kz * z + sz)
+
+    def count_steps_anew(self, axis: int, before: float) -> None:
+        """Take over another $100-$102: GRBL counts steps, so the reported position is scaled and nothing moves.
+
+        The parser's own position stays in mm as it was: the next block moves this axis even if it does not name it.
+        """
+        ratio = before / self.settings[100 + axis]
+        place, scale = [self.stepper.x, self.stepper.y, self.stepper.z], list(self.scale)
+        place[axis] *= ratio
+        scale[axis] /= ratio
+        self.stepper.place(place[0], place[1], place[2])
+        self.scale = (scale[0], scale[1], scale[2])
 
     def is_suspended(self) -> bool:
         return self.critical or self.alarm != 0 or self.state in _SUSPENDED
@@ -174,9 +190,7 @@ class Controller:
 
     # -- motion has got somewhere ----------------------------------------------------------------------------------
     def _cut_piece(self, b: PlannedBlock, x: float, y: float, z: float, at_s: float, whole: bool) -> None:
-        sx, sy, sz = self.shift
-        end = (x + sx, y + sy, z + sz)
-        start = (b.sx + sx, b.sy + sy, b.sz + sz)
+        end, start = self.to_physical(x, y, z), self.to_physical(b.sx, b.sy, b.sz)
         b.sx, b.sy, b.sz = x, y, z
         on = self.spindle != "M5" and not self.spindle_paused
         if whole or start != end:

@@ -129,6 +129,8 @@ class FaultWire:
         k = min(max((fault.byte or first) - first, 0), max(len(data) - 1, 0))
         if fault.kind == "lose-reply":
             return b""
+        if fault.kind == "duplicate-reply":
+            return data * 2
         if fault.kind == "mangle-reply":
             return data[:k] + bytes([data[k] ^ fault.mask]) + data[k + 1 :] if data else data
         if fault.kind == "drop-reply-byte":

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 # Faults of one byte on the way to the mill ("sent") or back ("reply").
 SENT_KINDS = ("drop", "flip", "duplicate", "delay")
-REPLY_KINDS = ("lose-reply", "mangle-reply", "drop-reply-byte", "delay-reply")
+REPLY_KINDS = ("lose-reply", "duplicate-reply", "mangle-reply", "drop-reply-byte", "delay-reply")
 MILL_KINDS = ("disconnect", "power-cycle", "reset-button", "hold-button", "start-button", "door", "eeprom-stall")
 KINDS = (*SENT_KINDS, *REPLY_KINDS, *MILL_KINDS)
 

@@ -91,12 +91,11 @@ def home(fw: Controller) -> Task:
         there = (end[0], end[1], end[2])
         fw.recording.add(CutSegment(at, there, True, 0.0, fw.spindle_on(), fw.line, fw.now_s, True, "homing"))
         at, last = there, point
-        x, y, z = fw.stepper.where(fw.now_s)
-        fw.shift = (at[0] - x, at[1] - y, at[2] - z)
+        fw.shift = _shift_for(fw, fw.stepper.where(fw.now_s), at)
         if fw.traits.homing_alarm:
             cut_off(fw, fw.traits.homing_alarm)
             yield NEVER
-    fw.shift = tuple(-o for o in fw.traits.power_up_machine_mm)  # type: ignore[assignment]
+    fw.shift = _shift_for(fw, last, at)
     fw.stepper.place(*last)
     fw.interpreter.position = last
     fw.position_lost = False
@@ -104,6 +103,12 @@ def home(fw: Controller) -> Task:
         fw.status_pending = False
         fw.say(status_report(fw))
     fw.state = "Idle"
+
+
+def _shift_for(fw: Controller, machine: Triple, physical: Triple) -> Triple:
+    """Return the shift with which these machine coordinates are that physical place."""
+    x, y, z = (p - k * m for k, m, p in zip(fw.scale, machine, physical, strict=True))
+    return (x, y, z)
 
 
 def _plan_homing(machine_mm: Triple, settings: Mapping[int, float]) -> Iterator[tuple[Triple, float]]:

@@ -83,7 +83,7 @@ class SerialSide:
     def _count_arrived(self, first: float, length: int, at_s: float, *, strictly: bool = False) -> int:
         if first > at_s or (strictly and first >= at_s):
             return 0
-        if self.byte_s == 0.0:
+        if self.byte_s == 0.0 or at_s == inf:
             return length
         count = int((at_s - first) / self.byte_s + 1e-9) + 1
         if strictly and first + (count - 1) * self.byte_s >= at_s:

@@ -103,7 +103,9 @@ def _change_setting(fw: Controller, line: str) -> Task:
         if changed[100 + axis] * changed[110 + axis] / 60 > _LIMITED_HZ:
             raise GcodeError(12)
     yield from eeprom(fw, fw.traits.eeprom_write_s)
-    fw.settings[number] = value
+    before, fw.settings[number] = fw.settings[number], value
+    if 100 <= number <= 102 and value:
+        fw.count_steps_anew(number - 100, before)
     if number == 22 and not value:
         fw.settings[20] = 0.0
     fw.stepper.planner.use_settings(fw.settings)
@@ -128,7 +130,10 @@ def _restore(fw: Controller, what: str) -> Task:
         raise GcodeError(3)
     yield from eeprom(fw, 10 * fw.traits.eeprom_write_s)
     if what in "$*":
+        before = dict(fw.settings)
         fw.settings.update(fw.traits.all_settings())
+        for axis in range(3):
+            fw.count_steps_anew(axis, before[100 + axis])
     if what in "#*":
         fw.interpreter.stored = dict.fromkeys(fw.interpreter.stored, ZERO)
     if what == "*":

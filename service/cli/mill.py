@@ -71,7 +71,9 @@ def stream(
     program: Annotated[Path, typer.Argument(metavar="PROGRAM", help="The program to run.")],
     port: PortOption = None,
     machine: MachineOption = _DEFAULT_MACHINE,
-    yes: Annotated[bool, typer.Option("--yes", help="Tool, zero, stock and clear space are checked already.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="You say: tool in, zero set, stock clamped, nobody in the way.")
+    ] = False,
     recover: Annotated[bool, typer.Option("--recover", help="Go on with an interrupted run of this program.")] = False,
     confirm_position: Annotated[
         bool, typer.Option("--confirm-position", help="With --recover: you say that the mill's position is right.")

@@ -74,6 +74,7 @@ def test_what_a_code_is_told_by_is_whole_and_plain(modules: Page) -> None:
     ways = [VALUES | {"state": state} for state in STATES]
     ways += [VALUES | {"alarm": number} for number in (0, *ALARMS, 99)]
     ways += [VALUES | {"doubt": doubt} for doubt in DOUBTS] + [VALUES | {"seconds": 0, "taken_back": False}]
+    ways += [VALUES | {"doubt": "settings", "settings": "$100 250.000 -> 252.000"}]
     told = modules.evaluate(TOLD, [{"code": code, "values": values} for code in CODES for values in ways])
     assert not [words for words in told if not words.strip() or re.search("undefined|null|NaN|object", words)]
     assert not [words for words in told if JARGON.search(words)]

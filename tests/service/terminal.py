@@ -65,6 +65,12 @@ class Terminal:
         before, self._seen = self.text[self._seen : at], at + len(words)
         return before
 
+    def is_gone_after(self, keys: str, seconds: float) -> bool:
+        """Press keys and read the screen for so long at most; whether the command has ended by then."""
+        with contextlib.suppress(OSError):
+            self.types(keys)
+        return not self._read(seconds) or self.process.poll() is not None
+
     def types(self, keys: str) -> None:
         os.write(self.master, keys.encode())
 
@@ -86,8 +92,8 @@ class Terminal:
             assert time.monotonic() < give_up, self.text[-1500:]
         return self.process.wait(PATIENCE_S)
 
-    def _read(self) -> bool:
-        if not select.select([self.master], [], [], 0.2)[0]:
+    def _read(self, wait_s: float = 0.2) -> bool:
+        if not select.select([self.master], [], [], wait_s)[0]:
             return True
         try:
             data = os.read(self.master, 65536)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import sys
+from collections.abc import Mapping
 
 from service.errors import InputError
 
@@ -14,6 +15,7 @@ START_QUESTIONS = {
     "clear": "Nobody and nothing is in the way of the mill",
 }
 RECOVER_QUESTIONS = START_QUESTIONS | {"position": "The mill's position is right (see above)"}
+_GIVEN_BY = dict.fromkeys(START_QUESTIONS, "--yes") | {"position": "--confirm-position"}
 
 
 def operator_name() -> str:
@@ -21,6 +23,20 @@ def operator_name() -> str:
         return getpass.getuser()
     except (OSError, KeyError):  # a user without a name
         return "unknown"
+
+
+def require_answers(questions: Mapping[str, str], given: frozenset[str]) -> None:
+    """Raise InputError where nobody can be asked and the command line leaves a question open: silence is no answer."""
+    missing: dict[str, list[str]] = {}
+    for check, sentence in questions.items():
+        if check not in given:
+            missing.setdefault(_GIVEN_BY[check], []).append(f"'{sentence.partition(' (')[0]}'")
+    if missing:
+        means = "; ".join(f"{option} says in your name: {', '.join(said)}" for option, said in missing.items())
+        raise InputError(
+            f"a person has to confirm this, and stdin or stdout is no terminal: nothing was sent. "
+            f"Run it on a terminal, or add {' '.join(missing)}. {means}"
+        )
 
 
 def ask_person(questions: dict[str, str]) -> frozenset[str]:

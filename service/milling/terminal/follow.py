@@ -87,11 +87,13 @@ class RunFollower:
         self._protected: tuple[str, ...] = ()
         self._told = thread.snapshot.events[-1].number if thread.snapshot.events else 0
         self._feed_asked = (float("-inf"), 100)
+        self._was: RunState | None = None
 
     def follow(self, signals: Signals) -> Outcome:
         while True:
             snapshot = self._thread.snapshot
             ended = self._find_end(snapshot)
+            self._note_state(snapshot)
             self._tell_news(snapshot)
             self._screen.show(self._make_view(snapshot))
             if ended is not None:
@@ -108,6 +110,11 @@ class RunFollower:
     def _make_outcome(self, ended: Ended) -> Outcome:
         snapshot = self._thread.snapshot
         return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
+
+    def _note_state(self, snapshot: MillSnapshot) -> None:
+        before, self._was = self._was, snapshot.run.state if snapshot.run is not None else None
+        if before is RunState.HELD and self._was in (RunState.RUNNING, RunState.RECOVERING):
+            self._keys.note_running()
 
     def _tell_news(self, snapshot: MillSnapshot) -> None:
         """Print what a person should read and would miss in the panel, each once, above it."""
@@ -158,7 +165,8 @@ class RunFollower:
 
     def _obey_signal(self, number: int) -> Ended | None:
         if self._keyboard is not None and number == signal.SIGINT:
-            return self._carry_out(self._keys.interrupt())
+            wish = self._keys.interrupt()
+            return None if wish is None else self._carry_out(wish)
         if number == signal.SIGHUP:
             self._keyboard = None  # the terminal is gone
         if self._aborting is None:
@@ -247,7 +255,7 @@ class RunFollower:
             spindle=spindle,
             overrides=status.overrides,
             protections=self._protections(snapshot),
-            question=self._keys.question.value if self._keyboard is not None and not over else "",
+            question=self._keys.prompt if self._keyboard is not None and not over else "",
         )
 
 

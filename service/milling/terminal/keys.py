@@ -18,12 +18,14 @@ import signal
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 
 _ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.|.)?", re.DOTALL)
 WATCHED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+APART_S = 2.0  # a key held down repeats every 33 ms, a shaking hand a few times a second: all of that is one press
 _END = 0
 
 
@@ -43,16 +45,30 @@ class Question(Enum):
     """What the keys answer at the moment; the text is what the screen shows, one row of 76 characters at most."""
 
     NONE = "h hold   r resume   a abort   + - feed   q or Ctrl-C: hold, then ask"
-    STOP = "Hold: r resume   a abort   l leave it held and quit   Ctrl-C again: abort"
+    STOP = "Hold: r resume   a abort   l leave it held and quit"
     ABORT = "Abort the run? It can be recovered later.  y yes   n no"
-    ABORTING = "Aborting: hold, then reset once it stands. Ctrl-C: quit without waiting"
+    ABORTING = "Aborting: hold, then reset once it stands."
+
+
+_INTERRUPTS = {Question.STOP: "   Ctrl-C again: abort", Question.ABORTING: " Ctrl-C: quit without waiting"}
 
 
 class Keys:
-    """The state of the dialogue during a run."""
+    """The state of the dialogue during a run.
 
-    def __init__(self) -> None:
+    A Ctrl-C holds at any time. It answers a question only where none has come for APART_S.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.question = Question.NONE
+        self._clock = clock
+        self._interrupted_s = float("-inf")
+
+    @property
+    def prompt(self) -> str:
+        """What the keys answer now; of Ctrl-C only where it would count."""
+        counts = self._clock() >= self._interrupted_s + APART_S
+        return self.question.value + (_INTERRUPTS.get(self.question, "") if counts else "")
 
     def key(self, key: str) -> Wish | None:
         """Interpret one key; None where it means nothing now."""
@@ -85,9 +101,14 @@ class Keys:
                 self.question = Question.NONE
         return None
 
-    def interrupt(self) -> Wish:
-        """Interpret Ctrl-C: hold and ask; again: abort; again: give up waiting."""
+    def interrupt(self) -> Wish | None:
+        """Interpret Ctrl-C: hold and ask; again, after a pause: abort; again, after a pause: give up waiting."""
+        now_s = self._clock()
+        same_press = now_s < self._interrupted_s + APART_S
+        self._interrupted_s = now_s
         match self.question:
+            case Question.STOP | Question.ABORTING if same_press:
+                return None
             case Question.STOP:
                 self.question = Question.ABORTING
                 return Wish.ABORT
@@ -95,6 +116,11 @@ class Keys:
                 return Wish.GIVE_UP
         self.question = Question.STOP
         return Wish.HOLD
+
+    def note_running(self) -> None:
+        """Note that the mill runs again without a key: what a held mill was asked about is void."""
+        if self.question is Question.STOP:
+            self.question = Question.NONE
 
 
 def keys_in(data: bytes) -> str:
@@ -137,13 +163,18 @@ class Signals:
             return []
 
 
+def list_heard_signals() -> list[signal.Signals]:
+    """Return the signals that stop a run: a shell ignores SIGINT for a job in the background, nohup SIGHUP."""
+    return [kind for kind in WATCHED if signal.getsignal(kind) is not signal.SIG_IGN]
+
+
 @contextlib.contextmanager
 def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
     """Take the signals over; the handlers from before are put back at the end. Main thread only.
 
     One that is ignored stays so: a run under `nohup` outlives its terminal.
     """
-    kinds = [kind for kind in WATCHED if signal.getsignal(kind) is not signal.SIG_IGN]
+    kinds = list_heard_signals()
     raw_in, raw_out = os.pipe()
     main_in, main_out = os.pipe()
     for descriptor in (raw_out, main_in, main_out):

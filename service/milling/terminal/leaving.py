@@ -10,19 +10,22 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from machines.clock import Timeout
-from machines.driver import MillState
+from machines.driver import MillState, MillStatus
 from machines.mill.orders import Stop
 from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.runs import RunState
 from service.errors import printable
 from service.milling.terminal.orders import stop_mill
+from service.milling.terminal.printing import left_words
 
 CLEAR_WAIT_S = 20.0  # hold to standstill is 4 s on a slow mill, a reset after a limit switch 2 s more
 _LOOK_S = 0.1
+_SETTLE_S = 4.5
 _ON_ITS_WAY = (MillState.HOLDING, MillState.HELD, MillState.ALARM, MillState.CONNECTING, MillState.DOOR, MillState.TOOL)
 
 STILL_HELD = (
@@ -37,12 +40,12 @@ class Buffers:
     def __init__(self, thread: MillThread) -> None:
         self._thread = thread
         self._epoch = 0
-        self._run_id = ""
+        self.run_id = ""
         self._empty = True
 
     def fill(self, run_id: str = "") -> None:
         """Note that something is about to be sent that moves the mill: a run, or a homing cycle."""
-        self._epoch, self._run_id = self._thread.snapshot.status.epoch, run_id
+        self._epoch, self.run_id = self._thread.snapshot.status.epoch, run_id
         self._empty = False
 
     def mark_empty(self) -> None:
@@ -53,7 +56,7 @@ class Buffers:
         """Return whether it is certain that nothing is held any more."""
         snapshot = snapshot or self._thread.snapshot
         run = snapshot.run
-        finished = run is not None and run.id == self._run_id and run.state is RunState.FINISHED
+        finished = run is not None and run.id == self.run_id and run.state is RunState.FINISHED
         self._empty = self._empty or finished or snapshot.status.epoch > self._epoch
         return self._empty
 
@@ -76,32 +79,64 @@ class Buffers:
 
 
 @contextlib.contextmanager
-def clear_at_the_end(thread: MillThread) -> Iterator[Buffers]:
-    """Stop and clear the mill however the block ends by an error, ours or a signal's, or say loudly that it is not."""
+def clear_at_the_end(thread: MillThread, next_command: str) -> Iterator[Buffers]:
+    """Stop and clear the mill however the block ends by an error, ours or a signal's, or say loudly that it is not.
+
+    Where anything was under way, say in which state the mill is left and how a run goes on.
+    """
     buffers = Buffers(thread)
     try:
         yield buffers
     except BaseException:
         with ignore_signals():
+            under_way = not buffers.are_empty()
             if not buffers.clear():
                 _say_loudly(STILL_HELD)
+            if under_way:
+                await_status(thread, lambda status: buffers.are_empty() and is_partly_unknown(status))
+                _say_loudly(left_words(thread.snapshot.status))
+                if buffers.run_id:
+                    _say_loudly(f"to go on: {next_command}")
         raise
+
+
+def is_partly_unknown(status: MillStatus) -> bool:
+    """Return whether a mill that is linked has not reported all of its state: GRBL reports its spindle only now and
+    then.
+    """
+    if status.state is MillState.DISCONNECTED:
+        return False
+    return status.state is MillState.CONNECTING or status.work_mm is None or status.spindle_on is None
+
+
+def await_status(thread: MillThread, is_open: Callable[[MillStatus], bool]) -> MillSnapshot:
+    """Wait a little while `is_open` says that something is still to come; return what is known then."""
+    timeout = Timeout(_SETTLE_S)
+    snapshot = thread.snapshot
+    while is_open(snapshot.status) and not timeout.is_over:
+        snapshot = thread.wait_for_change(snapshot.version, 2 * _LOOK_S)
+    return snapshot
 
 
 @contextlib.contextmanager
 def ignore_signals() -> Iterator[None]:
     """Ignore signals inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
-    kinds = [
-        kind
-        for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
-        if signal.getsignal(kind) not in (signal.SIG_IGN, None)
-    ]
-    before = {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
+    before = ignore_signals_for_good()
     try:
         yield
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)
+
+
+def ignore_signals_for_good() -> dict[signal.Signals, Any]:
+    """Ignore signals from here to the end of the command, its last words included; return the handlers from before."""
+    kinds = [
+        kind
+        for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+        if signal.getsignal(kind) not in (signal.SIG_IGN, None)
+    ]
+    return {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
 
 
 def _say_loudly(words: str) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
+import signal
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from machines.driver import DriverFacts, MillState, MillStatus
@@ -42,6 +44,17 @@ def print_lines(lines: Iterable[str]) -> None:
         )
         print("\n".join(wrapped or [""]))
     sys.stdout.flush()
+
+
+def stop_lines(heard: Sequence[signal.Signals]) -> Iterator[str]:
+    """Yield how a run without a keyboard is stopped. heard: the signals that stop it, which may be none."""
+    commands = [f"`kill -{kind.name.removeprefix('SIG')} {os.getpid()}`" for kind in heard]
+    ways = ", ".join(("Ctrl-C", *commands) if signal.SIGINT in heard else commands)
+    if ways:
+        yield f"to stop:    {ways}: each holds the mill, then aborts from standstill"
+    else:
+        yield "to stop:    its caller lets no signal through to this command: only at the mill itself"
+    yield f"{'':<11} no keys are read here. The mill's own feed hold, reset and emergency stop always work"
 
 
 def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts: DriverFacts | None) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """`causticmill stream`: one program on one mill, from pre-flight to the last line, watched from this terminal.
 
 Order: the link, which moves nothing; the program, read whole and held against the controller's own settings; what the
-person should see; and nothing moves before that person, or the command itself where there is no terminal, has said so.
+person should see; and nothing moves before that person, at the terminal or by --yes on the command line, has said so.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from machines.clock import Timeout
-from machines.driver import MillState
+from machines.driver import MillStatus
 from machines.errors import MachineError
 from machines.gcode.program import ProgramReader
 from machines.grbl.link import SILENT
@@ -28,16 +28,30 @@ from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
 from machines.recovery.plan_model import Reentry
-from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from machines.runs import START_CHECKS, Confirmation, RunView
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
 from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
-from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
+from service.milling.terminal.confirm import (
+    RECOVER_QUESTIONS,
+    START_QUESTIONS,
+    ask_person,
+    operator_name,
+    require_answers,
+)
 from service.milling.terminal.dry_run import CONNECT_S, make_unconnected_error, run_check_mode
 from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
-from service.milling.terminal.keys import single_keys, watch_signals
-from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
+from service.milling.terminal.keys import list_heard_signals, single_keys, watch_signals
+from service.milling.terminal.leaving import (
+    STILL_HELD,
+    Buffers,
+    await_status,
+    clear_at_the_end,
+    ignore_signals,
+    ignore_signals_for_good,
+    is_partly_unknown,
+)
 from service.milling.terminal.orders import give_order
 from service.milling.terminal.printing import (
     left_words,
@@ -46,6 +60,7 @@ from service.milling.terminal.printing import (
     program_lines,
     recover_command,
     spindle_lines,
+    stop_lines,
     took_words,
 )
 from service.milling.terminal.ready import find_interrupted_run, prepare_mill, prepare_plan, reset_silent_mill
@@ -55,7 +70,6 @@ from service.progress import PlainReporter, Reporter, TerminalReporter
 
 _BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long
 _POSITION_S = 2.0
-_SETTLE_S = 4.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +84,17 @@ class StreamOrder:
     recover: bool = False
     position_confirmed: bool = False
     dry_run: bool = False
+
+    @property
+    def questions(self) -> dict[str, str]:
+        """What a person has to confirm, by check."""
+        return RECOVER_QUESTIONS if self.recover else START_QUESTIONS
+
+    @property
+    def given(self) -> frozenset[str]:
+        """Checks confirmed on the command line."""
+        position = frozenset({"position"} if self.position_confirmed else ())
+        return (START_CHECKS if self.confirmed else frozenset()) | position
 
     @property
     def next_command(self) -> str:
@@ -89,7 +114,18 @@ def stream_program(order: StreamOrder) -> None:
         _run_in_check_mode(order)
         return
     folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
-    with _open_mill(order, folder) as (thread, connector), clear_at_the_end(thread) as buffers:
+    if find_keyboard() is None:
+        print_lines(stop_lines(list_heard_signals()))
+    outcome, facts = _run_on_mill(order, folder)
+    _conclude(outcome, order, facts)
+
+
+def _run_on_mill(order: StreamOrder, folder: Path) -> tuple[Outcome, Preflight]:
+    """Run the program and let go of the mill."""
+    with (
+        _open_mill(order, folder) as (thread, connector),
+        clear_at_the_end(thread, order.next_command) as buffers,
+    ):
         snapshot = _await_mill(thread, buffers, order.port_url)
         print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
         print_lines(spindle_lines(order.profile))
@@ -99,9 +135,8 @@ def stream_program(order: StreamOrder) -> None:
         print_lines(program_lines(order.program, facts))
         prepare = _prepare_recovery if order.recover else _prepare_new_run
         run_id, begin = prepare(thread, buffers, order, facts)
-        outcome = _run(thread, buffers, order, facts, run_id, begin)
-        outcome = _settle(thread, outcome)
-    _conclude(outcome, order, facts)
+        ignore_signals_for_good()  # a Ctrl-C held down must not cut the last words off; `_run` watches for it meanwhile
+        return _settle(thread, _run(thread, buffers, order, facts, run_id, begin)), facts
 
 
 def _require_answers(order: StreamOrder) -> None:
@@ -110,10 +145,6 @@ def _require_answers(order: StreamOrder) -> None:
         raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
     if order.position_confirmed and not order.recover:
         raise InputError("--confirm-position belongs to --recover")
-    if order.recover and find_keyboard() is None and not order.position_confirmed:
-        raise InputError(
-            "--recover needs a person: run it on a terminal, or say with --confirm-position that the position is right"
-        )
     try:
         if order.program.exists() and not order.program.is_dir() and not order.program.is_file():
             raise InputError(f"{order.program} is a pipe or a device; allowed: a file, which can be read again")
@@ -121,6 +152,8 @@ def _require_answers(order: StreamOrder) -> None:
             pass
     except OSError as error:
         raise InputError(sentence_of_os_error(error, doing="cannot read")) from None
+    if find_keyboard() is None and not order.dry_run:
+        require_answers(order.questions, order.given)
 
 
 def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Preflight:
@@ -209,24 +242,26 @@ def _prepare_new_run(
 ) -> tuple[str, Callable[[Mill], None]]:
     """Park a run, and return how it begins once the person has said that all is as it should be."""
     run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
-    checks, setup = START_CHECKS, None
-    if find_keyboard() is not None and not order.confirmed:
-        setup = thread.snapshot.setup
-        checks = ask_person(START_QUESTIONS)
-    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    setup = None if order.confirmed else thread.snapshot.setup
+    confirmation = _confirm(order)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
 
 
 def _prepare_recovery(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """Return the interrupted run of this program, and a person's word for each check, every time."""
+    """Plan how the interrupted run of this program goes on, and return how that begins once a person has confirmed."""
     run = find_interrupted_run(thread, facts, order.program)
     person = find_keyboard() is not None
     plan = prepare_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
-    checks = ask_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
-    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    confirmation = _confirm(order)
     return run.id, lambda mill: mill.recover(run.id, confirmation, plan_seen=plan.digest)
+
+
+def _confirm(order: StreamOrder) -> Confirmation:
+    """Return a person's word for each check: from the command line, else from the terminal, never from silence."""
+    asked = {check: words for check, words in order.questions.items() if check not in order.given}
+    return Confirmation(operator=operator_name(), checks=order.given | ask_person(asked))
 
 
 def _run(
@@ -252,22 +287,14 @@ def _run(
 
 
 def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
-    """Return the outcome with what is true at the end: GRBL tells its spindle only now and then, and after a reset
-    itself.
-    """
-    timeout = Timeout(_SETTLE_S)
-    snapshot = thread.snapshot
+    """Return the outcome with what is true at the end."""
 
-    def open_question() -> bool:
-        status = snapshot.status
+    def is_open(status: MillStatus) -> bool:
         if outcome.ended is Ended.FINISHED:
             return status.spindle_on is True
-        known = status.work_mm is not None and status.spindle_on is not None
-        return outcome.cleared and (status.state is MillState.CONNECTING or (snapshot.connected and not known))
+        return outcome.cleared and is_partly_unknown(status)
 
-    while open_question() and not timeout.is_over:
-        snapshot = thread.wait_for_change(snapshot.version, 0.2)
-    return dataclasses.replace(outcome, snapshot=snapshot)
+    return dataclasses.replace(outcome, snapshot=await_status(thread, is_open))
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
@@ -294,4 +321,5 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
             )
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail
     executed = run.executed_line if run is not None else 0
-    raise FailedError(f"{cause}; cut for certain up to line {executed:,} of {facts.lines:,}", *left)
+    cut = f"cut for certain up to line {executed:,} of {facts.lines:,}" if executed else "no line is cut for certain"
+    raise FailedError(f"{cause}; {cut}", *left)

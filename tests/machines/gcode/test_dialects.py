@@ -10,7 +10,8 @@ from machines.errors import ProgramRefusedError
 from machines.gcode import refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.scan import ProgramScan
-from machines.preflight.limits import limits_of
+from machines.grbl.settings import ControllerSettings
+from machines.preflight.limits import MillLimits, limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
 
@@ -131,6 +132,21 @@ def test_each_control_has_its_own_letter_and_unit_of_a_dwell(dialect: str, text:
 def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, text: str, line: str) -> None:
     end = "M05" if "M05" in text else "M5"
     assert read(dialect, text.replace(end, f"{line}\n{end}")).state.ended
+
+
+@pytest.mark.parametrize(
+    ("options", "firmware", "warned"),
+    [("", "grbl", True), ("V,15,128", "grbl", True), ("VM,15,128", "grbl", False), ("VM,100,1024", "grblhal", False),
+     ("PHSW", "fluidnc", True)],
+)  # fmt: skip
+def test_mist_is_warned_of_unless_the_controller_says_that_it_has_it(
+    options: str, firmware: str, warned: bool, tmp_path: Path
+) -> None:
+    limits = limits_of(load_profile("grbl", ()), ControllerSettings(options=options, firmware=firmware))
+    assert MillLimits.from_dict(limits.to_dict()) == limits
+    (file := tmp_path / "p.nc").write_text("G21 G90\nG0 X0 Y0 Z5\nM7\nG1 X1 F100\nM2\n")
+    found = examine(file, limits, lambda share: None)
+    assert any("M7 is error:20" in one.words for one in found.findings) is warned
 
 
 def test_a_program_that_could_not_be_restarted_by_number_says_so(tmp_path: Path) -> None:

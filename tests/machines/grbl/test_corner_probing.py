@@ -166,7 +166,7 @@ def test_what_might_leave_the_travel_is_refused(at: tuple[float, float, float], 
         inside &= (least >= 0.0 and most <= mm) if low_ends >> k & 1 else (least >= -mm and most <= 0.0)
     refused = contextlib.nullcontext() if inside or not homing else pytest.raises(NotAllowedError, match="might go")
     with refused:
-        check_command(ASKED, MillState.IDLE, Phase.READY, known, machine_mm=at, silent=False)
+        check_command(ASKED, MillState.IDLE, Phase.READY, known, machine_mm=at, trusted=True, silent=False)
 
 
 def test_it_is_refused_where_the_mill_stands_too_near_to_its_end() -> None:

@@ -26,7 +26,7 @@ from machines.grbl.options import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import BANNER_S, REPORT_SILENCE_S
-from machines.simulated.faults import Fault
+from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import GRBL_11, GRBL_11_ECHO, Traits
 
 FIRST_POINT_LINE = 7  # of the spiral
@@ -60,6 +60,23 @@ def test_a_refused_block_stops_the_lines_behind_it() -> None:
     assert "error:20" in fault.words and "M7" in fault.words
     bench.pass_time(10.0)
     assert max((x for x, _, _ in bench.cut_ends()), default=0.0) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("way_in", "fault", "said"),
+    [
+        ([b"G21G90G94G17", b"M7"], None, "a block of the way in 'M7' was refused"),
+        ([b"G21G90G94G17"], Fault(kind="lose-reply", line=3), "after the start of the program"),
+    ],
+)
+def test_what_has_no_line_number_is_not_called_line_0(way_in: list[bytes], fault: Fault | None, said: str) -> None:
+    bench = Bench(Traits(mist=False)).connected()
+    if fault is not None:
+        bench.mill.arm(Faults((fault,)))
+    lines = [ProgramLine(0, 0, text) for text in way_in]
+    found = faulted(bench, [*lines, *numbered([b"G1X1F300", b"X2", b"M2"])], 120.0)
+    assert said in found.words
+    assert "line 0" not in found.words
 
 
 def test_an_alarm_in_a_program_is_named_and_its_missing_reply_is_not_waited_for() -> None:

@@ -45,6 +45,7 @@ def pieces(draw: st.DrawFn) -> list[Block]:
 
 
 PROGRAMS = st.lists(pieces(), min_size=1, max_size=8).map(lambda many: [block for piece in many for block in piece])
+WITH_BUFFER = GRBL_11.with_settings({10: 3})  # Bf: in every report
 WINDING = [b"G1X%.2fY%.2fF3000" % (0.1 * (k % 2), 0.1 * k) for k in range(60)]
 
 
@@ -56,9 +57,10 @@ WINDING = [b"G1X%.2fY%.2fF3000" % (0.1 * (k % 2), 0.1 * k) for k in range(60)]
     st.sampled_from([None, ("feed", 10), ("rapid", 25), ("feed", 200)]),
     st.floats(0.0, 20.0),
     st.booleans(),
-    st.sampled_from([GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC]),
+    st.sampled_from([GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC, WITH_BUFFER]),
 )
 @example([*WINDING, b"M5"], 400.0, None, 0.0, False, GRBL_11)
+@example([*WINDING, *[b"G1X0Y%dF3000" % (k % 2) for k in range(60)], b"M5"], 400.0, None, 0.0, False, WITH_BUFFER)
 @example([*WINDING, b"G2X0.1Y5.9I0J5F3000", b"M5"], 10.0, ("feed", 10), 1.0, True, GRBL_11)
 def test_no_program_stalls_on_a_healthy_link(
     blocks: list[Block],
@@ -116,7 +118,8 @@ def test_a_lost_answer_is_found_when_answers_are_counted(line: int) -> None:
     assert bench.until(lambda: bench.of(Faulted) or bench.of(ProgramDone), 120.0)
     assert bench.of(Faulted) and bench.of(Faulted)[0].cause in (FaultCause.STALL, FaultCause.REPLY_COUNT)
     assert bench.mill.now_s - lost_s < COUNT_EVERY_S + IDLE_S + 3.0
-    agreed = int(bench.of(Faulted)[0].words.partition("after line ")[2].split()[0])
+    words = bench.of(Faulted)[0].words
+    agreed = 0 if "after the start" in words else int(words.partition(" after line ")[2].split()[0])
     assert 0 <= agreed <= line  # the last count before it
     assert bench.until(lambda: bench.of(Stopped), 10.0)
     assert 0 <= bench.last_whole(points) - (bench.driver.progress.executed_line - 6) <= 17
@@ -138,6 +141,23 @@ def test_in_fine_segments_an_answer_too_few_or_too_many_is_found_within_seconds(
     assert bench.mill.now_s - begin_s < COUNT_EVERY_S + COUNT_LATE_S + IDLE_S + 2.0
     assert bench.mill.serial.lost_overflow == 0
     assert bench.of(Faulted)[0].cause in (FaultCause.STALL, FaultCause.REPLY_COUNT)
+
+
+@pytest.mark.parametrize("line", [40, 90, 150])
+def test_an_answer_that_came_twice_shows_in_the_buffer_at_once(line: int) -> None:
+    """With Bf: in the reports ($10=3) nobody waits for the next count, and the buffer never overflows."""
+    lines, points = spiral(2000)
+    bench = Bench(WITH_BUFFER, faults=(Fault(kind="duplicate-reply", line=line),)).connected()
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.mill.faults.log, 60.0)
+    doubled_s = bench.mill.now_s
+    assert bench.until(lambda: bench.of(Faulted), 60.0)
+    assert bench.of(Faulted)[0].cause is FaultCause.REPLY_COUNT
+    assert "came twice" in bench.of(Faulted)[0].words
+    assert bench.mill.now_s - doubled_s < 1.5
+    assert bench.mill.serial.lost_overflow == 0
+    assert bench.until(lambda: bench.of(Stopped), 10.0)
+    assert 0 <= bench.last_whole(points) - (bench.driver.progress.executed_line - 6) <= 17
 
 
 def test_counting_does_not_slow_the_mill() -> None:

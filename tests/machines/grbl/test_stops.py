@@ -17,6 +17,7 @@ from machines.driver import (
     Jog,
     JogCancel,
     MillState,
+    Notice,
     Override,
     ProbeCorner,
     ProbeZ,
@@ -174,6 +175,57 @@ def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
     assert max(segment.end[2] for segment in bench.mill.recording.segments) < 0.0
     bench.driver.command(Jog((0.0, 0.0, 1.0), 600.0))
     assert bench.until(lambda: len(bench.of(CommandDone)) == 3, 10.0) and not bench.of(CommandDone)[-1].failure
+
+
+def begin_program(bench: Bench) -> None:
+    lines, _ = spiral(300)
+    bench.driver.start(iter(lines))
+
+
+WHAT_IS_HELD: dict[str, Callable[[Bench], None]] = {
+    "program": begin_program,
+    "end of a program": lambda bench: bench.driver.start(iter(numbered([b"G21G90G94", b"G1X3F600"]))),
+    "line": lambda bench: bench.driver.command(SendBlock("G1X9F300")),
+    "short line": lambda bench: bench.driver.command(SendBlock("G1X1.1F600")),
+    "probe": lambda bench: bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=200.0)),
+}
+
+
+@pytest.mark.parametrize("what", WHAT_IS_HELD)
+@pytest.mark.parametrize("after_s", [0.0, 1.0, 20.0])
+def test_a_cycle_start_at_the_machine_after_our_hold_is_noticed_and_said(what: str, after_s: float) -> None:
+    """Nobody believes that a mill is held that runs; even where it has stopped again before the next report."""
+    bench = Bench().connected()
+    WHAT_IS_HELD[what](bench)
+    assert bench.until(lambda: bench.mill.firmware.stepper.moving and bench.mill.firmware.stepper.speed > 3.0, 10.0)
+    bench.driver.hold()
+    assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+    bench.pass_time(after_s)
+    said = len(bench.of(Notice))
+    bench.mill.press("start")
+    held_s = 0.0
+    for _ in range(50):
+        before_s = bench.mill.now_s
+        bench.pass_time(0.05)
+        if bench.mill.firmware.state == "Run" and bench.state() in (MillState.HELD, MillState.HOLDING):
+            held_s += bench.mill.now_s - before_s
+    assert held_s < 1.0
+    assert bench.state() in (MillState.RUN, MillState.IDLE)
+    words = [event.words for event in bench.of(Notice)[said:]]
+    assert sum("cycle start was pressed" in one for one in words) == 1, words
+
+
+def test_our_own_resume_is_no_cycle_start_at_the_machine() -> None:
+    bench = Bench().connected()
+    begin_program(bench)
+    bench.pass_time(2.0)
+    for _ in range(3):
+        bench.driver.hold()
+        assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+        bench.driver.resume()
+        assert bench.until(lambda: bench.state() is MillState.RUN, 5.0)
+        bench.pass_time(1.0)
+    assert not [event for event in bench.of(Notice) if "cycle start" in event.words]
 
 
 def test_a_hold_during_the_handshake_does_not_end_the_link() -> None:

@@ -10,12 +10,25 @@ from typing import Any
 
 import pytest
 
-from machines.driver import Jog, MillState, Override, SendBlock, SetZero, TrustPosition, Unlock
+from machines.driver import (
+    Command,
+    Home,
+    Jog,
+    MillState,
+    Override,
+    ProbeZ,
+    Reset,
+    SendBlock,
+    SetZero,
+    TrustPosition,
+    Unlock,
+)
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
 from machines.journal.journal import Journal, read_journal
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Finding
 from machines.runs import START_CHECKS, Confirmation, RunState
+from machines.simulated import reports
 from phrases.phrase import Phrase
 from tests.machines.inline_syncer import InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
@@ -88,6 +101,38 @@ def test_modes_a_program_takes_for_granted_are_demanded(shop: Shop) -> None:
         shop.mill.start(shop.id, YES)
     shop.bench.command_done(SendBlock("G54"))
     shop.mill.start(shop.id, YES)
+
+
+@pytest.mark.parametrize("end", [Unlock(), Home(), Reset()])
+def test_a_program_never_begins_in_the_modes_of_a_probe_that_failed(shop: Shop, end: Command) -> None:
+    """ALARM:5 leaves G91 G38.2: a line of axis words alone would probe, from where the tool stands."""
+    shop.bench.command_done(SendBlock("$22=1"))
+    shop.bench.command_done(ProbeZ(depth_mm=1.0, feed_mm_per_min=300.0))
+    assert "G38.2" in parser_state(shop) and "G91" in parser_state(shop)
+    if isinstance(end, Reset):
+        epoch = shop.mill.status.epoch
+        shop.mill.command(end)
+        shop.bench.until(lambda: shop.mill.status.epoch > epoch)
+        shop.bench.until_state(MillState.ALARM)
+        shop.pass_s(2.0)
+        end = Unlock()
+    shop.bench.command_done(end)
+    shop.bench.until_state(MillState.IDLE)
+    assert {"G0", "G90", "G21"} <= set(parser_state(shop))
+    shop.mill.start(shop.id, YES)
+
+
+def test_a_start_in_the_modes_of_a_probe_is_refused(shop: Shop) -> None:
+    """One that was typed, or of another program before us."""
+    shop.bench.sim.firmware.interpreter.modal["motion"] = "G38.2"
+    with pytest.raises(NotAllowedError, match="takes G0 for granted"):
+        shop.mill.start(shop.id, YES)
+    shop.bench.command_done(SendBlock("G0"))
+    shop.mill.start(shop.id, YES)
+
+
+def parser_state(shop: Shop) -> list[str]:
+    return reports.parser_state(shop.bench.sim.firmware).strip("[]").removeprefix("GC:").split()
 
 
 def test_hold_and_resume(shop: Shop) -> None:
@@ -176,7 +221,9 @@ def test_a_pulled_cable_interrupts_and_nothing_moves_by_itself_afterwards(shop: 
     assert shop.cuts == before and shop.state is RunState.INTERRUPTED
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready, plan.needs
-    assert any("never restarted" in words for words in plan.words) and any("spindle is ON" in w for w in plan.words)
+    assert any("has not lost its count" in words for words in plan.words) and any(
+        "spindle is ON" in w for w in plan.words
+    )
     shop.mill.recover(shop.id, YES_ALL)
     shop.until(RunState.FINISHED)
 

@@ -11,13 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
+from machines.grbl.settings import FRAME_SETTINGS, ControllerSettings
 from machines.preflight.preflight import Preflight
-from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
+from machines.recovery.needs import position_doubt
+from machines.recovery.plan_model import Need, Present, RecoveryPlan, Reentry
 from machines.recovery.planner import plan_recovery
+from phrases.phrase import Phrase
 
 HEAD = ["G21 G90 G94 G17 G54", "M3 S12000", "M8", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200"]
 RASTER = [
@@ -246,6 +250,54 @@ class TestWhatMustBeDoneFirst:
         assert self.needs(raster, dataclasses.replace(doubted, restarted=True)) == ["position"]
         assert self.needs(raster, doubted, position_trusted=False) == ["position"]
 
+    @pytest.mark.parametrize(
+        ("left_mm", "now_mm", "known"),
+        [
+            ((3.0, 4.0, -1.2), (3.0, 4.0, -1.2), True),
+            ((3.0, 4.0, -1.2), (3.0, 4.001, -1.2), True),  # another last digit
+            ((3.0, 4.0, -1.2), (3.0, 4.0, -1.19), False),  # somebody has moved it
+            ((3.0, 4.0, -1.2), (0.0, 0.0, 0.0), False),  # its power was off
+            ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # it may have been
+            ((3.0, 4.0, -1.2), None, False),
+        ],
+    )
+    @pytest.mark.parametrize("name", ["machine_mm", "stood_mm"])
+    def test_a_reset_from_standstill_keeps_the_position(
+        self, raster: Shop, name: str, left_mm: Any, now_mm: Any, known: bool
+    ) -> None:
+        """On a new link, with feed and spindle wiped out: a mill that stands where it was left has kept its count."""
+        reset = dataclasses.replace(
+            self.status(position_trusted=False, machine_mm=now_mm),
+            parser_state="G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0",
+        )
+        record = {"machine_mm": (9.0, 9.0, 9.0)} | {name: left_mm}
+        assert self.needs(raster, reset, **record) == ([] if known else ["position"])
+        assert self.needs(raster, dataclasses.replace(reset, restarted=True), **record) == ["position"]
+        assert self.needs(raster, reset, **record | {"position_trusted": False}) == ["position"]
+        assert self.needs(raster, reset, **record | {"reframed": True}) == ["position"]
+
+    @pytest.mark.parametrize("number", sorted(FRAME_SETTINGS | {0, 10, 13, 20, 21, 110, 120}))
+    @pytest.mark.parametrize("trusted", [True, False])
+    def test_a_setting_that_moves_the_frame(self, raster: Shop, number: int, trusted: bool) -> None:
+        """Even on a mill that was homed since: what is cut already was cut by the old one."""
+        then = {str(one): "2.000" for one in range(200)}
+        for value, changed in (("2", False), ("2.016", True)):
+            now = ControllerSettings(values=dict.fromkeys(range(200), "2.000") | {number: value})
+            status = dataclasses.replace(IDLE, position_trusted=trusted)
+            present = Present.of_run({"settings": {"values": then}}, status, NOW.parser_state, now)
+            plan = raster.plan(10, dataclasses.replace(present, offsets=OFFSETS, homed=trusted))
+            moves = changed and number in FRAME_SETTINGS
+            assert [need.code for need in plan.needs] == (["position"] if moves else [])
+            assert not moves or f"${number} 2.000 -> 2.016" in plan.needs[0].words
+            assert position_doubt({"position_trusted": True}, present) == ("settings" if moves else "")
+
+    def test_settings_that_were_not_reported_say_nothing(self) -> None:
+        then: dict[str, Any]
+        for then, now in (({}, {100: "250.000"}), ({"100": "250.000"}, {})):
+            present = Present.of_run({"settings": {"values": then}}, IDLE, None, ControllerSettings(values=now))
+            assert present.frame_changes == ()
+        assert Present.of_run({"settings": None}, IDLE, None, None).frame_changes == ()
+
     @pytest.mark.parametrize("name", ["G54", "G92", "TLO"])
     def test_an_offset_that_moves_the_program(self, raster: Shop, name: str) -> None:
         moved = dataclasses.replace(NOW, offsets=OFFSETS | {name: (0.0, 0.0, 0.5)})
@@ -266,6 +318,31 @@ class TestWhatMustBeDoneFirst:
         assert self.needs(raster, doubted, state_before="G1 G54 G21 G90 M5 M9 F900 S0") == ["position"]
         spinning = dataclasses.replace(doubted, parser_state="G1 G54 G21 G90 M3 M9 F900 S0")
         assert self.needs(raster, spinning, state_before="G1 G54 G21 G90 M5 M9 F900 S0") == []
+
+
+def test_where_nothing_is_cut_no_line_0_is_named(raster: Shop) -> None:
+    words = raster.plan(0).words
+    assert "no line is cut for certain; line 1 is the next one" in words
+    assert "lines up to 3 are cut for certain; line 4 is the next one" in raster.plan(3).words
+
+
+OTHER_FACTS: dict[str, Any] = {
+    "run_id": "other", "executed_line": 8, "overlap_line": 7, "position_mm": (1.0, 2.0, 3.5), "blocks": ("G0 Z9",),
+    "needs": (Need(MillCode.WAIT, Phrase("wait")),), "refusals": (Phrase("no"),), "zero_back": "G10 L2 P1 X0",
+    "motion": "G2", "spindle_on": None, "tool_mm": (3.0, 4.0, 9.0), "offsets": OFFSETS | {"G54": (0.0, 0.0, 0.1)},
+}  # fmt: skip
+ONLY_SHOWN: dict[str, Any] = {
+    "words": (Phrase("said otherwise"),), "differences": (Phrase("said otherwise"),),
+    "resume_line": 99,  # follows from executed_line
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [member.name for member in dataclasses.fields(RecoveryPlan)])
+def test_one_plan_is_told_from_another_by_facts_and_not_by_words(raster: Shop, name: str) -> None:
+    status = dataclasses.replace(IDLE, spindle_on=True)
+    plan = raster.plan(10, dataclasses.replace(NOW, status=status))
+    other = dataclasses.replace(plan, **{name: (OTHER_FACTS | ONLY_SHOWN)[name]})
+    assert (other.digest == plan.digest) is (name in ONLY_SHOWN)
 
 
 def test_the_height_is_that_in_the_frame_of_the_program(raster: Shop) -> None:

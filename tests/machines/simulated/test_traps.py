@@ -295,6 +295,21 @@ def test_jog_and_cancel_keep_the_position():
     assert t.mill.firmware.interpreter.position[0] == stopped
 
 
+def test_steps_per_mm_scale_what_is_reported_and_move_nothing_until_the_next_block():
+    """GRBL counts steps; its parser keeps mm, so that the next block moves an axis that it does not name."""
+    t = Terminal()
+    t.ask("G0X100Y10\n", 3.0)
+    stood = t.mill.firmware.physical()
+    t.ask("$100=200\n")
+    assert "MPos:125.000,10.000,0.000" in t.status()
+    assert t.mill.firmware.physical() == pytest.approx(stood)
+    t.ask("G0Z-1\n", 3.0)
+    assert "MPos:100.000,10.000,-1.000" in t.status()
+    assert t.mill.firmware.physical() == pytest.approx((80.0, 10.0, -1.0))
+    t.ask("$100=250\n")
+    assert "MPos:80.000,10.000,-1.000" in t.status()
+
+
 def test_probe_finds_the_surface_or_raises_an_alarm():
     t = Terminal()
     words = t.ask("G38.2Z-10F100\n", 10.0)

@@ -123,6 +123,7 @@ def test_a_dropped_line_end_merges_two_lines():
         (Fault(kind="flip", byte=1, mask=0x04), b"G4P0\n", [b"error:36"]),
         (Fault(kind="drop", byte=3), b"G4P0\n", [b"error:2"]),
         (Fault(kind="lose-reply", line=1), b"G4P0\n", []),
+        (Fault(kind="duplicate-reply", line=1), b"G4P0\n", [b"ok", b"ok"]),
         (Fault(kind="mangle-reply", line=1, mask=0x01), b"G4P0\n", [b"nk"]),
         (Fault(kind="drop-reply-byte", line=1), b"G4P0\n", [b"k"]),
     ],

@@ -9,13 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.milling.terminal.keys import Keys, Question, Wish, keys_in, single_keys
+from service.milling.terminal.keys import APART_S, Keys, Question, Wish, keys_in, single_keys
 
 INTERRUPT = "^C"
 
 
-def wishes(keys: Keys, pressed: list[str]) -> list[Wish | None]:
-    return [keys.interrupt() if key == INTERRUPT else keys.key(key) for key in pressed]
+class Pressed:
+    """Keys pressed one after the other, each `apart_s` after the one before."""
+
+    def __init__(self, apart_s: float = APART_S) -> None:
+        self.now_s, self.apart_s = 0.0, apart_s
+        self.keys = Keys(clock=lambda: self.now_s)
+
+    def press(self, key: str) -> Wish | None:
+        self.now_s += self.apart_s
+        return self.keys.interrupt() if key == INTERRUPT else self.keys.key(key)
 
 
 @pytest.mark.parametrize(
@@ -49,15 +57,55 @@ def wishes(keys: Keys, pressed: list[str]) -> list[Wish | None]:
     ],
 )
 def test_what_a_sequence_of_keys_ends_in(pressed: list[str], last: Wish | None) -> None:
-    assert wishes(Keys(), pressed)[-1] == last
+    person = Pressed()
+    assert [person.press(key) for key in pressed][-1] == last
+
+
+@given(
+    st.lists(st.floats(0.0, 0.99 * APART_S), max_size=40),
+    st.sampled_from([[], ["q"], [INTERRUPT], [INTERRUPT, INTERRUPT]]),
+)
+def test_a_ctrl_c_held_down_is_one_press(gaps_s: list[float], before: list[str]) -> None:
+    """However long it is held: a terminal repeats the key every 33 ms, and none of that quits without waiting."""
+    person = Pressed()
+    for key in before:
+        person.press(key)
+    first, answered = person.press(INTERRUPT), person.keys.question
+    assert first is not None
+    for person.apart_s in gaps_s:
+        assert person.press(INTERRUPT) is None
+        assert person.keys.question is answered
+        assert "Ctrl-C" not in person.keys.prompt
+    person.apart_s = APART_S
+    assert person.press(INTERRUPT) is (Wish.ABORT if answered is Question.STOP else Wish.GIVE_UP)
+
+
+def test_a_ctrl_c_holds_at_any_time() -> None:
+    person = Pressed(apart_s=0.1)
+    for _ in range(3):
+        assert person.press(INTERRUPT) is Wish.HOLD
+        assert person.press("r") is Wish.RESUME
+
+
+def test_what_a_ctrl_c_would_do_is_shown_when_it_would_do_it_in_one_row() -> None:
+    person = Pressed()
+    prompts = {person.keys.prompt}
+    for _ in range(3):
+        person.press(INTERRUPT)
+        prompts.add(person.keys.prompt)
+        person.now_s += APART_S
+        prompts.add(person.keys.prompt)
+    assert any("Ctrl-C again: abort" in words for words in prompts)
+    assert any("Ctrl-C: quit without waiting" in words for words in prompts)
+    assert max(map(len, prompts)) <= 76
 
 
 @given(st.lists(st.sampled_from(["h", "r", "a", "y", "n", "+", "-", "q", "l", "x", INTERRUPT]), max_size=12))
 def test_no_key_resumes_or_leaves_a_run_that_is_being_aborted_and_no_single_key_aborts(pressed: list[str]) -> None:
-    keys = Keys()
+    person, keys = (made := Pressed()), made.keys
     for key in pressed:
         before = keys.question
-        wish = wishes(keys, [key])[0]
+        wish = person.press(key)
         if wish is Wish.ABORT:
             assert before in (Question.STOP, Question.ABORT)
         if before is Question.ABORTING:

@@ -145,7 +145,7 @@ def test_an_error_of_our_own_leaves_no_line_in_the_controller_or_says_so(tmp_pat
     )
     with bench(4.0) as mill:
         process = subprocess.Popen(
-            [sys.executable, "-c", script, "stream", str(path), "--port", mill.url],
+            [sys.executable, "-c", script, "stream", str(path), "--port", mill.url, "--yes"],
             cwd=ROOT,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -160,6 +160,8 @@ def test_an_error_of_our_own_leaves_no_line_in_the_controller_or_says_so(tmp_pat
         if where == "the display":
             assert mill.holds_nothing
             assert LOUD not in errors
+            assert "the mill is left in state" in errors
+            assert f"to go on: causticmill stream {path}" in errors
             assert not any(segment.kind == "slip" for segment in mill.mill.recording.segments)
 
 

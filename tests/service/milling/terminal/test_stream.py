@@ -21,7 +21,7 @@ from service.cli.main import run
 from tests.service.milling.agent.process import memory_mb
 from tests.service.mills import bench, ends, program
 from tests.service.terminal import ROOT, Terminal
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, until
 
 LONG = 2000  # lines: minutes at the slow factor, so that a run never ends before the keys come
 
@@ -36,11 +36,10 @@ def piped(*arguments: str, **settings: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "service.cli.main", "stream", *arguments],
         cwd=ROOT,
-        stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        **settings,  # type: ignore[call-overload]
+        **({"stdin": subprocess.DEVNULL} | settings),  # type: ignore[call-overload]
     )
 
 
@@ -50,15 +49,59 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, list[str], list[str]]:
 
 
 @pytest.mark.thorough
-def test_without_a_terminal_the_command_is_the_order_and_every_line_is_cut(tmp_path: Path) -> None:
+def test_without_a_terminal_yes_is_the_order_and_every_line_is_cut(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 200)
     with bench(50.0) as mill:
-        code, out, errors = ended(piped(str(path), "--port", mill.url))
+        code, out, errors = ended(piped(str(path), "--port", mill.url, "--yes"))
         assert (code, errors) == (0, []), out
         assert mill.cut == ends(200)
     text = "\n".join(out)
     assert all(word in text for word in ("mill:", "position:", "protection:", "program:", "extents:", "finished")), text
     assert "\x1b" not in text
+
+
+@pytest.mark.parametrize("silent", ["</dev/null", "| tee"])
+@pytest.mark.parametrize("more", [[], ["--recover"], ["--recover", "--yes"], ["--recover", "--confirm-position"]])
+def test_silence_confirms_nothing(tmp_path: Path, silent: str, more: list[str]) -> None:
+    """Without a terminal on both sides nobody is asked, and nothing is sent, not even a question."""
+    path = program(tmp_path / "p.nc", 20)
+    far, near = pty.openpty()
+    try:
+        arguments = [str(path), "--port", os.ttyname(near), *more]
+        process = piped(*arguments, **({"stdin": near} if silent == "| tee" else {}))
+        code, out, (error,) = ended(process)
+        assert (code, out) == (2, [])
+        assert all(words in error for words in ("no terminal", "says in your name"))
+        checks = ("tool is in", "zero is set", "stock is clamped", "in the way")
+        assert all((words in error) is ("--yes" not in more) for words in checks), error
+        assert ("position is right" in error) is (more == ["--recover"] or more == ["--recover", "--yes"]), error
+        assert select.select([far], [], [], 0.0)[0] == [], "something was sent"
+    finally:
+        os.close(far)
+        os.close(near)
+
+
+@pytest.mark.parametrize("ignored", [(), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)])
+def test_how_a_run_without_keys_is_stopped_comes_first_and_is_true(
+    tmp_path: Path, ignored: tuple[signal.Signals, ...]
+) -> None:
+    """A shell ignores SIGINT for what it starts in the background."""
+    path = program(tmp_path / "p.nc", 5)
+
+    def ignore() -> None:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
+
+    with bench(50.0) as mill:
+        process = piped(str(path), "--port", mill.url, "--yes", preexec_fn=ignore)
+        code, out, errors = ended(process)
+        assert (code, errors) == (0, [])
+    first = out[0]
+    assert first.startswith("to stop:")
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        assert (f"kill -{number.name[3:]} {process.pid}" in first) is (number not in ignored), first
+    assert ("Ctrl-C" in first) is (signal.SIGINT not in ignored)
+    assert "emergency stop" in out[1]
 
 
 def test_a_person_confirms_each_check_before_anything_moves(tmp_path: Path) -> None:
@@ -99,6 +142,22 @@ def test_keys_hold_resume_and_override(tmp_path: Path) -> None:
         person.sees("aborted")
         assert person.ends() == 130
         assert "--recover" in person.text
+
+
+def test_a_ctrl_c_held_down_leaves_the_mill_held_and_no_words_unsaid(tmp_path: Path) -> None:
+    """The key repeats while the command holds, aborts and ends; how far apart counts: test_keys."""
+    path = program(tmp_path / "p.nc", LONG)
+    with bench(4.0) as mill, Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
+        person.sees("RUN")
+        until(lambda: len(mill.cut) > 3)
+        person.types("\x03\x03\x03")
+        person.sees("HELD")
+        assert "Aborting" not in person.text
+        person.sees("Ctrl-C again: abort")
+        until(lambda: person.is_gone_after("\x03", 0.033))
+        assert person.ends() == 130
+        said = " ".join(person.text.split())
+        assert all(words in said for words in ("the mill is left", "spindle", "to go on:", "--recover")), said[-800:]
 
 
 def test_ctrl_c_holds_asks_and_resumes(tmp_path: Path) -> None:
@@ -147,7 +206,7 @@ def test_left_held_the_mill_stands_and_the_way_on_is_named(tmp_path: Path) -> No
 def test_without_a_terminal_a_signal_holds_aborts_and_ends_with_130(tmp_path: Path, number: signal.Signals) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
-        process = piped(str(path), "--port", mill.url)
+        process = piped(str(path), "--port", mill.url, "--yes")
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith("run"):
@@ -183,13 +242,12 @@ def test_an_aborted_run_goes_on_after_a_person_says_so_and_nothing_is_skipped(tm
         assert "--confirm-position" in errors[0]
         assert len(mill.cut) == before
         with Terminal("stream", str(path), "--port", mill.url, "--recover", "--yes") as person:
-            person.sees("t trust")  # the mill has no switches, and this process cannot know what happened meanwhile
-            person.types("t\n")
-            for words in ("tool is in", "zero is set", "stock is clamped", "in the way", "position is right"):
-                person.sees(words)
-                person.types("y\n")
+            person.sees("has not lost its count")  # reset from standstill, it stands where the other process left it
+            person.sees("position is right")  # --yes has answered the others
+            person.types("y\n")
             person.sees("finished")
             assert person.ends() == 0
+            assert not any(asked in person.text for asked in ("tool is in", "t trust", "first:"))
         assert set(ends(lines)) <= set(mill.cut)
         assert mill.cut[-1] == ends(lines)[-1]
 
@@ -206,7 +264,7 @@ def test_a_dry_run_moves_nothing_and_finds_what_the_controller_refuses(tmp_path:
 def test_a_fault_ends_in_its_cause_the_line_the_state_and_the_next_command(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
-        process = piped(str(path), "--port", mill.url)
+        process = piped(str(path), "--port", mill.url, "--yes")
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith("run"):
@@ -236,7 +294,7 @@ def refusal_here(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 5)
-    assert "/dev/nowhere" in refused(2, str(path), "--port", "/dev/nowhere")
+    assert "/dev/nowhere" in refused(2, str(path), "--port", "/dev/nowhere", "--yes")
 
 
 def test_a_tcp_port_where_nobody_listens(tmp_path: Path) -> None:
@@ -244,7 +302,7 @@ def test_a_tcp_port_where_nobody_listens(tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"socket://127.0.0.1:{free.getsockname()[1]}"
-        assert url in refused(2, str(path), "--port", url)
+        assert url in refused(2, str(path), "--port", url, "--yes")
 
 
 @pytest.mark.thorough
@@ -253,9 +311,9 @@ def test_a_port_that_another_process_has(tmp_path: Path, monkeypatch: pytest.Mon
     with bench(4.0) as mill, Terminal("stream", str(long), "--port", mill.url, "--yes") as person:
         person.sees("RUN")
         before = len(mill.cut)
-        assert "owns this mill" in refused(2, str(short), "--port", mill.url)
+        assert "owns this mill" in refused(2, str(short), "--port", mill.url, "--yes")
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "other"))
-        assert mill.url in refused(2, str(short), "--port", mill.url)
+        assert mill.url in refused(2, str(short), "--port", mill.url, "--yes")
         person.sees("RUN")
         assert len(mill.cut) >= before
         person.types("ay")
@@ -293,7 +351,7 @@ def test_what_is_behind_the_port_is_no_grbl(tmp_path: Path, answer: Callable[[by
     behaving = threading.Thread(target=behave)
     behaving.start()
     try:
-        for more in ([], ["--dry-run"]) if "GRBL" in words else ([],):  # each waits its six seconds
+        for more in (["--yes"], ["--dry-run"]) if "GRBL" in words else (["--yes"],):  # each waits its six seconds
             line = refused(2, str(path), "--port", os.ttyname(near), *more)
             assert words in line
             assert line.count(os.ttyname(near)) == 1, line
@@ -320,7 +378,7 @@ def test_what_holds_nothing_to_send(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "p.nc"
     path.write_bytes(content)
     with bench(10.0) as mill:
-        assert refused(2, str(path), "--port", mill.url)
+        assert refused(2, str(path), "--port", mill.url, "--yes")
         assert mill.cut == []
 
 
@@ -328,7 +386,9 @@ def test_what_holds_nothing_to_send(tmp_path: Path, content: bytes) -> None:
 def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 60)
     with bench(4.0) as mill:
-        process = piped(str(path), "--port", mill.url, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+        process = piped(
+            str(path), "--port", mill.url, "--yes", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        )
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith("run"):
@@ -346,7 +406,7 @@ def test_something_that_is_not_a_controller(tmp_path: Path) -> None:
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
         chatter = threading.Thread(target=_talks, args=(server,), daemon=True)
         chatter.start()
-        assert url in refused(2, str(path), "--port", url)
+        assert url in refused(2, str(path), "--port", url, "--yes")
 
 
 def _talks(server: socket.socket) -> None:
@@ -381,7 +441,7 @@ def test_a_program_that_the_mill_must_not_be_sent(tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
     with bench(10.0) as mill:
-        assert "line 3" in refused(2, str(path), "--port", mill.url)
+        assert "line 3" in refused(2, str(path), "--port", mill.url, "--yes")
         assert mill.cut == []
 
 
@@ -394,14 +454,14 @@ def test_no_recovery_of_a_program_that_has_changed_since(tmp_path: Path) -> None
             person.types("qa")
             assert person.ends() == 130
         program(path, 61)
-        assert "as it is now" in refused(2, str(path), "--port", mill.url, "--recover", "--confirm-position")
+        assert "as it is now" in refused(2, str(path), "--port", mill.url, "--recover", "--yes", "--confirm-position")
 
 
 @pytest.mark.thorough
 def test_a_disk_that_is_full_for_the_journal_holds_the_mill_and_says_so(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
-        process = piped(str(path), "--port", mill.url)
+        process = piped(str(path), "--port", mill.url, "--yes")
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith("run"):
@@ -426,7 +486,7 @@ def test_the_streaming_process_stays_small(tmp_path: Path) -> None:
     )
     with bench(20.0) as mill:
         process = subprocess.Popen(
-            [sys.executable, "-c", script, "stream", str(path), "--port", mill.url],
+            [sys.executable, "-c", script, "stream", str(path), "--port", mill.url, "--yes"],
             cwd=ROOT,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
