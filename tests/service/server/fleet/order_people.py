@@ -78,7 +78,7 @@ class People:
 
         async def send() -> None:
             server = self._world.stops
-            await self._world.network.hop(lambda: self._stop_at(server, stop, press))
+            await self._world.network.call_server(lambda: self._stop_at(server, stop, press), is_stop=True)
 
         self._world.network.begin(send())
 
@@ -107,11 +107,11 @@ class People:
             arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
             return await self._world.orders.grant(MACHINE, arrived, stops_seen)
 
-        granted = await self._world.network.hop(ask)
+        granted = await self._world.network.call_server(ask)
         if self._world.now_s() - press.at_s > ASK_S:
             press.outcome = "not sent"
             raise Problem(503, "not sent")
-        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+        await self._world.network.call_server(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
         """As `order` of docs/rest.md, without its limit: its moment is when the asking for a grant arrives."""
@@ -125,13 +125,13 @@ class People:
             at = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
             return await self._world.orders.grant(MACHINE, at)
 
-        granted = await self._world.network.hop(ask)
-        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+        granted = await self._world.network.call_server(ask)
+        await self._world.network.call_server(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_bare(self, press: Press, body: dict[str, Any]) -> None:
         """An order alone, as late and as often as it comes."""
         context = OrderContext(name="p", origin=str(press.number), control=press.control)
-        await self._world.network.hop(lambda: self._give(press, body, context, ""))
+        await self._world.network.call_server(lambda: self._give(press, body, context, ""))
 
     async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
         context = OrderContext(

@@ -306,6 +306,9 @@ class World:
     def stall_database(self, seconds: float) -> None:
         self.database_until_s = self.now_s() + seconds
 
+    def crowd_server(self, *, strangers: bool) -> None:
+        self.loop.run_until_complete(self.network.fill_server(strangers=strangers))
+
     def suspend(self, seconds: float) -> None:
         """Server and agent sleep; the mill and the people do not."""
         self.suspended_s += seconds
@@ -444,6 +447,7 @@ class World:
         What is still on its way from before may come in between: then once more.
         """
         self.database_until_s, self.hang_in = 0.0, -1
+        self.network.empty_server()
         for _ in range(30):  # a line that a stop has overtaken is waited for, for a minute
             with contextlib.suppress(MachineError):
                 return self._try_to_make_ready(what)
