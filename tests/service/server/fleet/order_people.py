@@ -1,4 +1,6 @@
-"""People who press: on the page, whose rule is modelled here, by curl, or by a script that asks for no grant."""
+"""People who press: on the page, whose rule is modelled here, by curl without a limit of its own, or by a script that
+asks for no grant.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ class Press:
     stops_before: int  # pressed by anybody until then
     control: str
     seen: str = ""
-    way: str = "page"  # "curl": asks for a grant when it is called; "bare": for none
+    way: str = "page"  # "curl": its moment is when its asking for a grant arrives; "bare": asks for none
     outcome: str = "under way"
     acts: int = 0
 

@@ -23,6 +23,7 @@ from tests.service.server.fleet.order_people import ASK_S
 from tests.service.server.fleet.order_world import World
 
 STORIES = ("weather",) * 7 + ("disk",) * 6 + ("disk and weather",) * 2 + ("overtaken",) * 3 + ("stale",) * 2
+"""Of a press: bad weather between all, a disk that hangs, a stop that overtakes the order, or another setup by then."""
 HANGS_S = (1.0, 4.0, 9.0, 15.0, 15.0, 20.0)
 HUNG_WRITES = (0, 0, 0, 1, 1, 2, 3, 4, 5, 6, 7)  # a resume writes once; a start has written 8 times when the mill cuts
 HUNG_ORDERS = ("start", "start", "recover", "resume run", "resume", "probe", "override", "jog")
