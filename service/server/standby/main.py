@@ -120,10 +120,16 @@ class StandbyProtocol(ProblemProtocol):
         super().__init__(*args, **kwargs)
         self._api = api
         self._come = b""
+        self._handing: asyncio.Task[bool] | None = None
 
     def data_received(self, data: bytes) -> None:
         self._come += data
         super().data_received(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._handing is not None:
+            self._handing.cancel()  # at once: the number of its descriptor may be another caller's in a moment
+        super().connection_lost(exc)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         if is_stop(scope["method"], scope["path"]):
@@ -131,7 +137,11 @@ class StandbyProtocol(ProblemProtocol):
             return
         self.transport.pause_reading()
         connection = self.transport.get_extra_info("socket").fileno()
-        if await self._api.hand_over(connection, self._come, _HELD_S):
+        self._handing = asyncio.create_task(self._api.hand_over(connection, self._come, _HELD_S))
+        await asyncio.wait([self._handing])
+        if self._handing.cancelled():
+            return
+        if self._handing.result():
             self.cycle.disconnected = True  # the answer comes from the API
             self.transport.abort()
         else:
