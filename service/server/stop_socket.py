@@ -17,7 +17,8 @@ from typing import Any
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from machines.mill.orders import Stop, suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
+from machines.mill.orders import Stop
 from phrases.phrase import Phrase, phrases_in
 from service.http.admission import note_known
 from service.http.problems import Problem

@@ -20,9 +20,10 @@ import pytest
 from wsproto import ConnectionType, WSConnection
 from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
 
+from machines.clock import suspend_aware_clock_s
 from machines.errors import MachineError
 from machines.journal.disk import RealFile
-from machines.mill.orders import Caller, Stop, suspend_aware_clock_s
+from machines.mill.orders import Caller, Stop
 from service.milling.agent.mill_access import MillAccess
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
