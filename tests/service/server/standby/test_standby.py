@@ -17,9 +17,9 @@ import pytest
 
 from service.http.listener import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
+from service.server import serving
 from service.server.fleet.agent_links import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
-from service.server.standby import main as standby_main
 from service.server.standby.app import StandbyApp
 from service.server.standby.line import ApiWatch
 from service.server.standby.main import Standby
@@ -146,7 +146,7 @@ def test_a_connection_that_was_closed_meanwhile_is_not_handed_over(
         return hand_over(self, connection, come, within_s)
 
     monkeypatch.setattr(ApiWatch, "hand_over", note)
-    monkeypatch.setattr(standby_main, "_STRANGERS", 1)
+    monkeypatch.setattr(serving, "_STRANGERS", 1)
     half = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{}"
     with run_alone(tmp_path, monkeypatch) as alone, contextlib.ExitStack() as stack:
         callers = []
