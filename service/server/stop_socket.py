@@ -78,7 +78,7 @@ class StopSockets:
             await self._listen(socket, context)
         except WebSocketDisconnect:
             pass  # the page has gone
-        except RuntimeError:  # starlette raises it for a closed one
+        except (RuntimeError, KeyError):  # starlette raises them for a closed one, and for bytes instead of text
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close()
 
