@@ -26,7 +26,7 @@ from machines.driver import (
     Unlock,
     unconditional,
 )
-from machines.errors import NotAllowedError, ProgramRefusedError
+from machines.errors import MachineError, NotAllowedError, ProgramRefusedError
 from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
@@ -105,9 +105,15 @@ class DripDriver(OneWayDriver):
             if self._feed is None:
                 raise NotAllowedError(Phrase("there is no program under way that could wait for DC1"))
             require()
-            self._go_on(self._port.clock())
-            if not self._held:
-                self._send_order(self._feed, require)
+            before = self._open, self._ever_open
+            self._open = self._ever_open = True
+            try:
+                if not self._held:
+                    self._send_order(self._feed, require)
+            except MachineError:  # too late: the line stays as it was
+                self._open, self._ever_open = before
+                raise
+            self._since_s, self._said_quiet = self._port.clock(), False
             self._channel.events.append(CommandDone(command))
             return
         super().command(command, require)

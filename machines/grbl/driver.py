@@ -17,12 +17,13 @@ from machines.driver import (
     unconditional,
 )
 from machines.errors import MachineError, NotAControllerError, PortError
+from machines.grbl.commands import JOG_CANCEL
 from machines.grbl.options import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.settings import ControllerSettings
 from machines.port import Port
 
-FEED_HOLD, JOG_CANCEL = b"!", b"\x85"
+FEED_HOLD = b"!"
 
 
 class GrblDriver:

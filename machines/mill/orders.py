@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from machines.clock import suspend_aware_clock_s as suspend_aware_clock_s  # others import it from here
+from machines.clock import suspend_aware_clock_s
 from machines.errors import NotAllowedError
 
 GRANT_S = 3.0  # from the moment a person asks to the moment the order is begun

@@ -25,7 +25,6 @@ from machines.preflight.way_in import WAY_IN, find_risk, read_from_place, read_w
 from phrases.phrase import Phrase
 
 _PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
-_REPORTED_MM = 0.01  # half a step and the digits of a report
 LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
 
 

@@ -17,7 +17,7 @@ from urllib.parse import quote, urlsplit
 
 import httpx
 
-from machines.mill.orders import suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
 from machines.profile import user_folders
 from service.errors import (
     EXIT_FAILURE,

@@ -1,4 +1,4 @@
-"""Accepts connections, and begins with those whose first bytes name a stop.
+"""Accepts connections and sets them up, those first whose first bytes name a stop.
 
 Theory of operation. To set a connection up costs a server half a millisecond, to accept one a fiftieth of that. So all
 are accepted, those that say nothing cost nothing more, and of those that speak a few are set up in each turn of the
@@ -28,10 +28,10 @@ _REQUEST_LINE = re.compile(rb"([A-Z]+) ([^ ?]+)[^ ]* HTTP/1")
 
 
 class Acceptor:
-    """For one event loop.
+    """Accepts the connections of one listener. For one event loop.
 
     begin   : sets a connection up
-    silent  : so many connections may say nothing; the oldest makes room
+    silent  : most connections that have sent nothing yet; the oldest makes room
     wait_s  : for the first byte
     """
 
@@ -46,18 +46,22 @@ class Acceptor:
         self._silent: dict[socket.socket, asyncio.TimerHandle] = {}
         self._speaking: deque[socket.socket] = deque()
         self._heard = selectors.DefaultSelector()
+        self._resuming: asyncio.TimerHandle | None = None
         listener.setblocking(False)
         self._loop.add_reader(self._heard, self._hear)
         self.resume()
 
     def resume(self) -> None:
         """Accept connections."""
+        self._resuming = None
         self._listener.listen(_QUEUED)
         self._loop.add_reader(self._listener, self._accept)
 
     def pause(self) -> None:
-        """Accept nothing more; what has been accepted is still begun. The listener stays open."""
+        """Accept nothing more; set up what has been accepted. The listener stays open."""
         self._loop.remove_reader(self._listener)
+        if self._resuming is not None:
+            self._resuming.cancel()
 
     def close(self) -> None:
         """Accept nothing more, and close what has not been begun."""
@@ -77,7 +81,7 @@ class Acceptor:
             except OSError:  # too many open files
                 self._lose_oldest()
                 self.pause()
-                self._loop.call_later(_AGAIN_S, self.resume)
+                self._resuming = self._loop.call_later(_AGAIN_S, self.resume)
                 return
             connection.setblocking(False)
             self._silent[connection] = self._loop.call_later(self._wait_s, self._lose, connection)
@@ -86,7 +90,7 @@ class Acceptor:
                 self._lose_oldest()
 
     def _hear(self) -> None:
-        """Sort those that have begun to speak, or have gone."""
+        """Set up the stops among connections that have sent something; queue the others, and those that have closed."""
         for key, _ in self._heard.select(0):
             connection = key.fileobj
             assert isinstance(connection, socket.socket)

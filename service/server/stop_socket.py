@@ -17,7 +17,8 @@ from typing import Any
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from machines.mill.orders import Stop, suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
+from machines.mill.orders import Stop
 from phrases.phrase import Phrase, phrases_in
 from service.http.admission import note_known
 from service.http.problems import Problem
@@ -77,7 +78,7 @@ class StopSockets:
             await self._listen(socket, context)
         except WebSocketDisconnect:
             pass  # the page has gone
-        except RuntimeError:  # starlette raises it for a closed one
+        except (RuntimeError, KeyError):  # starlette raises them for a closed one, and for bytes instead of text
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close()
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
-from PIL.TiffImagePlugin import ImageFileDirectory_v2
+from PIL.TiffImagePlugin import PREFIXES, ImageFileDirectory_v2
 
 from phrases.phrase import Phrase
 from service.errors import PictureError
 
-_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BIG_ENDIAN_BIGTIFF = b"MM\0+"  # Pillow takes its head for that of a small TIFF
 _WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _CMYK, _YCBCR = 0, 1, 2, 3, 5, 6
 _UINT, _INT, _FLOAT = 1, 2, 3
 _RAW, _JPEG = 1, 7
@@ -141,9 +141,11 @@ def require_known_layout(file: BinaryIO, name: str) -> TiffLayout | None:
     file.seek(0)
     head = file.read(16)
     file.seek(0)
-    if head[:4] not in _SIGNATURES:
+    if head[:4] not in PREFIXES:
         return None
-    tags = ImageFileDirectory_v2(head if 43 in head[2:4] else head[:8])  # a BigTIFF has the longer head
+    if head.startswith(_BIG_ENDIAN_BIGTIFF):
+        raise _unread(name, "BigTIFF, big-endian")
+    tags = ImageFileDirectory_v2(head if head[2] == 43 else head[:8])  # a BigTIFF has the longer head
     file.seek(tags.next)
     tags.load(file)
     layout = _layout_of(tags, big_endian=head[:2] == b"MM")
@@ -153,14 +155,18 @@ def require_known_layout(file: BinaryIO, name: str) -> TiffLayout | None:
         raise PictureError(words)
     odd = _odd_colours(tags, layout)
     if odd or not layout.is_read:
-        raise PictureError(
-            Phrase(
-                "{name}: this TIFF stores {layout}, which is not read; save it as PNG, grey or RGB of 8 or 16 bits",
-                name=name,
-                layout=f"{layout}{odd}",
-            )
-        )
+        raise _unread(name, f"{layout}{odd}")
     return layout
+
+
+def _unread(name: str, layout: str) -> PictureError:
+    return PictureError(
+        Phrase(
+            "{name}: this TIFF stores {layout}, which is not read; save it as PNG, grey or RGB of 8 or 16 bits",
+            name=name,
+            layout=layout,
+        )
+    )
 
 
 def _layout_of(tags: ImageFileDirectory_v2, *, big_endian: bool) -> TiffLayout:

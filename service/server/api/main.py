@@ -16,7 +16,6 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
@@ -27,14 +26,7 @@ from service.errors import EXIT_FAILURE, ServiceError
 from service.http.admission import Admission
 from service.http.hosts import own_names
 from service.http.listener import bind_address, url_of
-from service.http.uvicorn_protocol import (
-    HEADER_BYTES,
-    SOCKET_BYTES,
-    VERSION_HEADER,
-    HttpServer,
-    allow_open_files,
-)
-from service.http.websocket_protocol import PlacedWebSocket
+from service.http.uvicorn_protocol import HttpServer, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
 from service.processes.private import keep_private
@@ -55,6 +47,7 @@ from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine
+from service.server.serving import make_admission, make_config
 from service.server.standby.line import take_over
 from service.server.stop_socket import StopSockets
 from service.server.stoppers import FILE as STOPPERS
@@ -64,7 +57,6 @@ from service.store.opening import open_store
 _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
-_CONNECTIONS, _STRANGERS = 1000, 200
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
 _STUCK_S = 10.0
@@ -205,22 +197,8 @@ def server_of(
         """Strangers may open sockets: that they pass by all of what requests need keeps them cheap."""
         await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
 
-    config = uvicorn.Config(
-        serve,
-        ws=PlacedWebSocket,
-        ws_max_size=SOCKET_BYTES,
-        lifespan="on",
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        headers=[(VERSION_HEADER, metadata.version("causticmill"))],
-        h11_max_incomplete_event_size=HEADER_BYTES,
-        timeout_keep_alive=30,
-        timeout_graceful_shutdown=_DRAIN_S,
-    )
-    admission = admission or Admission(most=_CONNECTIONS, strangers=_STRANGERS)
-    return Server(config, admission, services, on_ready, on_end)
+    config = make_config(serve, lifespan="on", timeout_graceful_shutdown=_DRAIN_S)
+    return Server(config, admission or make_admission(), services, on_ready, on_end)
 
 
 class Server(HttpServer):

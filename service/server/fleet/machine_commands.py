@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from machines.mill.orders import LEASE_S, Refusal, suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
+from machines.mill.orders import LEASE_S, Refusal
 from service.http.problems import Problem
 from service.server.fleet.agent_client import AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import make_order_view, parse_holder, parse_reply

@@ -9,7 +9,8 @@ from typing import Any
 from starlette.responses import JSONResponse
 from starlette.types import Receive, Scope, Send
 
-from machines.mill.orders import Stop, suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
+from machines.mill.orders import Stop
 from phrases.phrase import Phrase
 from service.http.admission import is_stop, note_known
 from service.http.hosts import own_names

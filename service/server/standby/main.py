@@ -9,35 +9,26 @@ import asyncio
 import logging
 import socket
 import sys
-from importlib import metadata
 from typing import Any
 
-import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from service.errors import ServiceError
 from service.http.acceptor import Acceptor
-from service.http.admission import Admission, is_stop
-from service.http.uvicorn_protocol import (
-    HEADER_BYTES,
-    SOCKET_BYTES,
-    VERSION_HEADER,
-    ProblemProtocol,
-    allow_open_files,
-    begin_connection,
-)
-from service.http.websocket_protocol import PlacedWebSocket
+from service.http.admission import is_stop
+from service.http.uvicorn_protocol import ProblemProtocol, allow_open_files, begin_connection
 from service.processes import lifeline
 from service.processes.priority import go_first
 from service.server.fleet.agent_links import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
+from service.server.serving import make_admission, make_config
 from service.server.standby.app import StandbyApp
 from service.server.standby.line import ApiWatch
 from service.server.stoppers import FILE, StopperFile
 from service.settings import ServerSettings
 
-_CONNECTIONS, _STRANGERS, _FILES = 1000, 200, 4096
+_FILES = 4096
 _MEET_S = 10.0
 _HELD_S = 25.0  # for the API to serve again
 
@@ -83,24 +74,14 @@ class Standby:
 
     def __init__(self, app: StandbyApp, listener: socket.socket, line: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
-        self._config = uvicorn.Config(
-            app,
-            ws=PlacedWebSocket,
-            ws_max_size=SOCKET_BYTES,
-            lifespan="off",
-            log_config=None,
-            access_log=False,
-            proxy_headers=False,
-            h11_max_incomplete_event_size=HEADER_BYTES,
-            timeout_keep_alive=30,
-        )
+        self._config = make_config(app, lifespan="off")
         self._config.load()
         self._state = ServerState()
-        self._state.default_headers = [(VERSION_HEADER.encode(), metadata.version("causticmill").encode())]
-        self._admission = Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+        self._state.default_headers = self._config.encoded_headers
+        self._admission = make_admission()
         self._beginnings: set[asyncio.Task[None]] = set()
         wait_s = self._admission.wait_s
-        self._acceptor = Acceptor(listener, self._begin, silent=_STRANGERS, wait_s=wait_s)
+        self._acceptor = Acceptor(listener, self._begin, silent=self._admission.strangers, wait_s=wait_s)
         self._api = ApiWatch(line, lambda serves: self._acceptor.pause() if serves else self._acceptor.resume())
 
     def close(self) -> None:
@@ -120,10 +101,16 @@ class StandbyProtocol(ProblemProtocol):
         super().__init__(*args, **kwargs)
         self._api = api
         self._come = b""
+        self._handing: asyncio.Task[bool] | None = None
 
     def data_received(self, data: bytes) -> None:
         self._come += data
         super().data_received(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._handing is not None:
+            self._handing.cancel()  # at once: the number of its descriptor may be another caller's in a moment
+        super().connection_lost(exc)
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
         if is_stop(scope["method"], scope["path"]):
@@ -131,7 +118,11 @@ class StandbyProtocol(ProblemProtocol):
             return
         self.transport.pause_reading()
         connection = self.transport.get_extra_info("socket").fileno()
-        if await self._api.hand_over(connection, self._come, _HELD_S):
+        self._handing = asyncio.create_task(self._api.hand_over(connection, self._come, _HELD_S))
+        await asyncio.wait([self._handing])
+        if self._handing.cancelled():
+            return
+        if self._handing.result():
             self.cycle.disconnected = True  # the answer comes from the API
             self.transport.abort()
         else:

@@ -25,6 +25,7 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError
 from machines.profile import LinkSettings
+from phrases.phrase import Phrase
 from tests.machines.drip.simulated_control import SimulatedControl
 
 
@@ -330,6 +331,27 @@ def test_what_this_link_cannot_do_is_refused_and_a_lost_dc1_can_be_vouched_for()
     driver.command(Unlock())
     driver.poll(5.0)
     driver.poll(5.0)
+    assert bytes(control.received) == on_wire(program(1))
+
+
+def test_an_unlock_that_came_too_late_when_its_bytes_were_ready_opens_nothing() -> None:
+    control = slow_control(ready_at_s=1e9)
+    driver = connected(control, LINK)
+    driver.start(iter(program(1)))
+    driver.poll(5.0)
+    looks = iter([False, True])
+
+    def require() -> None:
+        if next(looks):
+            raise NotAllowedError(Phrase("too late"))
+
+    with pytest.raises(NotAllowedError, match="too late"):
+        driver.command(Unlock(), require)
+    assert [driver.poll(5.0) for _ in range(3)] == [()] * 3
+    assert not control.received
+    driver.command(Unlock())
+    while len(control.received) < len(on_wire(program(1))):
+        driver.poll(5.0)
     assert bytes(control.received) == on_wire(program(1))
 
 

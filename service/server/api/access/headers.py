@@ -9,6 +9,7 @@ from starlette.types import Scope
 from phrases.phrase import Phrase
 from service.http.hosts import is_own_host
 from service.http.problems import Problem
+from service.http.uvicorn_protocol import HEADER_BYTES
 from service.server.api.access.client_address import is_here
 
 _SINGLE = frozenset(
@@ -23,7 +24,7 @@ _SINGLE = frozenset(
         b"causticmill-grant",
     }
 )
-_MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
+_MOST_HEADERS = 100
 
 Headers = dict[bytes, bytes]
 
@@ -63,9 +64,9 @@ def read_secret(headers: Headers) -> str:
 
 def _plain_headers(scope: Scope) -> Headers:
     pairs = scope["headers"]
-    if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
+    if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > HEADER_BYTES:
         raise Problem(
-            431, Phrase("allowed: {count} headers of {most} bytes in all", count=_MOST_HEADERS, most=_MOST_HEADER_BYTES)
+            431, Phrase("allowed: {count} headers of {most} bytes in all", count=_MOST_HEADERS, most=HEADER_BYTES)
         )
     for name, count in Counter(name for name, _ in pairs).items():
         if count > 1 and name in _SINGLE:

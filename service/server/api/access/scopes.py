@@ -14,7 +14,7 @@ from fastapi import Depends, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.types import Scope
 
-from machines.mill.orders import suspend_aware_clock_s
+from machines.clock import suspend_aware_clock_s
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.http.hosts import is_loopback, require_unread

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,10 +19,9 @@ from service.job.picture.colour import _icc, _parametric, _profile_of
 from service.job.picture.decoding import _ADOBE_RGB, _SRGB, Colorimetry
 from service.job.picture.reading import Picture, read_picture, read_wall_photo
 from service.job.spec.model import ImageSpec
+from tests.service.job.picture.samples import SHARES, Array, linear_of
 
-Array = npt.NDArray[Any]
 SIDE = 64
-SHARES = np.array([0.2126, 0.7152, 0.0722])
 RAMP = np.arange(SIDE * SIDE).reshape(SIDE, SIDE) / (SIDE * SIDE - 1)
 COLOURS = np.random.default_rng(3).integers(0, 256, (SIDE, SIDE, 3), dtype=np.uint8)
 P3 = Colorimetry(gamma=2.4, white=(0.3127, 0.3290), red=(0.680, 0.320), green=(0.265, 0.690), blue=(0.150, 0.060))
@@ -31,10 +29,6 @@ LINEAR = Colorimetry(gamma=1.0, white=_SRGB.white, red=_SRGB.red, green=_SRGB.gr
 PROFILES = {"Adobe RGB": _ADOBE_RGB, "P3": P3, "linear": LINEAR, "gamma 1.8": Colorimetry(
     gamma=1.8, white=(0.3457, 0.3585), red=(0.7347, 0.2653), green=(0.1596, 0.8404), blue=(0.0366, 0.0001)
 )}  # fmt: skip
-
-
-def linear_of(values: Array) -> Array:
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
 
 
 def light_of(image: Image.Image) -> Array:

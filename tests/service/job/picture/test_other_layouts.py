@@ -6,29 +6,18 @@ import itertools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import imagecodecs
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from service.errors import PictureError
 from service.job.picture.reading import read_picture
 from service.job.spec.model import ImageSpec
+from tests.service.job.picture.samples import COLUMNS, HUES, ROWS, SHARES, SMOOTH, Array, linear_of
 
-Array = npt.NDArray[Any]
-ROWS, COLUMNS = 24, 40
-_Y, _X = np.mgrid[0:ROWS, 0:COLUMNS]
-GREY = 0.6 * _X / COLUMNS + 0.3 * _Y / ROWS
-HUES = np.stack([GREY, 0.9 * GREY[::-1], GREY], axis=-1)
 INKS = np.concatenate([1.0 - HUES, np.zeros((ROWS, COLUMNS, 1))], axis=-1)
-OPACITY = 0.4 + 0.6 * GREY
-SHARES = np.array([0.2126, 0.7152, 0.0722])
-
-
-def linear_of(values: Array) -> Array:
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
+OPACITY = 0.4 + 0.6 * SMOOTH
 
 
 LIGHT = linear_of(HUES) @ SHARES
@@ -44,18 +33,18 @@ def jpegs() -> Iterator[Row]:
     """None: such a file is refused."""
     encode = imagecodecs.jpeg_encode
     for level in (95, 100):
-        yield f"grey {level}", encode(bytes_of(GREY), level=level), linear_of(GREY)
+        yield f"grey {level}", encode(bytes_of(SMOOTH), level=level), linear_of(SMOOTH)
         yield f"colour {level}", encode(bytes_of(HUES), level=level), LIGHT
         yield f"rgb {level}", encode(bytes_of(HUES), level=level, colorspace="rgb", outcolorspace="rgb"), LIGHT
         for inks in ("cmyk", "ycck"):  # inverted, as Adobe writes them
             file = encode(255 - bytes_of(INKS), level=level, colorspace="cmyk", outcolorspace=inks)
             yield f"{inks} {level}", file, LIGHT
-        yield f"12 bits {level}", encode(bytes_of(GREY, 12), level=level, bitspersample=12), None
+        yield f"12 bits {level}", encode(bytes_of(SMOOTH, 12), level=level, bitspersample=12), None
     for subsampling in ("444", "422", "420", "440"):
         yield subsampling, encode(bytes_of(HUES), level=98, subsampling=subsampling), LIGHT
     yield "lossless", encode(bytes_of(HUES), lossless=True), LIGHT
-    yield "lossless 16", encode(bytes_of(GREY, 16), lossless=True, bitspersample=16), None
-    yield "JPEG LS", imagecodecs.jpegls_encode(bytes_of(GREY)), None
+    yield "lossless 16", encode(bytes_of(SMOOTH, 16), lossless=True, bitspersample=16), None
+    yield "JPEG LS", imagecodecs.jpegls_encode(bytes_of(SMOOTH)), None
 
 
 def webps() -> Iterator[Row]:
@@ -100,7 +89,7 @@ def bmps() -> Iterator[Row]:
         count = 2**bits
         levels = np.arange(count)[:: -1 if turned else 1] * 255 // (count - 1)
         palette = np.stack([levels, levels, levels, np.zeros(count, int)], axis=-1).astype(np.uint8)
-        indices = np.round(GREY * (count - 1)).astype(int)
+        indices = np.round(SMOOTH * (count - 1)).astype(int)
         spread = ((indices[..., None] >> np.arange(bits - 1, -1, -1)) & 1).reshape(ROWS, -1).astype(np.uint8)
         file = bmp(bits, np.packbits(spread, axis=1), palette=palette.tobytes())
         yield f"palette {bits} {turned}", file, linear_of(levels[indices] / 255.0)

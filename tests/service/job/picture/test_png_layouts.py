@@ -11,27 +11,15 @@ from typing import Any
 
 import imagecodecs
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from service.errors import PictureError
 from service.job.picture.reading import Picture, read_picture
 from service.job.spec.model import ImageSpec
 from service.server.api.intake.picture_check import PictureChecker
+from tests.service.job.picture.samples import COLOURS, COLUMNS, GREY, OPACITY, ROWS, SHARES, Array, linear_of
 
-Array = npt.NDArray[Any]
-ROWS, COLUMNS = 24, 40
-_Y, _X = np.mgrid[0:ROWS, 0:COLUMNS]
-GREY = 0.7 * _X / (COLUMNS - 1) + 0.3 * _Y / (ROWS - 1)
-GREY[4:9, 6:20], GREY[14:20, 25:36] = 1.0, 0.0
-COLOURS = np.stack([GREY, GREY[::-1], GREY[:, ::-1]], axis=-1)
-OPACITY = 0.4 + 0.6 * GREY[::-1, ::-1]
-SHARES = np.array([0.2126, 0.7152, 0.0722])
 GREY_TYPE, RGB_TYPE, PALETTE_TYPE, GREY_ALPHA_TYPE, RGBA_TYPE = 0, 2, 3, 4, 6
-
-
-def linear_of(values: Array) -> Array:
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
@@ -135,7 +123,7 @@ NOTES = {
 }
 
 
-@pytest.mark.parametrize(("note", "after"), itertools.product(NOTES, (False, True)))
+@pytest.mark.parametrize(("note", "after"), list(itertools.product(NOTES, (False, True))))
 def test_notes_of_any_length_never_stop_a_good_picture(tmp_path: Path, note: str, after: bool) -> None:
     extra = () if after else (NOTES[note],)
     file = png(*GOOD, *extra, after=NOTES[note] if after else b"")

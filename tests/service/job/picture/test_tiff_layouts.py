@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import tifffile
 from PIL import Image
@@ -22,20 +21,20 @@ from service.job.picture.limits import OWN_PICTURE
 from service.job.picture.reading import Picture, read_picture
 from service.job.spec.model import ImageSpec
 from service.server.api.intake.picture_check import PictureChecker
+from tests.service.job.picture.samples import (
+    COLOURS,
+    COLUMNS,
+    GREY,
+    HUES,
+    OPACITY,
+    ROWS,
+    SHARES,
+    SMOOTH,
+    Array,
+    linear_of,
+)
 
-Array = npt.NDArray[Any]
 pytestmark = pytest.mark.filterwarnings("ignore")  # tifffile on what it dislikes
-ROWS, COLUMNS = 24, 40
-_Y, _X = np.mgrid[0:ROWS, 0:COLUMNS]
-GREY = 0.7 * _X / (COLUMNS - 1) + 0.3 * _Y / (ROWS - 1)
-GREY[4:9, 6:20], GREY[14:20, 25:36] = 1.0, 0.0
-COLOURS = np.stack([GREY, GREY[::-1], GREY[:, ::-1]], axis=-1)
-OPACITY = 0.4 + 0.6 * GREY[::-1, ::-1]
-SHARES = np.array([0.2126, 0.7152, 0.0722])
-
-
-def linear_of(values: Array) -> Array:
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,16 +187,14 @@ def others() -> Iterator[Case]:
 
 
 def photographic() -> Iterator[Case]:
-    """Smooth, for these compressions keep no edges."""
-    smooth = 0.6 * _X / COLUMNS + 0.3 * _Y / ROWS
-    hues = np.stack([smooth, 0.9 * smooth[::-1], smooth], axis=-1)
+    """Smooth pictures, for these compressions keep no edges."""
     for kind, order, compression, tile in itertools.product(
         ("uint8", "uint16"), "<>", ("jpeg", "webp", "jpeg2000", "jpegxl", "jpegxr", "lerc", "png"), (None, (16, 16))
     ):
         for photometric, values, more in (
-            ("minisblack", smooth, {}), ("miniswhite", smooth, {}), ("rgb", hues, {}),
-            ("rgb", hues, {"planarconfig": "separate"}), ("ycbcr", hues, {}),
-            ("ycbcr", hues, {"subsampling": (2, 2)}), ("ycbcr", hues, {"subsampling": (2, 1)}),
+            ("minisblack", SMOOTH, {}), ("miniswhite", SMOOTH, {}), ("rgb", HUES, {}),
+            ("rgb", HUES, {"planarconfig": "separate"}), ("ycbcr", HUES, {}),
+            ("ycbcr", HUES, {"subsampling": (2, 2)}), ("ycbcr", HUES, {"subsampling": (2, 1)}),
         ):  # fmt: skip
             data = stored(values, kind)
             yield Case(
@@ -257,6 +254,11 @@ def test_each_layout_is_read_with_its_tones_or_refused_by_name(tmp_path: Path, c
     ("options", "refused"),
     [
         ({"bigtiff": True}, None),
+        ({"bigtiff": True, "byteorder": ">"}, "stores BigTIFF, big-endian"),
+        ({"byteorder": ">"}, None),
+        ({"beginning": b"II\0*"}, None),
+        ({"beginning": b"II\0*", "tag": (339, 4)}, "sample format 4"),
+        ({"beginning": b"MM*\0", "byteorder": ">", "tag": (266, 2)}, "fill order 2"),
         ({"rowsperstrip": 1}, None),
         ({"rowsperstrip": 7}, None),
         ({"tag": (266, 2)}, "fill order 2"),
@@ -268,9 +270,11 @@ def test_other_tags_are_obeyed_or_refused(tmp_path: Path, options: dict[str, Any
     file, more = tmp_path / "a.tif", dict(options)
     code, value = more.pop("tag", (65000, 0))
     more["extratags"] = [(65000, 3, 1, value, True)]
-    with tifffile.TiffWriter(file, bigtiff=bool(more.pop("bigtiff", False))) as writer:
+    beginning, size, order = more.pop("beginning", b""), more.pop("bigtiff", False), more.pop("byteorder", "<")
+    with tifffile.TiffWriter(file, bigtiff=size, byteorder=order) as writer:
         writer.write(stored(GREY, "uint16"), metadata=None, photometric="minisblack", **more)
-    file.write_bytes(retagged(file.read_bytes(), code))
+    content = retagged(file.read_bytes(), code)
+    file.write_bytes(beginning + content[len(beginning) :])
     if refused:
         with pytest.raises(PictureError, match=refused):
             read(file)

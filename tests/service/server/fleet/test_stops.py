@@ -18,11 +18,12 @@ from typing import Any
 import httpx
 import pytest
 from wsproto import ConnectionType, WSConnection
-from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
+from wsproto.events import AcceptConnection, BytesMessage, CloseConnection, RejectConnection, Request, TextMessage
 
+from machines.clock import suspend_aware_clock_s
 from machines.errors import MachineError
 from machines.journal.disk import RealFile
-from machines.mill.orders import Caller, Stop, suspend_aware_clock_s
+from machines.mill.orders import Caller, Stop
 from service.milling.agent.mill_access import MillAccess
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
@@ -156,7 +157,9 @@ def test_who_may(floor: Shop) -> None:
 class StopSocket:
     """A page's own way for stops."""
 
-    def __init__(self, port: int, *, origin: str = "", token: str = "", more: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, port: int, *, origin: str = "", token: str | None = "", more: dict[str, str] | None = None
+    ) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         self._ws = WSConnection(ConnectionType.CLIENT)
         headers = [(b"Origin", (origin or f"http://127.0.0.1:{port}").encode())]
@@ -164,11 +167,14 @@ class StopSocket:
         self._send(Request(host=f"127.0.0.1:{port}", target="/v1/stops", extra_headers=headers))
         self._events: list[Any] = []
         self.accepted = isinstance(self._next(), AcceptConnection)
-        if self.accepted:
+        if self.accepted and token is not None:
             self.say({"token": token})
 
     def say(self, values: object) -> None:
         self._send(TextMessage(json.dumps(values)))
+
+    def say_bytes(self, data: bytes) -> None:
+        self._send(BytesMessage(data))
 
     def hear(self) -> Any:
         """What comes next but beats; the code of a close."""
@@ -192,6 +198,18 @@ class StopSocket:
             self._ws.receive_data(self._socket.recv(65536) or None)
             self._events += [event for event in self._ws.events() if isinstance(event, wanted)]
         return self._events.pop(0)
+
+
+@pytest.mark.parametrize("token", ["", None])
+def test_a_socket_that_sends_bytes_is_closed_and_no_fault_of_ours(
+    floor: Shop, caplog: pytest.LogCaptureFixture, token: str | None
+) -> None:
+    with contextlib.closing(StopSocket(floor.server.port, token=token)) as page:
+        if token is not None:
+            assert page.hear() == {"ready": True}
+        page.say_bytes(b"\0")
+        assert page.hear() == 1000
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 def test_a_socket_of_its_own_stops_the_mill(floor: Shop) -> None:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from service.http.listener import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
+from service.server import serving
 from service.server.fleet.agent_links import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
 from service.server.standby.app import StandbyApp
+from service.server.standby.line import ApiWatch
 from service.server.standby.main import Standby
 from service.server.stoppers import FILE, Stopper, StopperFile, hash_secret, read_stoppers, write_stoppers
 from service.settings import ServerSettings
@@ -45,6 +49,12 @@ class Alone:
 
 @pytest.fixture
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Alone]:
+    with run_alone(tmp_path, monkeypatch) as alone:
+        yield alone
+
+
+@contextlib.contextmanager
+def run_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Alone]:
     own_folders(monkeypatch, tmp_path)
     data, listing, key = tmp_path / "data", tmp_path / "agents.toml", tmp_path / "token"
     data.mkdir()
@@ -55,24 +65,28 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Alone]:
         listing.write_text(f'[[agents]]\nmachine = "far"\nurl = "{agent.url}"\ntoken_file = "token"\n')
         settings = ServerSettings(data=data, agents_file=listing)
         line, api = make_line()
-        loop, over = asyncio.new_event_loop(), asyncio.Event()
+        loop, over, listens = asyncio.new_event_loop(), asyncio.Event(), threading.Event()
 
         async def serve() -> None:
             links = AgentLinks(settings)
             app = StandbyApp(settings, MachineStops(links), StopperFile(data / FILE))
             standby = Standby(app, listener, line)
+            listens.set()
             await over.wait()
             standby.close()
             await links.close()
 
         thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
         thread.start()
-        yield Alone(f"http://127.0.0.1:{listener.getsockname()[1]}", data, agent, api)
-        loop.call_soon_threadsafe(over.set)
-        thread.join(PATIENCE_S)
-        loop.close()
-        for end in (line, api):
-            end.close()
+        assert listens.wait(PATIENCE_S)
+        try:
+            yield Alone(f"http://127.0.0.1:{listener.getsockname()[1]}", data, agent, api)
+        finally:
+            loop.call_soon_threadsafe(over.set)
+            thread.join(PATIENCE_S)
+            loop.close()
+            for end in (line, api):
+                end.close()
 
 
 def test_it_stops_a_mill_and_a_run_without_api_and_database(alone: Alone) -> None:
@@ -119,6 +133,42 @@ def test_what_is_no_stop_waits_for_the_api_and_is_handed_over_whole(alone: Alone
             assert connection.recv(100) == b", and its end"
             connection.sendall(b"HTTP/1.1 202 Accepted\r\n\r\n")
         assert caller.recv(100).startswith(b"HTTP/1.1 202")
+
+
+def test_a_connection_that_was_closed_meanwhile_is_not_handed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next caller has the number of its descriptor by then, and would get an answer that was meant for another."""
+    held, hand_over = [], ApiWatch.hand_over
+
+    def note(self: ApiWatch, connection: int, come: bytes, within_s: float) -> Coroutine[Any, Any, bool]:
+        held.append(come)
+        return hand_over(self, connection, come, within_s)
+
+    monkeypatch.setattr(ApiWatch, "hand_over", note)
+    monkeypatch.setattr(serving, "_STRANGERS", 1)
+    half = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{}"
+    with run_alone(tmp_path, monkeypatch) as alone, contextlib.ExitStack() as stack:
+        callers = []
+        for name in ("first", "second", "third"):
+            address = ("127.0.0.1", int(alone.url.rpartition(":")[2]))
+            caller = stack.enter_context(socket.create_connection(address, timeout=PATIENCE_S))
+            caller.sendall(half.format(name).encode())
+            callers.append(caller)
+            until(lambda: len(held) == len(callers), what="the request at the standby")
+            for before in callers[:-1]:
+                with contextlib.suppress(ConnectionError):
+                    assert before.recv(100) == b"", "it had to make room"
+        say(alone.api, SERVING)
+        alone.api.settimeout(PATIENCE_S)
+        come, descriptors, _, _ = socket.recv_fds(alone.api, 100_000, 1)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        assert come.endswith(b"third")
+        assert alone.post(HOLD).status_code == 202  # by now anything else would have been handed over
+        alone.api.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            alone.api.recv(100_000)
 
 
 def test_it_accepts_nobody_while_the_api_serves_and_takes_over_where_that_falls_silent(alone: Alone) -> None:
