@@ -25,7 +25,7 @@ from tests.service.server.fleet.order_world import World
 STORIES = ("weather",) * 7 + ("disk",) * 6 + ("disk and weather",) * 2 + ("overtaken",) * 3 + ("stale",) * 2
 """Of a press: bad weather between all, a disk that hangs, a stop that overtakes the order, or another setup by then."""
 HANGS_S = (1.0, 4.0, 9.0, 15.0, 15.0, 20.0)
-HUNG_WRITES = (0, 0, 0, 1, 1, 2, 3, 4, 5, 6, 7)  # a resume writes once; a start has written 8 times when the mill cuts
+HUNG_WRITES, HUNG_AT_ONCE = range(9), (0, 0, 1)  # a start has written 8 times when the mill cuts, a resume once
 HUNG_ORDERS = ("start", "start", "recover", "resume run", "resume", "probe", "override", "jog")
 DELAYS_S = (0.05, 0.4, 1.2, 1.9, 2.5, 3.5, 6.0, 11.0, 40.0)
 STALLS_S = (0.0,) * 8 + (0.5, 4.0, 9.0, 20.0)
@@ -103,7 +103,8 @@ class OrderHistory:
             if (crowd := chance.choice((None,) * 10 + ("strangers", "strangers", "at work"))) is not None:
                 world.crowd_server(strangers=crowd == "strangers")
         if "disk" in story:
-            world.hang_in, world.hang_s = chance.choice(HUNG_WRITES), chance.choice(HANGS_S)
+            world.hang_in = chance.choice(HUNG_WRITES if what in ("start", "recover") else HUNG_AT_ONCE)
+            world.hang_s = chance.choice(HANGS_S)
         if story == "overtaken":  # the asking for a grant, by a stop that leaves the mill ready for the order
             late = {chance.choice((0, 2) if way == "page" else (2,)): chance.choice((0.4, 1.2, 1.9))}
             event = Stop.HOLD if what.startswith("resume") else Stop.JOG_CANCEL
