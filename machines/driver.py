@@ -401,7 +401,7 @@ no wait comes between. It calls it once more after the write, and holds the mill
 """
 
 
-def unconditional() -> None:
+def allow_always() -> None:
     """Allow it: it moves nothing, or who asks for it sits at the mill's own terminal."""
 
 

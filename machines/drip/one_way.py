@@ -27,7 +27,7 @@ from machines.driver import (
     Stopped,
     StreamProgress,
     TrustPosition,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
 from phrases.phrase import Phrase
@@ -126,7 +126,7 @@ class OneWayDriver:
     def urge(self, stop: str) -> bool:
         return False  # a one-way link has no byte that stops: the owner stops feeding
 
-    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         if self.status.state is not MillState.IDLE:
             raise NotAllowedError(
                 Phrase("a program can start only when the link is idle, it is {state}", state=self.status.state.words)
@@ -152,7 +152,7 @@ class OneWayDriver:
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
 
-    def resume(self, require: Require = unconditional) -> None:
+    def resume(self, require: Require = allow_always) -> None:
         if self._feed is None or not self._held:
             raise NotAllowedError(
                 Phrase("there is nothing to resume: the link is {state}", state=self.status.state.words)
@@ -204,7 +204,7 @@ class OneWayDriver:
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.IDLE, words)
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
                 Phrase(

@@ -14,7 +14,7 @@ from machines.driver import (
     ProgramLine,
     Require,
     StreamProgress,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.commands import JOG_CANCEL
@@ -110,7 +110,7 @@ class GrblDriver:
             return True
         return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
 
-    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         """Stream these blocks; the first of them are read from the disk before the last look at the order."""
         session, now_s = self._session, self._port.clock()
         session.start(lines, now_s)
@@ -127,7 +127,7 @@ class GrblDriver:
         self._session.hold(self._port.clock())
         self._write_urgent()
 
-    def resume(self, require: Require = unconditional) -> None:
+    def resume(self, require: Require = allow_always) -> None:
         require()
         self._session.resume(self._port.clock())
         self._send_order(self._session.output(self._port.clock()), require)
@@ -140,7 +140,7 @@ class GrblDriver:
         """Write now what is for now, not at the next poll."""
         self._write_now(self._session.urgent_output(self._port.clock()))
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         require()
         self._session.command(command, self._port.clock(), require)
         self._send_order(self._session.output(self._port.clock()), require)

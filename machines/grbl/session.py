@@ -27,7 +27,7 @@ from machines.driver import (
     Require,
     Reset,
     StateChanged,
-    unconditional,
+    allow_always,
 )
 from machines.errors import NotAllowedError
 from machines.grbl import replies
@@ -227,7 +227,7 @@ class GrblSession:
     def abort(self, now_s: float) -> None:
         self.stops.abort(now_s)
 
-    def command(self, command: Command, now_s: float, require: Require = unconditional) -> None:
+    def command(self, command: Command, now_s: float, require: Require = allow_always) -> None:
         """Begin a command; ends with CommandDone. require : holds what it sends later, until something acts"""
         state, link = self.reporter.state, self.link
         seen, silent = link.view, link.offers_reset

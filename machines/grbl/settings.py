@@ -165,10 +165,10 @@ def list_frame_changes(before: Mapping[int, str], now: Mapping[int, str]) -> tup
     Nothing can be said of what the controller has not told both times.
     """
     told = ((number, before[number], now[number]) for number in sorted(FRAME_SETTINGS & before.keys() & now.keys()))
-    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _equal(was, is_now))
+    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _is_equal(was, is_now))
 
 
-def _equal(before: str, now: str) -> bool:
+def _is_equal(before: str, now: str) -> bool:
     try:
         return float(before) == float(now)
     except ValueError:

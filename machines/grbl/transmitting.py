@@ -66,7 +66,7 @@ class Transmitter:
     def take_urgent(self, now_s: float) -> bytes:
         """Return the realtime bytes that wait, and a command's line behind them. Waits for nothing."""
         link = self.link
-        self.commands.override.put_step()
+        self.commands.override.queue_step()
         if not link.urgent and not link.text:
             return b""
         data = bytes(link.urgent) + bytes(link.text)

@@ -12,7 +12,7 @@ _AXES = frozenset("XYZ")
 _REPORTS_TO_ALL = 40  # by then GRBL has reported every field twice; a firmware that leaves one out never does
 
 
-def counts_on(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
+def has_kept_count(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
     """Return whether a mill that stood at one machine coordinate and stands at another has kept its count for certain.
 
     The same place, not zero: a controller that lost its power counts from 0,0,0.
@@ -80,7 +80,7 @@ class MachineView:
         kept = self._kept_by_reset
         if before is not None and now is not None:
             stays = all(abs(a - b) <= tolerance_mm for a, b in zip(before, now, strict=True))
-            kept = (kept and stays) or counts_on(before, now, tolerance_mm)
+            kept = (kept and stays) or has_kept_count(before, now, tolerance_mm)
         self._stood_mm = None
         if not kept:
             self.lose_position()

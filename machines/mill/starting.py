@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.codes import MillCode
-from machines.driver import Driver, MillState, ProgramLine, TrustPosition, unconditional
+from machines.driver import Driver, MillState, ProgramLine, TrustPosition, allow_always
 from machines.errors import JournalError, MachineError, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
@@ -162,7 +162,7 @@ class RunStarter:
         """Make the place where the operator's word for the zero was given the reference from here on."""
         if not driver.status.position_trusted:
             try:
-                driver.command(TrustPosition(), unconditional)
+                driver.command(TrustPosition(), allow_always)
             except NotAllowedError as error:
                 self.context.log.say(
                     "notice", Phrase("the position could not be confirmed: {error}", error=error.words)

@@ -7,7 +7,7 @@ from typing import Any
 
 from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
-from machines.grbl.view import counts_on
+from machines.grbl.view import has_kept_count
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Need, Present
 from phrases.phrase import Phrase
@@ -104,7 +104,7 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
     if not record.get("position_trusted"):
         return "unconfirmed"
     left_mm = record.get("stood_mm") or record.get("machine_mm")
-    if counts_on(left_mm, status.machine_mm, _PLACE_MM) or never_restarted(
+    if has_kept_count(left_mm, status.machine_mm, _PLACE_MM) or never_restarted(
         present.parser_state, record.get("state_before")
     ):
         return ""

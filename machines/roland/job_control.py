@@ -17,7 +17,7 @@ from machines.driver import (
     StatusChannel,
     Stopped,
     StreamProgress,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, PortError
 from machines.roland.block_feed import BlockFeed, FeedFault
@@ -117,7 +117,7 @@ class JobControl:
         self._held = self._aborting = False
         self._channel.end_stream()
 
-    def turn(self, device: Mdx40aDevice, require: Require = unconditional) -> None:
+    def turn(self, device: Mdx40aDevice, require: Require = allow_always) -> None:
         """Take back what the mill has counted, and send the next block where one may go, and `require` lets it."""
         feed = self.feed
         if feed is None or self._aborting:

@@ -62,7 +62,7 @@ class Admission:
         if len(self._waiting) > self.strangers:
             next(iter(self._waiting)).close()
 
-    def _await_nothing(self, place: Place) -> None:
+    def _stop_waiting(self, place: Place) -> None:
         self._waiting.pop(place, None)
 
     def _leave(self, place: Place) -> None:
@@ -93,31 +93,31 @@ class Place:
 
     def await_request(self) -> None:
         """Wait for a request, from now on and for a fixed time."""
-        self.await_nothing()
+        self.stop_waiting()
         self.is_stop, self.is_awaited = False, True
         self._timer = asyncio.get_running_loop().call_later(self._admission.wait_s, self.close)
         if not self.is_known:
             self._admission._await(self)
 
-    def await_nothing(self) -> None:
+    def stop_waiting(self) -> None:
         """The request is here."""
         if self._timer is not None:
             self._timer.cancel()
         self.is_awaited = False
-        self._admission._await_nothing(self)
+        self._admission._stop_waiting(self)
 
-    def answer_stop(self) -> None:
-        self.await_nothing()
+    def note_stop(self) -> None:
+        self.stop_waiting()
         self.is_stop = True
 
     def identify(self) -> None:
         """The caller has shown a token."""
         self.is_known = True
-        self.await_nothing()
+        self.stop_waiting()
 
     def leave(self) -> None:
         """The connection is lost."""
-        self.await_nothing()
+        self.stop_waiting()
         self._admission._leave(self)
 
     def close(self) -> None:

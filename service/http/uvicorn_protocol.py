@@ -56,12 +56,12 @@ class HttpServer(uvicorn.Server):
             acceptor.close()
         await super().shutdown(sockets)
 
-    def begin(self, connection: socket.socket, come: bytes = b"") -> None:
-        """Serve a connection. come: what another process has read of it."""
+    def begin(self, connection: socket.socket, received: bytes = b"") -> None:
+        """Serve a connection. received: what another process has read of it"""
         protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
             config=self.config, server_state=self.server_state, app_state=self.lifespan.state
         )
-        protocol.first_data = come
+        protocol.first_data = received
         begin_connection(protocol, connection, self._beginnings)
 
 
@@ -136,6 +136,6 @@ class ProblemProtocol(H11Protocol):
         if self.cycle is None or self.cycle.response_complete:
             return
         if is_stop(self.scope["method"], self.scope["path"]):
-            self._place.answer_stop()
+            self._place.note_stop()
         elif self._place.is_known or not self.cycle.more_body:
-            self._place.await_nothing()
+            self._place.stop_waiting()

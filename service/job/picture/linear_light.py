@@ -100,7 +100,7 @@ class ToneReader:
             values = 1.0 - values
         if strip.mode == "F":
             return values
-        linear = self._linearise(self.conversion.greys(values))
+        linear = self._linearise(self.conversion.convert_greys(values))
         clear = self.picture.image.info.get("transparency")
         return np.where(raw == clear, 1.0, linear) if isinstance(clear, int) else linear
 
@@ -108,8 +108,8 @@ class ToneReader:
         """Return the light of L, RGB or CMYK pixels."""
         steps = np.arange(256) / 255.0
         if image.mode == "L":
-            return np.asarray(self._linearise(self.conversion.greys(steps))[np.asarray(image)])
-        pixels, table = np.asarray(self.conversion.colours(image)), self._linearise(steps)
+            return np.asarray(self._linearise(self.conversion.convert_greys(steps))[np.asarray(image)])
+        pixels, table = np.asarray(self.conversion.convert_colours(image)), self._linearise(steps)
         result = np.zeros(pixels.shape[:2])
         for channel, share in enumerate(_LUMINANCE):
             result += (share * table)[pixels[..., channel]]

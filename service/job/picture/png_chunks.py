@@ -56,7 +56,7 @@ def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
         if at + 12 + length > end or not kind.isalpha():
             break
         if kind == b"iCCP" and chunks.profile is None:
-            chunks.profile = _profile_of(file.read(min(length, _PROFILE_BYTES)))
+            chunks.profile = _read_profile(file.read(min(length, _PROFILE_BYTES)))
         elif kind == b"cICP":
             _require_srgb(file.read(min(length, 4)), name)
             chunks.is_srgb = True
@@ -69,7 +69,7 @@ def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
     return chunks
 
 
-def _profile_of(chunk: bytes) -> bytes:
+def _read_profile(chunk: bytes) -> bytes:
     _, _, rest = chunk.partition(b"\0")
     inflate = zlib.decompressobj()
     try:

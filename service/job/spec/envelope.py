@@ -37,7 +37,7 @@ def find_beyond_travel(
     stock, optics = spec.stock, spec.optics
     sides = (("optics.width_mm", "X", optics.width_mm), ("optics.height_mm", "Y", optics.height_mm))
     for number, (key, axis, side_mm) in enumerate(sides):
-        beside_mm, what = max(_overhangs(spec, machine, radii_mm, axis), key=lambda one: one[0])
+        beside_mm, what = max(_list_overhangs(spec, machine, radii_mm, axis), key=lambda one: one[0])
         need_mm, have_mm = side_mm + 2 * beside_mm, machine.travel_mm[number]
         if need_mm <= have_mm + _ROUNDING_MM:
             continue
@@ -72,7 +72,7 @@ def find_beyond_travel(
         yield ("machine.travel_mm.2", words), None
 
 
-def _overhangs(
+def _list_overhangs(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], axis: str
 ) -> Iterator[tuple[float, Phrase]]:
     """Yield how far beyond the lens something moves at either side, and what."""

@@ -39,8 +39,8 @@ class MachineStops:
             known = await self._find_present_link(machine, None)
             answer = await require_answer(known.send_urgent(path, headers=context.headers()), stop)
             return make_order_view(machine, stop.value, answer)
-        sending = self._go_on(known.send_urgent(path, headers=context.headers()))
-        present = self._go_on(self._stop_present(machine, known, path, context))
+        sending = self._start_task(known.send_urgent(path, headers=context.headers()))
+        present = self._start_task(self._stop_present(machine, known, path, context))
         await asyncio.wait({present}, timeout=_LOOK_S)
         waiting: set[asyncio.Future[Any]] = {sending, present}
         await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -53,7 +53,7 @@ class MachineStops:
     ) -> asyncio.Future[Json] | None:
         """Send the stop to where the mill's agent is now; None where that is the known one."""
         present = await self._find_present_link(machine, known)
-        return None if present is known else self._go_on(present.send_urgent(path, headers=context.headers()))
+        return None if present is known else self._start_task(present.send_urgent(path, headers=context.headers()))
 
     async def stop_run_anywhere(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
         """Stop a run at whatever mill it is; return it as its agent has it. Problem 404, 409, 503, 504."""
@@ -80,7 +80,7 @@ class MachineStops:
 
     async def _find_present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """Return the link by the profiles as they are now; the known one where that takes too long."""
-        looking = self._go_on(self._links.renew_link(machine))
+        looking = self._start_task(self._links.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
         if not looking.done() or (known is not None and looking.exception() is not None):
             assert known is not None
@@ -91,7 +91,7 @@ class MachineStops:
         known, _ = await self._links.list_machines()
         return [self._links.get_link(machine) for machine in known.values()]
 
-    def _go_on(self, work: Awaitable[T]) -> asyncio.Future[T]:
+    def _start_task(self, work: Awaitable[T]) -> asyncio.Future[T]:
         task = asyncio.ensure_future(work)
         self._behind.add(task)
         task.add_done_callback(self._forget)

@@ -31,16 +31,16 @@ class ApiWatch:
         self._silence: asyncio.TimerHandle | None = None
         self._loop.add_reader(line, self._read)
 
-    async def hand_over(self, connection: int, come: bytes, within_s: float) -> bool:
+    async def hand_over(self, connection: int, received: bytes, within_s: float) -> bool:
         """Hand a connection to the API once it serves; return whether that was so in time."""
-        if len(come) > LINE_BYTES:
+        if len(received) > LINE_BYTES:
             return False
         with contextlib.suppress(TimeoutError, OSError):
             async with asyncio.timeout(within_s):
                 while True:
                     await self._serves.wait()
                     with contextlib.suppress(BlockingIOError):
-                        socket.send_fds(self._line, [come], [connection])
+                        socket.send_fds(self._line, [received], [connection])
                         return True
                     await asyncio.sleep(_AGAIN_S)
         return False
@@ -59,14 +59,14 @@ class ApiWatch:
             self._on_change(serves)
 
 
-def take_over(line: socket.socket, begin: Callable[[socket.socket, bytes], None]) -> None:
+def receive_connections(line: socket.socket, begin: Callable[[socket.socket, bytes], None]) -> None:
     """Call `begin` with every connection that the standby hands over, from now on: the API's end of the line."""
 
     def read() -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
-                come, descriptors, _, _ = socket.recv_fds(line, LINE_BYTES, 1)
+                received, descriptors, _, _ = socket.recv_fds(line, LINE_BYTES, 1)
                 for descriptor in descriptors:
-                    begin(socket.socket(fileno=descriptor), come)
+                    begin(socket.socket(fileno=descriptor), received)
 
     asyncio.get_running_loop().add_reader(line, read)

@@ -38,8 +38,8 @@ class _Crowd:
         elif self.open:
             place, _ = self.open[which % len(self.open)]
             steps = {
-                "is heard": place.await_nothing,
-                "stops": place.answer_stop,
+                "is heard": place.stop_waiting,
+                "stops": place.note_stop,
                 "is known": place.identify,
                 "is answered": place.await_request,
                 "goes": place.leave,
