@@ -160,9 +160,9 @@ class OneWayDriver:
         self._send_order(self._feed, require)
 
     def _send_order(self, feed: ByteFeed, require: Require) -> None:
-        """Hand over the first bytes of an order now, where the far end takes any; MachineError where it is too late.
+        """Write the first bytes of an order now, if the far end takes bytes. Raise MachineError if it is too late.
 
-        Where it takes none, a person at its panel lets it ask for them.
+        If it takes none now, the bytes leave when a person at its panel lets it ask for them.
         """
         now_s = self._port.clock()
         room = self._pace.room(now_s) if self._may_send() else 0
@@ -239,7 +239,7 @@ class OneWayDriver:
         return self._pace.wait_s(now_s, self._pace.most_queued // 2)
 
     def _take_piece(self, feed: ByteFeed, room: int, now_s: float) -> bytes:
-        """Return the next bytes of the program, at most `room`; none where it cannot be read: then it has ended."""
+        """Return the next bytes of the program, at most `room`. If it cannot be read, end it and return none."""
         try:
             return feed.take(room) if room else b""
         except (MachineError, OSError) as error:

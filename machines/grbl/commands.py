@@ -132,7 +132,7 @@ class CommandChannel:
         self._advance(answer, now_s)
 
     def take_odd_line(self, raw: bytes) -> None:
-        """Keep a line that no controller says: it tells why nothing else answers."""
+        """Keep a line that no controller sends: it shows why there is no other answer."""
         self._odd = raw
 
     def take_report(self, report: Status, now_s: float) -> None:

@@ -111,7 +111,7 @@ class GrblDriver:
         return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
 
     def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
-        """Stream these blocks; the first of them are read from the disk before the last look at the order."""
+        """Stream these blocks. Read the first of them from the disk before the last check of the order."""
         session, now_s = self._session, self._port.clock()
         session.start(lines, now_s)
         self._write_urgent()
@@ -146,9 +146,9 @@ class GrblDriver:
         self._send_order(self._session.output(self._port.clock()), require)
 
     def _send_order(self, first: bytes, require: Require) -> None:
-        """Write the first bytes of an order that has just been found to be for now.
+        """Write the first bytes of an order that `require` has just allowed.
 
-        A stop that is counted after that look may have written its byte before these: then one more follows them.
+        A stop that comes after that check may have written its byte before these bytes: then send one more hold.
         """
         self._write_now(first)
         try:

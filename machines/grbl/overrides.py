@@ -107,7 +107,7 @@ class OverrideControl:
             self._reports = -self.link.reports_under_way
 
     def queue_step(self) -> None:
-        """Put the step that waits among the bytes that are written next; none where it may not be carried out now."""
+        """Queue the waiting step for the next write. End the override if the order may not be carried out any more."""
         if not self._step:
             return
         step, self._step = self._step, b""

@@ -110,7 +110,7 @@ def check_way_in(
 
 
 def _keep_lines(reader: ProgramReader, lines: list[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """Yield the program's lines, and keep those that are taken."""
+    """Yield the program's lines and append each to `lines`."""
     with suppress(ProgramChangedError):  # the run says so when it comes to that piece, and sends nothing of it
         for line in reader.lines(1):
             lines.append((line.number, line.text))

@@ -203,8 +203,8 @@ class RunStarter:
     ) -> None:
         """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover.
 
-        The driver looks at the order for the last time when nothing but its write is left. What is noted of other runs
-        comes afterwards: it may wait for a disk.
+        The driver checks the order for the last time just before it writes. Notes about other runs come afterwards, as
+        they may wait for a disk.
         """
         if self.context.runs.active is not None and self.context.runs.active is not run:
             self.context.runs.active.let_go()

@@ -1,10 +1,10 @@
-"""The rules that a program keeps on a mill, in one table: for `check`, for a job's last look, and before every start.
+"""The rules that a program must keep on a mill, in one table: for `check`, the end of a job, and every start.
 
-Each row judges one `Reading` of the whole program. What it says is a refusal, a fault or a warning:
-    REFUSE  no mill is sent the program
-    FAULT   `check` and a job fail; before a start it is among the warnings that a person reads, as who wrote the
-            program by hand may want it so. The way in is judged once more then, from where the tool stands.
-    WARN    worth knowing
+Each row judges one `Reading` of the whole program. A broken rule means one of three things:
+    REFUSE  the program is never sent to a mill
+    FAULT   `check` and a job fail; before a start it is a warning, as the author of a program may want it so. The way
+            in is judged once more then, from where the tool stands.
+    WARN    a person should know it
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Rule:
 
 
 def judge_program(reading: Reading) -> tuple[Finding, ...]:
-    """Return what the program breaks of RULES; ProgramRefusedError for the first that no mill may be sent."""
+    """Return a finding for each of RULES that the program breaks; ProgramRefusedError at the first of REFUSE."""
     found = []
     for rule in RULES:
         if (words := rule.judge(reading)) is None:
@@ -118,7 +118,7 @@ def _judge_event(slot: int, words: Phrase) -> Callable[[Reading], Phrase | None]
 
 
 def _judge_travel(reading: Reading) -> Phrase | None:
-    """A program that is larger than the machine, wherever its zero may be put."""
+    """Refuse a program that is larger than the travel: no work zero makes it fit."""
     limits = reading.limits
     for frame, box in reading.boxes.items():
         for axis, name in enumerate(_AXES):
@@ -139,7 +139,7 @@ def _judge_travel(reading: Reading) -> Phrase | None:
 
 
 def _judge_spindle_of_control(reading: Reading) -> Phrase | None:
-    """A control that faults on a speed that it has not."""
+    """Refuse a speed at which the control itself would fault."""
     (low, high), spindle, dialect = reading.limits.spindle_rpm, reading.spindle_rpm, reading.dialect
     if dialect is None or not dialect.spindle_first or spindle is None or (low <= spindle[0] and spindle[1] <= high):
         return None
@@ -163,7 +163,7 @@ def _judge_way_in(reading: Reading) -> Phrase | None:
 
 
 def _judge_way_out(reading: Reading) -> Phrase | None:
-    """The next program, or a hand on the jog keys, goes across from where this one leaves the tool."""
+    """Require that the tool ends at a safe height: the next program, or a jog, goes across from there."""
     limits, z_mm, machine_z_mm = reading.limits, reading.last_z_mm, reading.last_machine_z_mm
     if not reading.motions or z_mm >= limits.safe_z_mm - _ROUNDING_MM:
         return None
@@ -274,7 +274,7 @@ def _judge_numbers(reading: Reading) -> Phrase | None:
 
 
 def _judge_link(reading: Reading) -> Phrase | None:
-    """What the link carries of the feed, where the mill stands for much of its time waiting for lines."""
+    """Warn if the mill waits for lines for much of its time, with the feed that the link carries."""
     limits, feeds = reading.limits, reading.feeds_mm_per_min
     if feeds is None or not reading.path_length_mm > 0 or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
         return None

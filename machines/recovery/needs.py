@@ -88,9 +88,9 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
     """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut.
 
-    The one judgement, on a link that has seen everything as on a new one. What proves that a controller which was out
-    of sight has kept its count: feed or spindle are set still, or it stands where it was left. Other settings of the
-    frame are in doubt even on a mill that was homed since: what is cut already was cut by the old ones.
+    Every link is judged here alike, old or new. Two things prove that a controller has kept its count while nobody
+    watched it: its feed or spindle is still set, or it stands where it was left. Changed settings of the frame leave
+    doubt even after homing: the part was cut with the old ones.
     """
     if present.frame_changes:
         return "settings"

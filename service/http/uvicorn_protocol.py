@@ -28,7 +28,7 @@ VERSION_HEADER = "Causticmill-Version"  # with every answer
 
 
 def allow_open_files(most: int) -> int:
-    """Raise this process's limit of open files to `most`, or as far as it may; return what it is then."""
+    """Raise this process's limit of open files to `most`, or as far as it may. Return the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     if soft != resource.RLIM_INFINITY and soft < most:

@@ -39,13 +39,13 @@ class Conversion:
     colour: ImageCms.ImageCmsTransform | None = None
 
     def convert_greys(self, values: Array) -> Array:
-        """Return what values in [0, 1] are in sRGB."""
+        """Convert grey values in [0, 1] to sRGB values."""
         if self.grey is None:
             return values
         return np.asarray(self.grey[np.rint(values * _STEPS).astype(np.uint16)])
 
     def convert_colours(self, image: Image.Image) -> Image.Image:
-        """Return RGB or CMYK pixels as sRGB."""
+        """Convert RGB or CMYK pixels to sRGB."""
         return image.convert("RGB") if self.colour is None else self.colour.apply(image)
 
 
@@ -76,7 +76,7 @@ def _open(colour: bytes | Colorimetry, *, grey: bool) -> ImageCms.ImageCmsProfil
 
 
 def _tabulate_greys(profile: ImageCms.ImageCmsProfile, space: str) -> Array:
-    """Return the sRGB values of all greys. Without LittleCMS's shortcuts, which miss dark greys by half."""
+    """Return the sRGB values of all greys. Avoid LittleCMS's shortcuts, which miss dark greys by half."""
     if space == "GRAY":
         greys = Image.fromarray(np.arange(65536, dtype=np.uint16).reshape(256, 256))
     else:
@@ -100,7 +100,7 @@ def _make_grey_srgb() -> ImageCms.ImageCmsProfile:
 
 
 def _make_profile(colour: Colorimetry, *, grey: bool) -> bytes:
-    """Write a profile for a gamma and primaries. ValueError where they are none."""
+    """Return a profile for a gamma and primaries. ValueError if they are impossible."""
     if not _GAMMAS[0] <= colour.gamma <= _GAMMAS[1]:
         raise ValueError(colour.gamma)
     curve = _pack_curve(0, colour.gamma)

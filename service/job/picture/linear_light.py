@@ -52,7 +52,7 @@ class ToneReader:
 
     @classmethod
     def of(cls, picture: DecodedPicture, *, tone: str) -> ToneReader:
-        """Look through the picture. ValueError for values that are no tones."""
+        """Examine the picture and return its reader. ValueError if its values are not tones."""
         white, warnings = _find_white(picture)
         conversion = Conversion()
         if picture.image.mode != "F" and picture.colour is not None:
@@ -74,7 +74,7 @@ class ToneReader:
     def read_strip(self, top: int, bottom: int) -> Array:
         """Return luminance (bottom - top, columns) in [0, 1], in linear light, transparent parts over white.
 
-        Floating-point pictures ("F") hold linear light whatever the tone says, as such files do by convention.
+        Floating-point pictures ("F") hold linear light by convention; the tone does not apply to them.
         """
         image = self.picture.image
         strip = image.crop((0, top, image.width, bottom))
@@ -125,7 +125,7 @@ def is_deep(image: Image.Image) -> bool:
 
 
 def has_alpha(image: Image.Image) -> bool:
-    """Return whether pixels of 8 bits may be clear."""
+    """Return whether pixels of 8 bits may be transparent."""
     return image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
 
 

@@ -1,8 +1,8 @@
 """The layouts of TIFF that are read. All others are refused by name, before anything is decoded.
 
-Pillow opens more layouts than it reads: of some it gives other tones without a word (16 bits with 0 = white, signed
-bytes, big-endian samples that are compressed). So this list holds what was compared with another decoder, tifffile
-(tests/service/job/picture/test_tiff_layouts.py), and a layout that is on no list is not read.
+Pillow opens more layouts than it reads right: for some it returns wrong tones without an error (16 bits with 0 = white,
+signed bytes, compressed big-endian samples). So this table lists the layouts that were compared with another decoder,
+tifffile (tests/service/job/picture/test_tiff_layouts.py), and only those are read.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ class TiffLayout:
 
     @property
     def white_is_zero(self) -> bool:
-        """Whether Pillow leaves it to its caller that 0 is white."""
+        """Return whether Pillow leaves it to its caller to invert samples in which 0 is white."""
         return self.photometric == _WHITE_IS_ZERO and self.bits > 8
 
     @property
     def full_scale(self) -> int:
-        """The largest value that a sample can hold."""
+        """Return the largest value that a sample can hold."""
         return int(2 ** (self.bits - 1 if self.format == _INT else self.bits) - 1)
 
     @property
@@ -189,7 +189,7 @@ def _read_layout(tags: ImageFileDirectory_v2, *, big_endian: bool) -> TiffLayout
 
 
 def _odd_colours(tags: ImageFileDirectory_v2, layout: TiffLayout) -> str:
-    """Return words for inks that are not those of print, and for a palette whose colours have 8 bits, not 16."""
+    """Return a name for inks other than CMYK, or for a palette of 8 bits instead of 16; "" otherwise."""
     if layout.photometric == _CMYK and _read_first(tags, 332, 1) != 1:
         return ", other inks"
     if layout.photometric == _PALETTE and 0 < max(_read_all(tags, 320, (0,))) <= 255:

@@ -147,7 +147,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
 
 
 async def _serve(services: Services, listener: socket.socket, line: socket.socket | None) -> None:
-    """line: to the standby, which serves stops while this process does not"""
+    """Serve until SIGTERM. line: to the standby, which serves stops while this process does not"""
 
     def begin() -> None:
         print(f"causticmill on {url_of(listener)}", flush=True)
@@ -170,7 +170,7 @@ async def _serve(services: Services, listener: socket.socket, line: socket.socke
 
 
 async def _send_beats(server: Server, line: socket.socket | None) -> None:
-    """Tell supervisor and standby of us while the loop turns; one that hangs is started again."""
+    """Send beats to supervisor and standby while the event loop turns; a process that hangs is started again."""
     hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # looked at with every beat
     lifeline.healthy = lambda: not hang.is_over
     while True:
@@ -194,7 +194,7 @@ def server_of(
     app = make_app(services)
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
-        """Strangers may open sockets: that they pass by all of what requests need keeps them cheap."""
+        """Send WebSockets past all middleware: strangers may open them, so they must be cheap."""
         await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
 
     config = make_config(serve, lifespan="on", timeout_graceful_shutdown=_DRAIN_S)

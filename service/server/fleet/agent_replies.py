@@ -133,7 +133,7 @@ def _is_number(values: Json, name: str, least: float, most: float) -> bool:
 
 
 def make_order_view(machine: str, order: str, status: Json) -> OrderView:
-    """Return what an order or a stop beside a run is answered with."""
+    """Return the answer to an order, or to a stop of a machine."""
     return OrderView(machine=machine, order=order, mill=make_mill_view(status))
 
 

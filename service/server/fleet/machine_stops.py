@@ -1,9 +1,9 @@
-"""Stops of mills: hold, abort, jog-cancel. Taken from everybody who may, at any time.
+"""Stops of mills: hold, abort, jog-cancel.
 
-Theory of operation. Between the request and the agent there is memory only: which link a machine has. No database, no
-thread, no lock and no profile file is waited for before the stop has left; where an agent has moved to is waited for
-afterwards, for a moment. A stop that may be meant for two agents goes to both: to stop a mill that did not need it
-costs little.
+Theory of operation. Between the request and the agent there is memory only: the link of each machine. A stop leaves
+before anything waits for a database, a thread, a lock or a profile file. Only then the profiles are read, for a moment,
+in case the agent has moved. A stop that may be meant for two agents goes to both: it costs little to stop a mill that
+did not need it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class MachineStops:
         return None if present is known else self._start_task(present.send_urgent(path, headers=context.headers()))
 
     async def stop_run_anywhere(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
-        """Stop a run at whatever mill it is; return it as its agent has it. Problem 404, 409, 503, 504."""
+        """Stop a run at the mill that has it; return its agent's view of it. Problem 404, 409, 503, 504."""
         answers = await self.ask_agents(run_id, stop, context)
         for _, answer in answers:
             if isinstance(answer, dict):
@@ -100,7 +100,7 @@ class MachineStops:
     def _forget(self, task: asyncio.Future[Any]) -> None:
         self._behind.discard(task)
         if not task.cancelled():
-            task.exception()  # told to whoever still waits; nobody may, and then it is no news
+            task.exception()  # read it, or asyncio logs it: perhaps nobody waits any more
 
 
 def find_refusal(run_id: str, stop: Stop, answers: Iterable[tuple[AgentLink, Json | BaseException]]) -> Problem:

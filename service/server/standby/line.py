@@ -1,10 +1,10 @@
-"""The line between the API and its standby: who accepts connections, and those that are handed over.
+"""The line between the API and its standby: which of them accepts connections, and the hand-over of connections.
 
 Theory of operation. Both have the listening socket. The API says SERVING twice a second as long as its event loop
-turns; the standby accepts connections while it hears nothing of the kind, and at once where the supervisor or an API
-that ends says GONE. It serves stops itself. What else it has accepted it hands to the API once that serves, with the
-bytes that it has read: a caller waits while the API is started, and is not refused. That both accept for a moment does
-no harm.
+turns. The standby accepts connections when it has not heard that for a while, and at once when the supervisor, or an
+API that ends, says GONE. It serves stops itself. It hands all other connections to the API when that serves, with the
+bytes that it has read: a caller waits while the API starts, and is not refused. Both may accept for a moment without
+harm.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ApiWatch:
         self._loop.add_reader(line, self._read)
 
     async def hand_over(self, connection: int, received: bytes, within_s: float) -> bool:
-        """Hand a connection to the API once it serves; return whether that was so in time."""
+        """Hand a connection to the API when it serves; return whether it did in time."""
         if len(received) > LINE_BYTES:
             return False
         with contextlib.suppress(TimeoutError, OSError):
@@ -60,7 +60,7 @@ class ApiWatch:
 
 
 def receive_connections(line: socket.socket, begin: Callable[[socket.socket, bytes], None]) -> None:
-    """Call `begin` with every connection that the standby hands over, from now on: the API's end of the line."""
+    """Call `begin`, from now on, with every connection that the standby hands over. For the API's end of the line."""
 
     def read() -> None:
         with contextlib.suppress(BlockingIOError):

@@ -63,7 +63,7 @@ async def _serve(settings: ServerSettings, listener: socket.socket, line: socket
 
 
 async def _meet_agents(links: AgentLinks) -> None:
-    """Keep in mind where the mills' agents are, until cancelled."""
+    """Look up the addresses of the mills' agents again and again, until cancelled."""
     while True:
         await links.meet_agents()
         await asyncio.sleep(_MEET_S)
@@ -95,7 +95,7 @@ class Standby:
 
 
 class StandbyProtocol(ProblemProtocol):
-    """Keeps what is no stop for the API."""
+    """Answers stops, and hands all other connections to the API."""
 
     def __init__(self, api: ApiWatch, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
