@@ -169,14 +169,14 @@ def _judge_way_out(reading: Reading) -> Phrase | None:
         return None
     if not isnan(z_mm):
         return Phrase(
-            "the program leaves the tool at Z{z_mm:g}, below the safe height Z{safe_z_mm:g}; end it with a way up",
+            "the program leaves the tool at Z{z_mm:g}, below the safe height Z{safe_z_mm:g}; end it with a move up",
             z_mm=z_mm,
             safe_z_mm=limits.safe_z_mm,
         )
     if is_raised(machine_z_mm, limits.top_z_mm):
         return None
     return Phrase(
-        "the program leaves the tool at a height that nobody knows; end it with a way up to Z{safe_z_mm:g} or higher",
+        "the program leaves the tool at a height that nobody knows; end it with a move up to Z{safe_z_mm:g} or higher",
         safe_z_mm=limits.safe_z_mm,
     )
 
@@ -189,8 +189,8 @@ def _judge_offset(reading: Reading) -> Phrase | None:
     by_h = dialect is not None and dialect.name == "okuma"
     names = [f"G15 H{int(frame[1:]) - 53}" if by_h else frame for frame in (*others, f"G{53 + wanted}")]
     return Phrase(
-        "works in the offset {other}, and {wanted} is that of the job and the mill (machine.work_offset): its zero may "
-        "be anywhere",
+        "works in the offset {other}, but the job and the mill use {wanted} (machine.work_offset): its zero may be "
+        "anywhere",
         other=", ".join(names[:-1]),
         wanted=names[-1],
     )
@@ -202,8 +202,8 @@ def _judge_feed(reading: Reading) -> Phrase | None:
     if feeds is None or feeds[1] <= fastest + 1:
         return None
     return Phrase(
-        "F goes up to {most_mm_per_min:g} mm/min, {machine} in no direction beyond {limit_mm_per_min:.0f} mm/min: is "
-        "it the feed that was meant?",
+        "F goes up to {most_mm_per_min:g} mm/min, but {machine} moves at most {limit_mm_per_min:.0f} mm/min in any "
+        "direction: is this the feed that you meant?",
         most_mm_per_min=feeds[1],
         machine=limits.profile,
         limit_mm_per_min=fastest,
@@ -248,8 +248,8 @@ def _judge_pause(reading: Reading) -> Phrase | None:
     if reading.pause_s <= _LONG_PAUSE_S:
         return None
     return Phrase(
-        "a dwell (G4) lasts {minutes:.0f} minutes: this control reads its number as {pause_s:g} seconds; are "
-        "milliseconds meant?",
+        "a dwell (G4) lasts {minutes:.0f} minutes: this control reads its number as {pause_s:g} seconds; did "
+        "you mean milliseconds?",
         minutes=reading.pause_s / 60,
         pause_s=reading.pause_s,
     )

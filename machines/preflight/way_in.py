@@ -147,13 +147,13 @@ def _say_across(line: int, lowest_mm: float, safe_z_mm: float) -> Phrase:
 def _say_low(line: int, end_mm: float, safe_z_mm: float) -> Phrase:
     if end_mm == -inf:
         return Phrase(
-            "line {line} begins with a way to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} "
+            "line {line} first moves to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} "
             "or higher, or to the top of the mill (G53 G0 Z)",
             line=line,
             safe_z_mm=safe_z_mm,
         )
     return Phrase(
-        "line {line} goes to Z{end_mm:g} wherever the tool stands, below the safe height Z{safe_z_mm:g}; begin with Z "
+        "line {line} goes to Z{end_mm:g}, below the safe height Z{safe_z_mm:g}, from an unknown place; begin with Z "
         "alone: up to that or higher, or to the top of the mill (G53 G0 Z)",
         line=line,
         end_mm=end_mm,

@@ -22,7 +22,7 @@ _PLACE_MM = (
 DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
     "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
     "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
-    "settings": Phrase("settings on which the position rests were changed since the run stopped"),
+    "settings": Phrase("settings that define the position have changed since the run stopped"),
     "unseen": Phrase("nothing shows that the controller went on without a restart while it was out of sight"),
 }
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
@@ -71,7 +71,7 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
     if changes := ", ".join(present.frame_changes):
         words = Phrase(
-            "settings on which the position rests are others than when the part was cut ({settings}): put them back "
+            "settings that define the position have changed since the part was cut ({settings}): put them back "
             "and home the mill, or, if you know that the position is right, say so (trust position)",
             settings=changes,
         )

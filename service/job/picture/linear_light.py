@@ -58,7 +58,7 @@ class ToneReader:
         if picture.image.mode != "F" and picture.colour is not None:
             if tone == "linear":
                 warnings.append(
-                    Phrase("names colours of its own, which are not used: image.tone = linear says what it holds")
+                    Phrase("has colour information that is not used: with image.tone = linear its values are light")
                 )
             else:
                 try:
