@@ -28,6 +28,5 @@ def checked(lens: Heightfield, spec: PassSpec, stock: Stock, top: StockGrid) -> 
         stock=stock,
         stock_top=top,
         kinematics=MILL,
-        travel_mm=(300, 300, 100),
         safe_z_mm=5.0,
     )

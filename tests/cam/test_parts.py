@@ -146,7 +146,6 @@ def test_a_split_pass_leaves_the_same_stock_and_each_part_may_run_alone(make_bum
             stock=stock,
             stock_top=top,
             kinematics=KINEMATICS,
-            travel_mm=(300.0, 300.0, 100.0),
             safe_z_mm=SAFE_Z,
         )
         assert verdict.ok, verdict.faults

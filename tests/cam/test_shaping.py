@@ -198,7 +198,6 @@ def test_a_shaped_program_passes_the_check(strategy):
         stock=BLOCK,
         stock_top=TOP,
         kinematics=MILL,
-        travel_mm=(300, 300, 100),
         safe_z_mm=5.0,
         digit_mm=STEP_MM,
     )

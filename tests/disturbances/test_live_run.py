@@ -20,6 +20,7 @@ from service.settings import ServerSettings
 from tests.disturbances.disk import SmallDisk, missing_for_slow, missing_for_small, slow_disk, small_disk
 from tests.disturbances.floor import MILL, Floor, running_floor
 from tests.disturbances.proxy import HoldingProxy
+from tests.service.server.fleet.shop import give
 from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 from tests.service.store.conftest import s3_address, s3_urls  # noqa: F401 - fixtures
 from tests.waiting import PATIENCE_S, seen, until
@@ -58,7 +59,8 @@ def require_whole(floor: Floor) -> None:
 
 def post(floor: Floor, what: str, within_s: float = 20.0) -> httpx.Response:
     headers = {"Authorization": f"Bearer {floor.token}"}
-    return httpx.post(f"{floor.url}/v1/runs/{floor.run}:{what}", headers=headers, timeout=within_s, trust_env=False)
+    with httpx.Client(base_url=floor.url, headers=headers, timeout=within_s, trust_env=False) as client:
+        return give(client, f"/v1/runs/{floor.run}:{what}", machine=MILL)
 
 
 @pytest.mark.thorough

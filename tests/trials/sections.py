@@ -161,7 +161,8 @@ def orders() -> Iterator[Figure]:
     try:
         tally = run_histories(HISTORIES, derandomize=False)
     except AssertionError as error:
-        yield Figure("histories of orders and stops", 0, "histories", _law(str(error)[:500], "every act was for now"))
+        words = " ".join([*getattr(error, "__notes__", ()), str(error)])  # the seed first
+        yield Figure("histories of orders and stops", 0, "histories", _law(words[:500], "every act was for now"))
         return
     acts = {what: count for what, count in sorted(tally.items()) if what != "histories"}
     words = f"none late, none after a later stop, none twice; carried out: {acts}"

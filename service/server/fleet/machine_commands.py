@@ -69,18 +69,16 @@ class Orders:
     # ------------------------------------------------------------------
 
     async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None) -> Json:
-        """Ask the agent for a grant, as long as the request is for now and no stop has come by since.
+        """Ask the agent for a grant; it counts if the request is still for now and no stop has come by since.
         AgentAwayError.
         """
         body = {} if stops is None else {"stops": stops}
-        left_s = ASK_S - (self._clock() - context.arrived_s)
-        if left_s > 0:
-            granted = await link.send_once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
-            if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
-                words = "the mill was stopped since: there is no grant for what was ordered before"
-                raise Problem(409, words, field="machine", code=Refusal.STOPPED)
-            if self._clock() - context.arrived_s <= ASK_S:
-                return granted
+        granted = await link.send_once("/v1/grants", body, timeout_s=ASK_S, headers=context.headers())
+        if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
+            words = "the mill was stopped since: there is no grant for what was ordered before"
+            raise Problem(409, words, field="machine", code=Refusal.STOPPED)
+        if self._clock() - context.arrived_s <= ASK_S:
+            return granted
         raise Problem(
             503,
             f"this has waited for more than {ASK_S:g} s: no grant was given; give the order again",

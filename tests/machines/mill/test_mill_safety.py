@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from machines.driver import Home, Jog, MillState, SendBlock, SetZero
+from machines.driver import Command, Home, Jog, MillState, SendBlock, SetZero
 from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.journal.disk import RealFile
 from machines.journal.journal import read_journal
 from machines.mill.mill import Mill
-from machines.mill.orders import Caller, OrderRefusedError
+from machines.mill.orders import Caller, OrderRefusedError, Refusal
 from machines.mill.run_store import RunFolders
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Bounds, Preflight
@@ -421,3 +421,28 @@ def test_a_rest_that_leaves_the_travel_is_refused(shop: Shop) -> None:
 def framed(facts: Preflight) -> Preflight:
     assert facts.bounds_mm is not None
     return dataclasses.replace(facts, bounds_by_frame={"G54": facts.bounds_mm})
+
+
+@pytest.mark.parametrize("change", [SetZero("X"), SendBlock("G10 L20 P1 Y1")])
+@pytest.mark.parametrize("order", ["start", "recover"])
+def test_an_order_is_for_the_setup_or_the_plan_that_was_seen(shop: Shop, order: str, change: Command) -> None:
+    """Somebody else has set a zero since the person looked."""
+    if order == "recover":
+        shop.started().mill.abort()
+        shop.until(RunState.ABORTED)
+        shop.bench.until_state(MillState.IDLE)
+        seen = shop.mill.plan_recovery(shop.id).digest
+    else:
+        shop.bench.command_done(Jog((5.0, 0.0, 0.0), 600.0))
+        seen = shop.mill.snapshot.setup
+    shop.bench.command_done(change)
+    shop.pass_s(1.0)
+    before = shop.cuts
+    with pytest.raises(OrderRefusedError) as refused:
+        if order == "recover":
+            shop.mill.recover(shop.id, YES_ALL, plan_seen=seen)
+        else:
+            shop.mill.start(shop.id, YES, setup=seen)
+    assert refused.value.code == {"start": Refusal.SETUP, "recover": Refusal.PLAN}[order]
+    shop.pass_s(3.0)
+    assert shop.cuts == before

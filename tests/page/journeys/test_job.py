@@ -30,7 +30,9 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     expect(width).to_have_attribute("aria-invalid", "false")
     bar.get_by_role("button", name="Height").click()
     expect(height).to_be_focused()
-    expect(height).to_have_accessible_description("-3 is not allowed; allowed: a number from 0.5 to 2000 mm.")
+    expect(height).to_have_accessible_description(
+        "-3 is not allowed; allowed: a number from 0.5 to 2000 mm. Use 0.5 mm"
+    )
     page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
     page.get_by_label("Pitch").first.fill("9")

@@ -328,7 +328,7 @@ def test_a_port_that_another_process_has(tmp_path: Path, monkeypatch: pytest.Mon
             pytest.param(*case, id=name, marks=pytest.mark.thorough)  # the words themselves: tests/machines/grbl
             for name, case in {
                 "echo": (lambda data: data, "not a GRBL controller"),
-                "printer": (lambda data: b"start\r\nMarlin 2.1.2\r\n", "'start'"),
+                "printer": (lambda data: b"start\r\nMarlin 2.1.2\r\n", "Marlin"),
                 "noise": (lambda data: bytes(0x80 | byte * 37 & 0x7F for byte in data * 5), "wrong baud"),
             }.items()
         ),

@@ -1,4 +1,6 @@
-"""People who press: on the page, whose rule is modelled here, by curl, or by a script that asks for no grant."""
+"""People who press: on the page, whose rule is modelled here, by curl without a limit of its own, or by a script that
+asks for no grant.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ class Press:
     stops_before: int  # pressed by anybody until then
     control: str
     seen: str = ""
-    way: str = "page"  # "curl": asks for a grant when it is called; "bare": for none
+    way: str = "page"  # "curl": its moment is when its asking for a grant arrives; "bare": asks for none
     outcome: str = "under way"
     acts: int = 0
 
@@ -78,7 +80,7 @@ class People:
 
         async def send() -> None:
             server = self._world.stops
-            await self._world.network.hop(lambda: self._stop_at(server, stop, press))
+            await self._world.network.call_server(lambda: self._stop_at(server, stop, press), is_stop=True)
 
         self._world.network.begin(send())
 
@@ -107,16 +109,16 @@ class People:
             arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
             return await self._world.orders.grant(MACHINE, arrived, stops_seen)
 
-        granted = await self._world.network.hop(ask)
+        granted = await self._world.network.call_server(ask)
         if self._world.now_s() - press.at_s > ASK_S:
             press.outcome = "not sent"
             raise Problem(503, "not sent")
-        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+        await self._world.network.call_server(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
-        """As `order` of docs/rest.md: its moment is that in which the asking for a grant arrives at the server."""
+        """As `order` of docs/rest.md, without its limit: its moment is when the asking for a grant arrives."""
         context = OrderContext(name="p", origin=str(press.number), control=press.control)
-        asked_s, arrived = self._world.now_s(), False
+        arrived = False
 
         async def ask() -> GrantView:
             nonlocal arrived
@@ -125,16 +127,13 @@ class People:
             at = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self._world.now_s())
             return await self._world.orders.grant(MACHINE, at)
 
-        granted = await self._world.network.hop(ask)
-        if self._world.now_s() - asked_s > ASK_S:
-            press.outcome = "not sent"
-            raise Problem(503, "not sent")
-        await self._world.network.hop(lambda: self._give(press, body, context, granted.grant))
+        granted = await self._world.network.call_server(ask)
+        await self._world.network.call_server(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_bare(self, press: Press, body: dict[str, Any]) -> None:
         """An order alone, as late and as often as it comes."""
         context = OrderContext(name="p", origin=str(press.number), control=press.control)
-        await self._world.network.hop(lambda: self._give(press, body, context, ""))
+        await self._world.network.call_server(lambda: self._give(press, body, context, ""))
 
     async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
         context = OrderContext(

@@ -244,7 +244,7 @@ class World:
         self.program = program
         self.sim = SimulatedMill(GRBL_11.with_settings({120: 3000, 121: 3000, 122: 3000}), seed=1)
         self.suspended_s = 0.0
-        self.database_s = 0.0
+        self.database_until_s = 0.0  # the database is locked until then
         self.hang_in, self.hang_s = -1, 0.0  # accesses to the disk until it hangs; how long it does
         self.hung = 0
         self.acts: list[Act] = []
@@ -302,6 +302,12 @@ class World:
             if self.hang_in < 0:
                 self.hung += 1
                 self.thread.hang(self.hang_s)
+
+    def stall_database(self, seconds: float) -> None:
+        self.database_until_s = self.now_s() + seconds
+
+    def crowd_server(self, *, strangers: bool) -> None:
+        self.loop.run_until_complete(self.network.fill_server(strangers=strangers))
 
     def suspend(self, seconds: float) -> None:
         """Server and agent sleep; the mill and the people do not."""
@@ -440,7 +446,8 @@ class World:
 
         What is still on its way from before may come in between: then once more.
         """
-        self.database_s, self.hang_in = 0.0, -1
+        self.database_until_s, self.hang_in = 0.0, -1
+        self.network.empty_server()
         for _ in range(30):  # a line that a stop has overtaken is waited for, for a minute
             with contextlib.suppress(MachineError):
                 return self._try_to_make_ready(what)
@@ -531,17 +538,19 @@ class _Core(FleetCore):
         self._http = httpx.AsyncClient(transport=_AgentTransport(world), base_url="http://127.0.0.1")
 
     async def do(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-        if self._world.database_s:
-            await asyncio.sleep(self._world.database_s)
+        await asyncio.sleep(max(0.0, self._world.database_until_s - self._world.now_s()))
         return function(*arguments, **named)
 
     async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        return await self.do(self._list_machines)
+
+    def _list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
         token = self._world.folder / "token"
         known = KnownMachine(name=MACHINE, profile=self._world.profile, url="http://127.0.0.1:1", token_file=token)
         return {MACHINE: known}, []
 
     async def renew_link(self, machine: str) -> Any:
-        return self.get_link((await self.list_machines())[0][machine])
+        return self.get_link(self._list_machines()[0][machine])
 
 
 class _SimulatedLoop(asyncio.SelectorEventLoop):

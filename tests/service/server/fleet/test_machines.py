@@ -25,6 +25,7 @@ from tests.service.server.fleet.shop import (
     Shop,
     agent_pids,
     await_agent,
+    give,
     kill_agents,
     own_folders,
     shop,
@@ -130,7 +131,10 @@ def test_agents_elsewhere_come_from_a_file(tmp_path: Path, monkeypatch: pytest.M
             with floor.client("jobs:read", "machine:run") as floor.operator:
                 (seen,) = floor.get("/v1/machines")["machines"]
                 assert (seen["name"], seen["remote"], seen["agent"]["reachable"]) == ("grbl", True, True)
-                floor.start(run := floor.park(floor.job(), machine="grbl"))
+                run = floor.park(floor.job(), machine="grbl")
+                said = {"operator": "Ada", "checks": run["required_checks"]}
+                started = give(floor.operator, f"/v1/runs/{run['id']}:start", machine="grbl", json=said)
+                assert started.status_code == 202, started.text
                 floor.until_state(run, "finished")
                 listing.write_text("[[agents]]\n")
                 assert "agents file" in floor.get("/v1/machines")["problems"][0]

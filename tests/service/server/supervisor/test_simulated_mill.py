@@ -50,7 +50,8 @@ def order(client: httpx.Client, what: str, **body: Any) -> None:
     client.post(f"{HERE}/control", json={"operator": "Ada"})
 
     def taken() -> bool:
-        answer = client.post(f"{HERE}/control/{what}", json=body)
+        grant = {"Causticmill-Grant": client.post(f"{HERE}/grants", json={}).json()["grant"]}
+        answer = client.post(f"{HERE}/control/{what}", json=body, headers=grant)
         assert answer.status_code == 202 or "busy" in answer.text, answer.text
         return answer.status_code == 202
 
