@@ -106,7 +106,8 @@ class Place:
         self.is_awaited = False
         self._admission._stop_waiting(self)
 
-    def note_stop(self) -> None:
+    def answer_stop(self) -> None:
+        """Keep the connection, which brings a stop, until the stop is answered."""
         self.stop_waiting()
         self.is_stop = True
 

@@ -136,6 +136,6 @@ class ProblemProtocol(H11Protocol):
         if self.cycle is None or self.cycle.response_complete:
             return
         if is_stop(self.scope["method"], self.scope["path"]):
-            self._place.note_stop()
+            self._place.answer_stop()
         elif self._place.is_known or not self.cycle.more_body:
             self._place.stop_waiting()

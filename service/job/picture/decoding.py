@@ -151,8 +151,8 @@ def _transparency_units(image: Image.Image, name: str) -> int:
     if image.mode == "RGB" and "16" in stored:
         raise PictureError(
             Phrase(
-                "{name}: this PNG stores one transparent colour for RGB of 16 bits, which is not read; save it with an alpha "
-                "channel",
+                "{name}: this PNG stores one transparent colour for RGB of 16 bits, which is not read; save it with an "
+                "alpha channel",
                 name=name,
             )
         )

@@ -39,7 +39,7 @@ class _Crowd:
             place, _ = self.open[which % len(self.open)]
             steps = {
                 "is heard": place.stop_waiting,
-                "stops": place.note_stop,
+                "stops": place.answer_stop,
                 "is known": place.identify,
                 "is answered": place.await_request,
                 "goes": place.leave,
