@@ -1,7 +1,7 @@
-"""Which clock a judgement goes by. One question decides: may WE still act, or has SOMEBODY ELSE failed?
+"""The clocks of limits. One question decides between them: may WE still act, or has SOMEBODY ELSE failed?
 
 May we still act? An order's age, a grant, a lease that we hold: `suspend_aware_clock_s`. The world went on while this
-process was paused or the computer slept; what was asked for before that is old, and others may have taken over.
+process was paused or the computer slept: an order from before is old, and others may have taken over.
 
 Has somebody else failed? A disk, a controller, a link, a thread, a child: `RunningTime`, and `Timeout` over it. It
 counts only time in which this process looked. While we were stopped (SIGSTOP, a frozen container, a suspended laptop, a
@@ -18,7 +18,7 @@ TURN_S = 1.0  # four times what the owner of a port waits for input at most
 
 
 def suspend_aware_clock_s() -> float:
-    """Return seconds of a clock that nobody sets and that runs while the computer is suspended."""
+    """Return the seconds of a clock that nobody sets and that also runs while the computer is suspended."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
@@ -65,7 +65,7 @@ class Timeout:
         self._begun_s = 0.0
 
     def restart(self) -> None:
-        """Begin anew: a sign has come."""
+        """Begin to wait anew: a sign has come."""
         self._begun_s = self._running.look(self._clock())
 
     @property

@@ -401,8 +401,8 @@ no wait comes between. It calls it once more after the write, and holds the mill
 """
 
 
-def unconditional() -> None:
-    """Allow it: it moves nothing, or who asks for it sits at the mill's own terminal."""
+def allow_always() -> None:
+    """Raise nothing: the order moves nothing, or a person at the mill's own terminal has given it."""
 
 
 class Driver(Protocol):

@@ -207,7 +207,7 @@ class SerialPort:
             os.set_blocking(self._cord, False)
 
     def clock(self) -> float:
-        """Return seconds of running time (`machines.clock`): nobody is blamed for a pause of ours."""
+        """Return seconds of running time (`machines.clock`): a pause of this process counts against nobody."""
         return self._clock()
 
     def read(self, timeout_s: float) -> bytes:

@@ -1,6 +1,6 @@
 """Rules every move must keep on the stock: depth of cut, rapids clear of it, spindle, gouge; and the running totals.
 
-What a mill asks of a program whatever the stock is in `machines.preflight.rules`.
+The rules of the mill, which do not depend on the stock, are in `machines.preflight.rules`.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Shop:
         return 2 * tool.shank_radius_mm <= self.collet_mm
 
     def has_room_for(self, tool: Tool) -> bool:
-        """Return whether block and travel leave room for its way around the lens."""
+        """Return whether block and travel leave the tool room around the lens."""
         return 2 * tool.radius_mm + CLEAR_MM <= self.margin_mm and tool.radius_mm <= self.room_mm
 
     def layer_step_down_mm(self, tool: Tool, pitch_mm: float) -> float:

@@ -24,7 +24,7 @@ from machines.driver import (
     ProgramLine,
     Require,
     Unlock,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAllowedError, ProgramRefusedError
 from phrases.phrase import Phrase
@@ -99,7 +99,7 @@ class DripDriver(OneWayDriver):
         self._channel.update(controller=FACTS.kind)
         self._channel.enter(MillState.IDLE, Phrase("line open; the control has not asked for anything yet"))
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
         if isinstance(command, Unlock):
             if self._feed is None:

@@ -27,7 +27,7 @@ from machines.driver import (
     Stopped,
     StreamProgress,
     TrustPosition,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
 from phrases.phrase import Phrase
@@ -126,7 +126,7 @@ class OneWayDriver:
     def urge(self, stop: str) -> bool:
         return False  # a one-way link has no byte that stops: the owner stops feeding
 
-    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         if self.status.state is not MillState.IDLE:
             raise NotAllowedError(
                 Phrase("a program can start only when the link is idle, it is {state}", state=self.status.state.words)
@@ -152,7 +152,7 @@ class OneWayDriver:
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
 
-    def resume(self, require: Require = unconditional) -> None:
+    def resume(self, require: Require = allow_always) -> None:
         if self._feed is None or not self._held:
             raise NotAllowedError(
                 Phrase("there is nothing to resume: the link is {state}", state=self.status.state.words)
@@ -160,9 +160,9 @@ class OneWayDriver:
         self._send_order(self._feed, require)
 
     def _send_order(self, feed: ByteFeed, require: Require) -> None:
-        """Hand over the first bytes of an order now, where the far end takes any; MachineError where it is too late.
+        """Write the first bytes of an order now, if the far end takes bytes. Raise MachineError if it is too late.
 
-        Where it takes none, a person at its panel lets it ask for them.
+        If it takes none now, the bytes leave when a person at its panel lets it ask for them.
         """
         now_s = self._port.clock()
         room = self._pace.room(now_s) if self._may_send() else 0
@@ -204,7 +204,7 @@ class OneWayDriver:
         self._channel.update(position_trusted=False)
         self._channel.enter(MillState.IDLE, words)
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         if not isinstance(command, TrustPosition):
             raise NotAllowedError(
                 Phrase(
@@ -239,7 +239,7 @@ class OneWayDriver:
         return self._pace.wait_s(now_s, self._pace.most_queued // 2)
 
     def _take_piece(self, feed: ByteFeed, room: int, now_s: float) -> bytes:
-        """Return the next bytes of the program, at most `room`; none where it cannot be read: then it has ended."""
+        """Return the next bytes of the program, at most `room`. If it cannot be read, end it and return none."""
         try:
             return feed.take(room) if room else b""
         except (MachineError, OSError) as error:

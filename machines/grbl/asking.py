@@ -34,7 +34,7 @@ class Ask:
 
     @property
     def is_question(self) -> bool:
-        """It moves nothing and changes nothing."""
+        """Return whether the line only asks: it moves nothing and changes nothing."""
         return self.text in _QUESTIONS
 
 

@@ -16,7 +16,7 @@ from machines.driver import (
     Override,
     Require,
     TrustPosition,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError
 from machines.grbl.asking import PARSER_TAG, Answer, Ask, CommandSequence, Outcome, SequenceFailedError, WaitStill
@@ -52,7 +52,7 @@ class CommandChannel:
     held_line: str = ""
     banner_due_s: float = 0.0
     _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
-    _require: Require = unconditional  # until its first line has left that is no question
+    _require: Require = allow_always  # until its first line has left that is no question
     _waiting: Ask | WaitStill | None = None
     _begun_s: float = 0.0  # of our own time
     _heard: list[Reply] = field(default_factory=list)
@@ -99,7 +99,7 @@ class CommandChannel:
             self.command = command
             self.run(make_sequence(command, link.view.settings, link.view.modes), self._end_command, now_s, require)
 
-    def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float, require: Require = unconditional) -> None:
+    def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float, require: Require = allow_always) -> None:
         """Begin a sequence."""
         self._sequence, self._on_end, self._require = sequence, on_end, require
         self._advance(None, now_s)
@@ -132,7 +132,7 @@ class CommandChannel:
         self._advance(answer, now_s)
 
     def take_odd_line(self, raw: bytes) -> None:
-        """Keep a line that no controller says: it tells why nothing else answers."""
+        """Keep a line that no controller sends: it shows why there is no other answer."""
         self._odd = raw
 
     def take_report(self, report: Status, now_s: float) -> None:
@@ -185,7 +185,7 @@ class CommandChannel:
             self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
             if isinstance(waiting, Ask) and not waiting.is_question:
                 self._require()  # the line leaves in this very call of the driver, before anything that could wait
-                self._require = unconditional
+                self._require = allow_always
         except StopIteration as stop:
             self._finish(stop.value, NO_WORDS, now_s)
         except (SequenceFailedError, MachineError) as failed:

@@ -14,7 +14,7 @@ from machines.driver import (
     ProgramLine,
     Require,
     StreamProgress,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.commands import JOG_CANCEL
@@ -110,8 +110,8 @@ class GrblDriver:
             return True
         return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
 
-    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
-        """Stream these blocks; the first of them are read from the disk before the last look at the order."""
+    def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
+        """Stream these blocks. Read the first of them from the disk before the last check of the order."""
         session, now_s = self._session, self._port.clock()
         session.start(lines, now_s)
         self._write_urgent()
@@ -127,7 +127,7 @@ class GrblDriver:
         self._session.hold(self._port.clock())
         self._write_urgent()
 
-    def resume(self, require: Require = unconditional) -> None:
+    def resume(self, require: Require = allow_always) -> None:
         require()
         self._session.resume(self._port.clock())
         self._send_order(self._session.output(self._port.clock()), require)
@@ -140,15 +140,15 @@ class GrblDriver:
         """Write now what is for now, not at the next poll."""
         self._write_now(self._session.urgent_output(self._port.clock()))
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         require()
         self._session.command(command, self._port.clock(), require)
         self._send_order(self._session.output(self._port.clock()), require)
 
     def _send_order(self, first: bytes, require: Require) -> None:
-        """Write the first bytes of an order that has just been found to be for now.
+        """Write the first bytes of an order that `require` has just allowed.
 
-        A stop that is counted after that look may have written its byte before these: then one more follows them.
+        A stop that comes after that check may have written its byte before these bytes: then send one more hold.
         """
         self._write_now(first)
         try:

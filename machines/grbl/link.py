@@ -49,7 +49,7 @@ class Greeting:
 
     @property
     def is_foreign(self) -> bool:
-        """Firmware has shown itself that cannot be used."""
+        """Return whether a firmware has answered that cannot be used."""
         return self._foreign is not None
 
     @property
@@ -64,7 +64,7 @@ class Greeting:
         return Phrase("asking '?'") if not self.recognised else Phrase("waiting for a report")
 
     def verdict(self) -> Phrase:
-        """Return why this is not a controller that can be used, after the time for it has run out."""
+        """Return why this controller cannot be used, when its time to answer is over."""
         if self._foreign is not None:
             name, line = self._foreign
             return Phrase(
@@ -119,7 +119,7 @@ class GrblLink:
 
     @property
     def reports_under_way(self) -> int:
-        """How many reports may be on their way that were made before a byte written now is there."""
+        """Return how many reports may still come that were made before a byte written now arrives."""
         return self.silence.unanswered + int(self.silence.round_trip_s / min(self.options.run_poll_s, QUICK_S))
 
     def enter(self, phase: Phase, now_s: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.driver import OVERRIDE_PERCENT, CommandDone, Override, Require, unconditional
+from machines.driver import OVERRIDE_PERCENT, CommandDone, Override, Require, allow_always
 from machines.errors import MachineError
 from machines.grbl.link import GrblLink
 from machines.grbl.replies import Status
@@ -65,7 +65,7 @@ class OverrideControl:
 
     link: GrblLink
     _command: Override | None = None
-    _require: Require = unconditional  # until its first step has left
+    _require: Require = allow_always  # until its first step has left
     _step: bytes = b""  # to be written
     _until_s: float = 0.0
     _reports: int = 0  # since the last step
@@ -106,8 +106,8 @@ class OverrideControl:
             # A step is relative: none is made of a report that is older than the last step.
             self._reports = -self.link.reports_under_way
 
-    def put_step(self) -> None:
-        """Put the step that waits among the bytes that are written next; none where it may not be carried out now."""
+    def queue_step(self) -> None:
+        """Queue the waiting step for the next write. End the override if the order may not be carried out any more."""
         if not self._step:
             return
         step, self._step = self._step, b""
@@ -116,5 +116,5 @@ class OverrideControl:
         except MachineError as refusal:
             self.end(refusal.words)
             return
-        self._require = unconditional
+        self._require = allow_always
         self.link.urgent += step

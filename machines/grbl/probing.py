@@ -49,20 +49,20 @@ def probe_corner(command: ProbeCorner, settings: ControllerSettings) -> CommandS
 
 
 def _keep_modes(probing: _Triple) -> _Triple:
-    """Bring back the modes from before, whatever comes of it. An alarm ends all of this: see `leave_probing`."""
+    """Restore the modes after probing, also after a failure. An alarm ends this sequence: see `leave_probing`."""
     modes = require_ok((yield Ask(b"$G", expect=PARSER_TAG)))
     restore = _words_to_restore(_parser_state(modes))
     try:
         contact_mm = yield from probing
     except SequenceFailedError:
-        yield Ask(restore)  # what failed before is what is told
+        yield Ask(restore)  # the first failure is reported
         raise
     require_ok((yield Ask(restore)))
     return contact_mm
 
 
 def leave_probing(modes: str) -> Generator[Ask | WaitStill, Answer, None]:
-    """Leave the modes of a probe that an alarm has ended, once lines are taken again.
+    """Leave the modes of a probe that ended in an alarm, when the controller takes lines again.
 
     G91 and G38 outlive alarm and unlocking: a line of axis words alone would probe from where the tool stands.
     modes : [GC:] words from before the probe
@@ -181,12 +181,12 @@ def _stand() -> _Triple:
 
 
 def _parser_state(answer: Answer) -> str:
-    """Return the words of [GC:]; "" where it was not told."""
+    """Return the words of [GC:]; "" if it did not come."""
     return read_settings(answer.heard).parser_state
 
 
 def _words_to_restore(parser_state: str) -> bytes:
-    """Return words that bring back units and distance mode as [GC:] told before, and end probing."""
+    """Return a line that restores units and distance mode, as [GC:] reported them, and ends probing."""
     words = parser_state.split()
     return ("G0" + ("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
 

@@ -88,7 +88,7 @@ class Setting:
 
     @property
     def has_comma(self) -> bool:
-        """It is a number with a decimal comma."""
+        """Return whether the value is a number with a decimal comma."""
         return _COMMA.match(self.value) is not None
 
 
@@ -156,7 +156,7 @@ def parse(line: bytes) -> Reply:
     return Garbled(line)
 
 
-# What other firmware says, and some that is like GRBL 1.1 but is not read here: told by name.
+# Lines of other firmware, and of firmware like GRBL 1.1 that is not read here; each is refused by its name.
 _FOREIGN: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"Grbl 0\.|<[A-Z]\w+,[MW]Pos:"), Phrase("GRBL 0.9 or older")),
     (re.compile(rb"Smoothie|Build version: |<[A-Z]\w+\|MPos:[-\d.,]+\|WPos:"), "Smoothieware"),
@@ -170,7 +170,7 @@ _BOOT = re.compile(rb"ets [A-Z][a-z]{2} +\d|rst:0x|ESP-ROM:")
 
 
 def name_foreign(line: bytes) -> str | None:
-    """Return the name of the firmware that says this line; None where nothing tells, or where we read it."""
+    """Return the name of the firmware that sends this line; None if it is not known, or if we support it."""
     return next((name for pattern, name in _FOREIGN if pattern.match(line)), None)
 
 
@@ -261,7 +261,7 @@ def show(text: bytes) -> str:
 
 
 class LineSplitter:
-    """Bytes as they come to whole lines, without what pads them. A line that never ends is cut off and so Garbled."""
+    """Splits received bytes into lines without padding. A line that never ends is cut off and becomes Garbled."""
 
     def __init__(self) -> None:
         self._rest = b""

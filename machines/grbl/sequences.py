@@ -67,7 +67,7 @@ def identify(banner: str) -> CommandSequence:
 
 
 def read_again(settings: ControllerSettings) -> CommandSequence:
-    """Ask what can have changed since the handshake: $$, $#, $G."""
+    """Ask again for what may have changed since the handshake: $$, $#, $G."""
     heard = [*(yield from ask_twice(b"$$", "$")), *(yield from ask_twice(b"$#", OFFSET_TAG))]
     heard += yield from ask_twice(b"$G", PARSER_TAG)
     told = read_settings(heard)
@@ -138,7 +138,7 @@ def _modal_again(settings: ControllerSettings) -> CommandSequence:
 
 
 def make_sequence(command: Command, settings: ControllerSettings, modes: str) -> CommandSequence:
-    """Return the sequence that carries out a command; all but those that are a realtime byte or a note have one.
+    """Return the sequence that carries out a command. A realtime byte or a note needs none.
 
     modes : [GC:] words as they were known last
     """

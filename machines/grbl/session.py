@@ -27,7 +27,7 @@ from machines.driver import (
     Require,
     Reset,
     StateChanged,
-    unconditional,
+    allow_always,
 )
 from machines.errors import NotAllowedError
 from machines.grbl import replies
@@ -183,7 +183,7 @@ class GrblSession:
         return self._transmitter.take_output(now_s)
 
     def urgent_output(self, now_s: float) -> bytes:
-        """Return of them those that act at once, and a command's line."""
+        """Return the bytes that act at once and the line of a command, without lines of the program."""
         return self._transmitter.take_urgent(now_s)
 
     @property
@@ -212,7 +212,7 @@ class GrblSession:
         self._monitor.begin()
 
     def take_back_start(self, now_s: float) -> None:
-        """Forget a program of which no byte has left."""
+        """Take back a start of which no byte has been written."""
         if self.link.phase is Phase.STREAMING:
             self.streamer.stream = None
             self.link.enter(Phase.READY, now_s)
@@ -227,8 +227,8 @@ class GrblSession:
     def abort(self, now_s: float) -> None:
         self.stops.abort(now_s)
 
-    def command(self, command: Command, now_s: float, require: Require = unconditional) -> None:
-        """Begin a command; ends with CommandDone. require : holds what it sends later, until something acts"""
+    def command(self, command: Command, now_s: float, require: Require = allow_always) -> None:
+        """Begin a command; ends with CommandDone. require : checked again before a later line that acts"""
         state, link = self.reporter.state, self.link
         seen, silent = link.view, link.offers_reset
         check_command(

@@ -142,7 +142,7 @@ class ControllerSettings:
 
     @property
     def mist(self) -> bool | None:
-        """Whether it is built with M7; None where it does not tell."""
+        """Return whether the controller is built with M7; None if it does not say."""
         letters = self.option_letters
         return None if letters is None or self.firmware not in _TELL_MIST else MIST in letters
 
@@ -160,15 +160,15 @@ class ControllerSettings:
 
 
 def list_frame_changes(before: Mapping[int, str], now: Mapping[int, str]) -> tuple[str, ...]:
-    """Return each setting of FRAME_SETTINGS that is another now, as "$100 250.000 -> 252.000".
+    """Return each setting of FRAME_SETTINGS that has changed, as "$100 250.000 -> 252.000".
 
-    Nothing can be said of what the controller has not told both times.
+    A setting that is missing before or now is left out.
     """
     told = ((number, before[number], now[number]) for number in sorted(FRAME_SETTINGS & before.keys() & now.keys()))
-    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _equal(was, is_now))
+    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _is_equal(was, is_now))
 
 
-def _equal(before: str, now: str) -> bool:
+def _is_equal(before: str, now: str) -> bool:
     try:
         return float(before) == float(now)
     except ValueError:

@@ -111,7 +111,7 @@ class StatusReporter:
         return detail_words(view.report) if view.report else Phrase("")
 
     def slow_link_words(self) -> Phrase:
-        """Return what a link means for a program whose answers are late; NO_WORDS where they are not."""
+        """Return what a slow link means for a program; NO_WORDS if the link is not slow."""
         round_trip_s = self.link.silence.round_trip_s
         if round_trip_s < SLOW_LINK_S:
             return NO_WORDS

@@ -207,9 +207,9 @@ class StopControl:
         self._hold_at_s = now_s
 
     def _note_no_hold(self, report: Status, now_s: float) -> None:
-        """Note that the mill is not held although that was asked for: someone pressed cycle start, or the '!' was lost.
+        """Handle a mill that moves after a hold: somebody pressed cycle start, or the '!' was lost.
 
-        What it was let go on with may be over before the next report: then it stands Idle.
+        It may have finished its motion before the next report: then it stands Idle.
         """
         if report.state not in ("Run", "Jog", "Idle") or now_s <= self._hold_at_s + self._hold_again_s:
             return

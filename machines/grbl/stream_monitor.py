@@ -157,10 +157,10 @@ class StreamMonitor:
                 self._finish(stream, report, now_s)
 
     def _compare_buffer(self, report: Status, now_s: float) -> None:
-        """Hold Bf: against what is under way: an answer too many lets more lines out than the buffer is sure to take.
+        """Compare Bf: with the bytes under way: after one answer too many, the buffer may overflow.
 
-        All answers that were said before a report have come before it, so the buffer never holds more than is under
-        way. The oldest line has left it while the mill runs, for it is being read or waits for room in the planner.
+        Answers sent before a report arrive before it, so the buffer never holds more than is under way. While the mill
+        runs, the oldest line has left the buffer: it is being parsed or waits for room in the planner.
         """
         stream, used = self._stream, self.link.view.rx_used
         first = stream.first

@@ -23,7 +23,7 @@ Flight = tuple[ProgramLine, Step]
 
 
 def name_line(number: int) -> Phrase:
-    """Return a line as a sentence names it; blocks that bring the tool back in have no number."""
+    """Return the name of a line for a sentence; blocks of the way in have no number."""
     return Phrase("line {line}", line=number) if number else Phrase("a block of the way in")
 
 

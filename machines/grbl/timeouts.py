@@ -39,7 +39,7 @@ PERSON_S = 10.0  # until a controller that a person has sent resets to is given 
 REPORT_S = 0.25  # a report is due ten times a second
 TRIPS = 2.0  # round trips that a limit on an answer leaves: the way there and back, and as much again for a worse one
 MOST_LATE_S = 10.0  # no link that is of use takes longer
-SLOW_LINK_S = 0.25  # round trip from which a person is told of it
+SLOW_LINK_S = 0.25  # a longer round trip is reported to the person
 
 
 class SilenceClock(RunningTime):
@@ -73,7 +73,7 @@ class SilenceClock(RunningTime):
         self.notified = False
 
     def note_answer(self, waited_s: float) -> None:
-        """Take the time from a question that is answered at once to its answer for a round trip."""
+        """Take the time between a question that is answered at once and its answer as a round trip."""
         trip_s = min(waited_s, MOST_LATE_S)
         self.round_trip_s = max(trip_s, (self.round_trip_s + 3.0 * trip_s) / 4.0)
 
@@ -84,7 +84,7 @@ class SilenceClock(RunningTime):
 
     @property
     def late_s(self) -> float:
-        """What a limit on an answer leaves for the way."""
+        """Return the time that a limit on an answer adds for the link."""
         return TRIPS * self.round_trip_s
 
     @property

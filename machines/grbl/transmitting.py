@@ -58,7 +58,7 @@ class Transmitter:
         return link.options.run_poll_s if link.phase is Phase.STREAMING else link.options.poll_s
 
     def take_output(self, now_s: float) -> bytes:
-        """Return the bytes to write now, those that act at once first. Lines of the program may wait for its disk."""
+        """Return the bytes to write now, those that act at once first. May wait for the disk of the program."""
         stream = self._stream_to_send
         program = self._take_program(stream, now_s) if stream is not None else b""
         return self.take_urgent(now_s) + program
@@ -66,7 +66,7 @@ class Transmitter:
     def take_urgent(self, now_s: float) -> bytes:
         """Return the realtime bytes that wait, and a command's line behind them. Waits for nothing."""
         link = self.link
-        self.commands.override.put_step()
+        self.commands.override.queue_step()
         if not link.urgent and not link.text:
             return b""
         data = bytes(link.urgent) + bytes(link.text)

@@ -12,10 +12,10 @@ _AXES = frozenset("XYZ")
 _REPORTS_TO_ALL = 40  # by then GRBL has reported every field twice; a firmware that leaves one out never does
 
 
-def counts_on(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
-    """Return whether a mill that stood at one machine coordinate and stands at another has kept its count for certain.
+def has_kept_count(before_mm: Triple | None, now_mm: Triple | None, tolerance_mm: float) -> bool:
+    """Return whether a mill that stood at `before_mm` and stands at `now_mm` has certainly kept its count.
 
-    The same place, not zero: a controller that lost its power counts from 0,0,0.
+    It has if both are the same place, and not 0,0,0: from there a controller counts that has lost its power.
     """
     if before_mm is None or now_mm is None:
         return False
@@ -80,14 +80,14 @@ class MachineView:
         kept = self._kept_by_reset
         if before is not None and now is not None:
             stays = all(abs(a - b) <= tolerance_mm for a, b in zip(before, now, strict=True))
-            kept = (kept and stays) or counts_on(before, now, tolerance_mm)
+            kept = (kept and stays) or has_kept_count(before, now, tolerance_mm)
         self._stood_mm = None
         if not kept:
             self.lose_position()
         return kept
 
     def take_settings(self, settings: ControllerSettings) -> tuple[str, ...]:
-        """Take settings read anew; return which of the frame have changed: then the position is trusted no longer."""
+        """Take settings that were read again. Return changed ones of the frame: the position is not trusted then."""
         changes = list_frame_changes(self.settings.values, settings.values)
         if changes:
             self.lose_position()

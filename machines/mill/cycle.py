@@ -18,7 +18,7 @@ from machines.driver import (
     Restarted,
     StateChanged,
     Stopped,
-    unconditional,
+    allow_always,
 )
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
@@ -79,7 +79,7 @@ class MillCycle:
             return None
         wanted = ReadSettings()
         try:
-            driver.command(wanted, unconditional)
+            driver.command(wanted, allow_always)
         except NotAllowedError:
             return None
         answer: dict[str, Any] | None = None

@@ -26,7 +26,7 @@ from machines.errors import NotAllowedError
 GRANT_S = 3.0  # from the moment a person asks to the moment the order is begun
 CARRY_OUT_S = 10.0  # a start asks the controller first: until its first byte leaves
 LEASE_S = 60.0
-STOP_S = 1.0  # a stop is answered within so long, whatever the mill's thread waits for
+STOP_S = 1.0  # a stop is answered within this time, even while the mill's thread waits
 _MOST_GRANTS = 1000
 _NO_GRANT = (
     "not carried out: an order needs a grant. POST .../grants hands one out; send it with the order, as "

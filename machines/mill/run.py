@@ -187,7 +187,7 @@ class Run:
 
 
 def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
-    """Return a run's record in the journal as others see it. What a start has set that was taken back is None there."""
+    """Return the public view of a run's record. Values of a start that was taken back are None in the record."""
     return RunView(
         id=str(record["id"]),
         name=str(record.get("name", "")),

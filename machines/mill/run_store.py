@@ -266,9 +266,9 @@ class RunStore:
             self.let_rest(run)
 
     def note_reset(self, status: MillStatus, parser_state: str | None, settings: ControllerSettings | None) -> None:
-        """Note a reset that kept the count: where nothing was in doubt, the place at which the mill stands proves it.
+        """Note where the mill stands after a reset that kept the count, for runs whose position was not in doubt.
 
-        The reset wipes out the other proof, feed and spindle.
+        The place proves it from then on: the reset has cleared the other proof, feed and spindle.
         """
         for run in [*self.recoverable(), *([self.live] if self.live is not None else [])]:
             present = Present.of_run(run.record, status, parser_state, settings)
@@ -277,13 +277,13 @@ class RunStore:
                 self.let_rest(run)
 
     def note_frame_change(self) -> None:
-        """Note for all runs that could be recovered that a setting was changed on which their position rests."""
+        """Note for all recoverable runs that a setting has changed on which their position rests."""
         for run in self.recoverable():
             run.write("frame", reframed=True)
             self.let_rest(run)
 
     def note_trust(self, settings: ControllerSettings | None) -> None:
-        """Note that a person has said that the position is right, with the settings as they are."""
+        """Note that a person has confirmed the position, with the present settings."""
         told = {} if settings is None else {"settings": settings.to_dict()}
         for run in self.recoverable():
             run.write("trusted", reframed=False, **told)

@@ -97,7 +97,7 @@ def check_way_in(
                 raise NotAllowedError(Phrase("start: {risk}", risk=finding.words))
         return
     lines, dialect = list[tuple[int, bytes]](), reader.index.dialect
-    way = read_way_in(_record(reader, lines), dialect=dialect)
+    way = read_way_in(_keep_lines(reader, lines), dialect=dialect)
     box, zero_mm = facts.bounds_by_frame.get(way.frame), work_zero_mm(offsets, way.frame)
     over = None
     if place_mm is not None and box is not None and zero_mm is not None:
@@ -109,8 +109,8 @@ def check_way_in(
         raise NotAllowedError(Phrase("start: {risk}", risk=risk))
 
 
-def _record(reader: ProgramReader, lines: list[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """Yield the program's lines, and keep those that are taken."""
+def _keep_lines(reader: ProgramReader, lines: list[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """Yield the program's lines and append each to `lines`."""
     with suppress(ProgramChangedError):  # the run says so when it comes to that piece, and sends nothing of it
         for line in reader.lines(1):
             lines.append((line.number, line.text))

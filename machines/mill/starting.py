@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.codes import MillCode
-from machines.driver import Driver, MillState, ProgramLine, TrustPosition, unconditional
+from machines.driver import Driver, MillState, ProgramLine, TrustPosition, allow_always
 from machines.errors import JournalError, MachineError, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
@@ -162,7 +162,7 @@ class RunStarter:
         """Make the place where the operator's word for the zero was given the reference from here on."""
         if not driver.status.position_trusted:
             try:
-                driver.command(TrustPosition(), unconditional)
+                driver.command(TrustPosition(), allow_always)
             except NotAllowedError as error:
                 self.context.log.say(
                     "notice", Phrase("the position could not be confirmed: {error}", error=error.words)
@@ -203,8 +203,8 @@ class RunStarter:
     ) -> None:
         """Let the first byte leave, only when the journal is safe on disk: the last step of start and recover.
 
-        The driver looks at the order for the last time when nothing but its write is left. What is noted of other runs
-        comes afterwards: it may wait for a disk.
+        The driver checks the order for the last time just before it writes. Notes about other runs come afterwards, as
+        they may wait for a disk.
         """
         if self.context.runs.active is not None and self.context.runs.active is not run:
             self.context.runs.active.let_go()

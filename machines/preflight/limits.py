@@ -25,7 +25,7 @@ class MillLimits:
     bytes_per_s : of the wire; None where blocks do not go over a paced serial line
     homing : machine coordinates mean something
     safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
-    mist   : the controller is built with M7; None where it has not told
+    mist   : the controller is built with M7; None if it has not said
     """
 
     profile: str

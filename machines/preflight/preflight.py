@@ -68,7 +68,7 @@ class Preflight:
 
     @property
     def warnings(self) -> tuple[Phrase, ...]:
-        """What a person reads before a start, faults first."""
+        """Return all findings in words, faults first, for a person to read before a start."""
         return tuple(one.words for one in sorted(self.findings, key=lambda one: not one.is_fault))
 
     @property

@@ -1,10 +1,10 @@
-"""The rules that a program keeps on a mill, in one table: for `check`, for a job's last look, and before every start.
+"""The rules that a program must keep on a mill, in one table: for `check`, the end of a job, and every start.
 
-Each row judges one `Reading` of the whole program. What it says is a refusal, a fault or a warning:
-    REFUSE  no mill is sent the program
-    FAULT   `check` and a job fail; before a start it is among the warnings that a person reads, as who wrote the
-            program by hand may want it so. The way in is judged once more then, from where the tool stands.
-    WARN    worth knowing
+Each row judges one `Reading` of the whole program. A broken rule means one of three things:
+    REFUSE  the program is never sent to a mill
+    FAULT   `check` and a job fail; before a start it is a warning, as the author of a program may want it so. The way
+            in is judged once more then, from where the tool stands.
+    WARN    a person should know it
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Rule:
 
 
 def judge_program(reading: Reading) -> tuple[Finding, ...]:
-    """Return what the program breaks of RULES; ProgramRefusedError for the first that no mill may be sent."""
+    """Return a finding for each of RULES that the program breaks; ProgramRefusedError at the first of REFUSE."""
     found = []
     for rule in RULES:
         if (words := rule.judge(reading)) is None:
@@ -118,7 +118,7 @@ def _judge_event(slot: int, words: Phrase) -> Callable[[Reading], Phrase | None]
 
 
 def _judge_travel(reading: Reading) -> Phrase | None:
-    """A program that is larger than the machine, wherever its zero may be put."""
+    """Refuse a program that is larger than the travel: no work zero makes it fit."""
     limits = reading.limits
     for frame, box in reading.boxes.items():
         for axis, name in enumerate(_AXES):
@@ -139,7 +139,7 @@ def _judge_travel(reading: Reading) -> Phrase | None:
 
 
 def _judge_spindle_of_control(reading: Reading) -> Phrase | None:
-    """A control that faults on a speed that it has not."""
+    """Refuse a speed at which the control itself would fault."""
     (low, high), spindle, dialect = reading.limits.spindle_rpm, reading.spindle_rpm, reading.dialect
     if dialect is None or not dialect.spindle_first or spindle is None or (low <= spindle[0] and spindle[1] <= high):
         return None
@@ -163,20 +163,20 @@ def _judge_way_in(reading: Reading) -> Phrase | None:
 
 
 def _judge_way_out(reading: Reading) -> Phrase | None:
-    """The next program, or a hand on the jog keys, goes across from where this one leaves the tool."""
+    """Require that the tool ends at a safe height: the next program, or a jog, goes across from there."""
     limits, z_mm, machine_z_mm = reading.limits, reading.last_z_mm, reading.last_machine_z_mm
     if not reading.motions or z_mm >= limits.safe_z_mm - _ROUNDING_MM:
         return None
     if not isnan(z_mm):
         return Phrase(
-            "the program leaves the tool at Z{z_mm:g}, below the safe height Z{safe_z_mm:g}; end it with a way up",
+            "the program leaves the tool at Z{z_mm:g}, below the safe height Z{safe_z_mm:g}; end it with a move up",
             z_mm=z_mm,
             safe_z_mm=limits.safe_z_mm,
         )
     if is_raised(machine_z_mm, limits.top_z_mm):
         return None
     return Phrase(
-        "the program leaves the tool at a height that nobody knows; end it with a way up to Z{safe_z_mm:g} or higher",
+        "the program leaves the tool at a height that nobody knows; end it with a move up to Z{safe_z_mm:g} or higher",
         safe_z_mm=limits.safe_z_mm,
     )
 
@@ -189,8 +189,8 @@ def _judge_offset(reading: Reading) -> Phrase | None:
     by_h = dialect is not None and dialect.name == "okuma"
     names = [f"G15 H{int(frame[1:]) - 53}" if by_h else frame for frame in (*others, f"G{53 + wanted}")]
     return Phrase(
-        "works in the offset {other}, and {wanted} is that of the job and the mill (machine.work_offset): its zero may "
-        "be anywhere",
+        "works in the offset {other}, but the job and the mill use {wanted} (machine.work_offset): its zero may be "
+        "anywhere",
         other=", ".join(names[:-1]),
         wanted=names[-1],
     )
@@ -202,8 +202,8 @@ def _judge_feed(reading: Reading) -> Phrase | None:
     if feeds is None or feeds[1] <= fastest + 1:
         return None
     return Phrase(
-        "F goes up to {most_mm_per_min:g} mm/min, {machine} in no direction beyond {limit_mm_per_min:.0f} mm/min: is "
-        "it the feed that was meant?",
+        "F goes up to {most_mm_per_min:g} mm/min, but {machine} moves at most {limit_mm_per_min:.0f} mm/min in any "
+        "direction: is this the feed that you meant?",
         most_mm_per_min=feeds[1],
         machine=limits.profile,
         limit_mm_per_min=fastest,
@@ -248,8 +248,8 @@ def _judge_pause(reading: Reading) -> Phrase | None:
     if reading.pause_s <= _LONG_PAUSE_S:
         return None
     return Phrase(
-        "a dwell (G4) lasts {minutes:.0f} minutes: this control reads its number as {pause_s:g} seconds; are "
-        "milliseconds meant?",
+        "a dwell (G4) lasts {minutes:.0f} minutes: this control reads its number as {pause_s:g} seconds; did "
+        "you mean milliseconds?",
         minutes=reading.pause_s / 60,
         pause_s=reading.pause_s,
     )
@@ -274,7 +274,7 @@ def _judge_numbers(reading: Reading) -> Phrase | None:
 
 
 def _judge_link(reading: Reading) -> Phrase | None:
-    """What the link carries of the feed, where the mill stands for much of its time waiting for lines."""
+    """Warn if the mill waits for lines for much of its time, with the feed that the link carries."""
     limits, feeds = reading.limits, reading.feeds_mm_per_min
     if feeds is None or not reading.path_length_mm > 0 or not reading.starved_s >= STARVED_SHARE * reading.time_s > 0:
         return None

@@ -1,4 +1,4 @@
-"""Is a program plain text with line ends that every control reads? If not, the reason by its name."""
+"""Requires a program to be plain text with line ends that every control reads."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _LONE_RETURN = re.compile(rb"\r(?=[^\r\n])")
 
 
 def require_plain_text(chunks: Iterable[bytes], *, lone_returns: bool = False) -> Iterator[bytes]:
-    """Yield the same pieces of a file; ProgramRefusedError where it is no plain text, by what it is instead.
+    """Yield the same pieces of a file. Raise ProgramRefusedError, which names the encoding, if it is not plain text.
 
-    lone_returns : CR alone may end a line, where commands are told apart by another sign
+    lone_returns : CR alone may end a line: the language separates commands by another character
     """
     line, last = 1, b""
     for number, chunk in enumerate(chunks):

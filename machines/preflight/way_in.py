@@ -1,8 +1,8 @@
 """The way in: from where the tool is parked to the first place that a program gives in X, Y and Z.
 
-Nobody knows where the tool stands when a program begins, nor what stands around the block. Safe from anywhere is
-only this: straight up first, to the top of the mill or to the safe height, then across, then down. From a place that is
-known, a way that stays above what the program mills is safe, too.
+Nobody knows where the tool stands when a program begins, nor what stands around the block. Only one way is safe from
+anywhere: straight up to the top of the mill or to the safe height, then across, then down. If the place of the tool is
+known, a way above the milled area is safe, too.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ def read_way_in(lines: Iterable[tuple[int, bytes]], *, dialect: str, state: Moda
 def read_from_place(
     lines: Sequence[tuple[int, bytes]], *, dialect: str, wcs: str, place_mm: tuple[float, float, float]
 ) -> WayIn:
-    """Read the same of a tool that stands at a known place of the work frame `wcs`."""
+    """Read the way in of a tool that stands at a known place of the work frame `wcs`."""
     return read_way_in(lines, dialect=dialect, state=replace(ModalState(), wcs=wcs, position_mm=place_mm))
 
 
 def find_risk(
     motions: Iterable[Motion], *, safe_z_mm: float, top_z_mm: float | None, over: Bounds | None = None
 ) -> Phrase | None:
-    """Return which step may hit what stands beside the block, in words; None where the way is safe.
+    """Return, in words, which step may hit a clamp or the block; None if the way is safe.
 
     safe_z_mm : in the work frame; a way across is no lower
     top_z_mm  : machine Z of the raised head; None: 0
@@ -147,13 +147,13 @@ def _say_across(line: int, lowest_mm: float, safe_z_mm: float) -> Phrase:
 def _say_low(line: int, end_mm: float, safe_z_mm: float) -> Phrase:
     if end_mm == -inf:
         return Phrase(
-            "line {line} begins with a way to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} "
+            "line {line} first moves to a height that may be too low; begin with Z alone: up to Z{safe_z_mm:g} "
             "or higher, or to the top of the mill (G53 G0 Z)",
             line=line,
             safe_z_mm=safe_z_mm,
         )
     return Phrase(
-        "line {line} goes to Z{end_mm:g} wherever the tool stands, below the safe height Z{safe_z_mm:g}; begin with Z "
+        "line {line} goes to Z{end_mm:g}, below the safe height Z{safe_z_mm:g}, from an unknown place; begin with Z "
         "alone: up to that or higher, or to the top of the mill (G53 G0 Z)",
         line=line,
         end_mm=end_mm,

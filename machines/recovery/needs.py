@@ -7,7 +7,7 @@ from typing import Any
 
 from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
-from machines.grbl.view import counts_on
+from machines.grbl.view import has_kept_count
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Need, Present
 from phrases.phrase import Phrase
@@ -22,7 +22,7 @@ _PLACE_MM = (
 DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
     "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
     "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
-    "settings": Phrase("settings on which the position rests were changed since the run stopped"),
+    "settings": Phrase("settings that define the position have changed since the run stopped"),
     "unseen": Phrase("nothing shows that the controller went on without a restart while it was out of sight"),
 }
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
@@ -71,7 +71,7 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
     if changes := ", ".join(present.frame_changes):
         words = Phrase(
-            "settings on which the position rests are others than when the part was cut ({settings}): put them back "
+            "settings that define the position have changed since the part was cut ({settings}): put them back "
             "and home the mill, or, if you know that the position is right, say so (trust position)",
             settings=changes,
         )
@@ -88,9 +88,9 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
     """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut.
 
-    The one judgement, on a link that has seen everything as on a new one. What proves that a controller which was out
-    of sight has kept its count: feed or spindle are set still, or it stands where it was left. Other settings of the
-    frame are in doubt even on a mill that was homed since: what is cut already was cut by the old ones.
+    Every link is judged here alike, old or new. Two things prove that a controller has kept its count while nobody
+    watched it: its feed or spindle is still set, or it stands where it was left. Changed settings of the frame leave
+    doubt even after homing: the part was cut with the old ones.
     """
     if present.frame_changes:
         return "settings"
@@ -104,7 +104,7 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
     if not record.get("position_trusted"):
         return "unconfirmed"
     left_mm = record.get("stood_mm") or record.get("machine_mm")
-    if counts_on(left_mm, status.machine_mm, _PLACE_MM) or never_restarted(
+    if has_kept_count(left_mm, status.machine_mm, _PLACE_MM) or never_restarted(
         present.parser_state, record.get("state_before")
     ):
         return ""

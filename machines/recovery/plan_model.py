@@ -73,7 +73,7 @@ class Present:
     def of_run(
         record: Mapping[str, Any], status: MillStatus, parser_state: str | None, settings: ControllerSettings | None
     ) -> Present:
-        """Return what is known of the mill now that concerns the run of this journal."""
+        """Return the present state of the mill, as far as it concerns the run of this record."""
         then = (record.get("settings") or {}).get("values") or {}
         now = settings.values if settings is not None else {}
         return Present(
@@ -130,9 +130,9 @@ class RecoveryPlan:
 
     @property
     def digest(self) -> str:
-        """Tell one plan from another: a person's word is for the plan that they have read.
+        """Return a hash that identifies the plan: a person confirms the plan that they have read.
 
-        Made of facts alone: words may change while nothing does.
+        It covers facts only: the words may change while the plan does not.
         """
         facts = {
             "run": self.run_id,

@@ -109,7 +109,7 @@ def _with_words(
     if status.spindle_on:
         words.append(Phrase("the spindle is ON now"))
     elif status.spindle_on is None:
-        words.append(Phrase("whether the spindle turns is not known: look at it"))
+        words.append(Phrase("it is not known whether the spindle turns: look at it"))
     if status.work_mm is not None:
         words.append(Phrase("the tool is at {work_mm} (work) now", work_mm=axes_words(status.work_mm)))
     last = record.get("work_mm")

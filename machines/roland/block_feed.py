@@ -72,9 +72,9 @@ class BlockFeed:
         self.frame_left_at = 0  # line that left the frame whose origin we know
 
     def turn(self, device: Mdx40aDevice, *, may_send: bool, require: Require) -> None:
-        """Take back what the mill has counted; then, if it may be, send the next block. FeedFault ends the feed.
+        """Take the mill's byte count; then send the next block if `may_send`. FeedFault ends the feed.
 
-        require : asked when the block is read and nothing but its write is left; where it raises, the block waits
+        require : called when only the write of the block is left; the block waits if it raises
         """
         if self.block is not None and not self._count(device, self.block):
             return

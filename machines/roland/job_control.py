@@ -17,7 +17,7 @@ from machines.driver import (
     StatusChannel,
     Stopped,
     StreamProgress,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, PortError
 from machines.roland.block_feed import BlockFeed, FeedFault
@@ -56,11 +56,11 @@ class JobControl:
 
     @property
     def is_held(self) -> bool:
-        """A program waits for a resume."""
+        """Return whether a program waits for a resume."""
         return self.feed is not None and self._held and not self._aborting
 
     def start(self, device: Mdx40aDevice, lines: Iterator[ProgramLine], require: Require) -> None:
-        """Send the first block of a program; where `require` raises the job is closed again, and it has none."""
+        """Send the first block of a program. Close the job again if `require` raises: then nothing was sent."""
         origin_mm = read_work_origin_mm(device, self._dialect)
         here_mm = to_work_mm(device.read_state().machine_mm, origin_mm)
         self.feed = BlockFeed(device, lines, dialect=self._dialect, origin_mm=origin_mm, here_mm=here_mm)
@@ -89,7 +89,7 @@ class JobControl:
         self._still_since_s = now_s
 
     def resume(self, device: Mdx40aDevice, require: Require) -> None:
-        """Feed again what is held."""
+        """Feed the held program again."""
         require()
         self._held = False
         try:
@@ -117,8 +117,8 @@ class JobControl:
         self._held = self._aborting = False
         self._channel.end_stream()
 
-    def turn(self, device: Mdx40aDevice, require: Require = unconditional) -> None:
-        """Take back what the mill has counted, and send the next block where one may go, and `require` lets it."""
+    def turn(self, device: Mdx40aDevice, require: Require = allow_always) -> None:
+        """Take the mill's byte count, and send the next block if the state and `require` allow it."""
         feed = self.feed
         if feed is None or self._aborting:
             return

@@ -25,7 +25,7 @@ from machines.driver import (
     StatusChannel,
     StreamProgress,
     TrustPosition,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAllowedError, PortError
 from machines.roland.job_control import JobControl
@@ -113,7 +113,7 @@ class RolandUsbDriver:
     def urge(self, stop: str) -> bool:
         return False  # nothing over this link is known to pause a job
 
-    def start(self, lines: Iterator[ProgramLine], require: Require = unconditional) -> None:
+    def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         device, state = self._device, self.status.state
         if device is None or state is not MillState.IDLE:
             raise NotAllowedError(
@@ -130,7 +130,7 @@ class RolandUsbDriver:
         if self._device is not None:
             self._job.hold(self._device.clock())
 
-    def resume(self, require: Require = unconditional) -> None:
+    def resume(self, require: Require = allow_always) -> None:
         device = self._device
         if device is None or not self._job.is_held:
             raise NotAllowedError(
@@ -158,7 +158,7 @@ class RolandUsbDriver:
         except PortError as error:
             self._lose(error)
 
-    def command(self, command: Command, require: Require = unconditional) -> None:
+    def command(self, command: Command, require: Require = allow_always) -> None:
         device = self._device
         if device is None:
             raise NotAllowedError(Phrase("the mill is not connected"))

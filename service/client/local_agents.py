@@ -19,9 +19,9 @@ _TIMEOUT = httpx.Timeout(3.0, connect=1.0)
 
 
 def stop_at_agents(run_id: str, stop: str, environment: Mapping[str, str] = os.environ) -> str | None:
-    """Stop a run at the agent that has it; return its machine, None where no agent of ours has stopped it.
+    """Stop a run at the agent that has it; return its machine, or None if no agent has stopped it.
 
-    Agents are found as `serve` and `mill` started by this account leave their cards.
+    Agents are found by the cards that `serve` and `mill` of this account have written.
     """
     for card, token in _list_agents(environment):
         with contextlib.suppress(httpx.HTTPError):

@@ -1,8 +1,8 @@
 """Accepts connections and sets them up, those first whose first bytes name a stop.
 
-Theory of operation. To set a connection up costs a server half a millisecond, to accept one a fiftieth of that. So all
-are accepted, those that say nothing cost nothing more, and of those that speak a few are set up in each turn of the
-event loop, stops before all others: a crowd of three thousand keeps a stop waiting for less than a tenth of a second.
+Theory of operation. It takes half a millisecond to set a connection up, and a fiftieth of that to accept it. So the
+acceptor accepts all connections, and waits for their first bytes at no further cost. In each turn of the event loop it
+sets up every stop and a few of the others: a crowd of three thousand delays a stop by less than a tenth of a second.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Who has a place at a server, and whose connection is closed where there are too many.
+"""Decides which connections a server keeps, and which one it closes if there are too many.
 
-Theory of operation. A caller who has not shown a token is a stranger. What strangers have still to send (a head, a
-body, the first message of a WebSocket) is awaited on a few places only: the stranger who has kept us waiting longest
-loses the place to the next one, and none is waited for longer than a fixed time, however many bytes come meanwhile. A
-stop is known by its head: from then on its connection holds no place and is never closed to make room. Nobody who has
-shown a token is closed as long as there is a stranger.
+Theory of operation. A caller who has not shown a token is a stranger. Only a few strangers at once may keep the server
+waiting for a head, a body or the first message of a WebSocket: the one that has waited longest is closed for the next
+one, and none may take longer than a fixed time, however many bytes it sends meanwhile. The head of a request shows
+whether it is a stop: from then on its connection is never closed to make room. The connection of a caller with a token
+is closed only when there is no stranger left to close.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Admission:
 
     @property
     def is_full(self) -> bool:
-        """Return whether there are too many connections, and none of them may be closed to make room."""
+        """Return whether there are too many connections and none may be closed to make room."""
         return len(self._places) > self.most
 
     @property
@@ -62,7 +62,7 @@ class Admission:
         if len(self._waiting) > self.strangers:
             next(iter(self._waiting)).close()
 
-    def _await_nothing(self, place: Place) -> None:
+    def _stop_waiting(self, place: Place) -> None:
         self._waiting.pop(place, None)
 
     def _leave(self, place: Place) -> None:
@@ -70,7 +70,7 @@ class Admission:
         self._places.pop(place, None)
 
     def _find_other(self, new: Place) -> Place | None:
-        """Find whom to close: strangers first, then who has asked for nothing for longest. None: all are at work."""
+        """Find a connection to close: a stranger first, then the longest idle one. None: all are at work."""
         others = [place for place in self._places if place is not new and not place.is_stop]
         classes = (
             (place for place in self._waiting if place is not new),
@@ -92,32 +92,33 @@ class Place:
         self.is_awaited = False  # its caller has still to send something
 
     def await_request(self) -> None:
-        """Wait for a request, from now on and for a fixed time."""
-        self.await_nothing()
+        """Begin to wait for a request, for a fixed time."""
+        self.stop_waiting()
         self.is_stop, self.is_awaited = False, True
         self._timer = asyncio.get_running_loop().call_later(self._admission.wait_s, self.close)
         if not self.is_known:
             self._admission._await(self)
 
-    def await_nothing(self) -> None:
-        """The request is here."""
+    def stop_waiting(self) -> None:
+        """Stop waiting: the request has come."""
         if self._timer is not None:
             self._timer.cancel()
         self.is_awaited = False
-        self._admission._await_nothing(self)
+        self._admission._stop_waiting(self)
 
     def answer_stop(self) -> None:
-        self.await_nothing()
+        """Keep the connection, which brings a stop, until the stop is answered."""
+        self.stop_waiting()
         self.is_stop = True
 
     def identify(self) -> None:
-        """The caller has shown a token."""
+        """Note that the caller has shown a token."""
         self.is_known = True
-        self.await_nothing()
+        self.stop_waiting()
 
     def leave(self) -> None:
-        """The connection is lost."""
-        self.await_nothing()
+        """Give the place up: the connection is lost."""
+        self.stop_waiting()
         self._admission._leave(self)
 
     def close(self) -> None:

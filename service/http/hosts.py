@@ -40,7 +40,7 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
 
 
 def own_names(more: Iterable[str] = ()) -> frozenset[str]:
-    """Return names under which this computer may be called, lower case. more: by the settings."""
+    """Return the host names of this computer in lower case. more: further ones, of the settings"""
     return frozenset({"localhost", socket.gethostname().lower(), *(name.lower() for name in more)})
 
 

@@ -28,7 +28,7 @@ VERSION_HEADER = "Causticmill-Version"  # with every answer
 
 
 def allow_open_files(most: int) -> int:
-    """Raise this process's limit of open files to `most`, or as far as it may; return what it is then."""
+    """Raise this process's limit of open files to `most`, or as far as it may. Return the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     if soft != resource.RLIM_INFINITY and soft < most:
@@ -56,12 +56,12 @@ class HttpServer(uvicorn.Server):
             acceptor.close()
         await super().shutdown(sockets)
 
-    def begin(self, connection: socket.socket, come: bytes = b"") -> None:
-        """Serve a connection. come: what another process has read of it."""
+    def begin(self, connection: socket.socket, received: bytes = b"") -> None:
+        """Serve a connection. received: what another process has read of it"""
         protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
             config=self.config, server_state=self.server_state, app_state=self.lifespan.state
         )
-        protocol.first_data = come
+        protocol.first_data = received
         begin_connection(protocol, connection, self._beginnings)
 
 
@@ -138,4 +138,4 @@ class ProblemProtocol(H11Protocol):
         if is_stop(self.scope["method"], self.scope["path"]):
             self._place.answer_stop()
         elif self._place.is_known or not self.cycle.more_body:
-            self._place.await_nothing()
+            self._place.stop_waiting()

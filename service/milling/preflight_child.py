@@ -99,7 +99,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         spindle_rpm=spindle,
         motions=int(totals[tally.MOTIONS]) + sum(events[slot][1] for slot in unplaced),
         ends=scan.state.ended,
-        spindle_left_on=False,  # M2 switches it off, and a program without it is told of that
+        spindle_left_on=False,  # M2 switches it off, and the rule "end" warns of a program without it
         way_in=way_in.motions,
         last_z_mm=totals[tally.LAST_Z],
         last_machine_z_mm=totals[tally.LAST_MACHINE_Z],

@@ -1,5 +1,5 @@
-"""What a child of `serve` has from its supervisor: a pipe to beat into, the address to serve, bound already, and the
-line between API and standby.
+"""What a child of `serve` inherits from its supervisor: a pipe for beats, the bound socket to serve, and the line
+between API and standby.
 
 The pipe tells both ways: without beats the supervisor takes the child for frozen, and a supervisor that is gone closes
 it. Only what the standard library has is imported here.
@@ -54,7 +54,7 @@ def inherit_line() -> socket.socket | None:
 
 
 def make_line() -> tuple[socket.socket, socket.socket]:
-    """Return the ends of the standby and of the API. They outlive both: what was sent to one that dies is not lost."""
+    """Return the standby's end and the API's end. Both outlive the two processes: no message is lost if one dies."""
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     for end in ends:
         end.setblocking(False)

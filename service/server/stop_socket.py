@@ -1,4 +1,4 @@
-"""A way of its own for stops: a WebSocket, for which a browser keeps no place among its six connections to a server.
+"""A WebSocket for stops only: a browser does not count it among its six connections to a server.
 
 The page says who it is first, {"token": "cm_..."} (at the server's own computer "" will do), and then may stop any
 mill: {"id": 1, "machine": "shop-mill", "what": "hold"} is answered {"id": 1, "taken": true, ...}. A beat every few
@@ -83,7 +83,7 @@ class StopSockets:
                 await socket.close()
 
     def _identify(self, socket: WebSocket, secret: str) -> OrderContext | None:
-        """Return who stops mills over this socket; None for one who may not."""
+        """Return the caller on this socket; None if the caller may not stop mills."""
         origin = address_of(socket.scope, behind_proxy=self._behind_proxy)
         if (stopper := self._find_stopper(secret)) is not None:
             return OrderContext(name=stopper.name, origin=origin)

@@ -19,19 +19,19 @@ FILE = "stop-tokens.json"  # in the data folder
 
 @dataclass(frozen=True, slots=True)
 class Stopper:
-    """Whose token it is."""
+    """The owner of a token that may stop mills."""
 
     id: str
     name: str
 
 
 def hash_secret(secret: str) -> str:
-    """Return what is kept of a secret."""
+    """Return the digest by which a secret is known."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def read_stoppers(path: Path) -> dict[str, Stopper]:
-    """Return by the digests of their tokens who may stop mills; nobody where the file cannot be read."""
+    """Return who may stop mills, by the digests of their tokens; nobody if the file cannot be read."""
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
         return {str(digest): Stopper(**row) for digest, row in json.loads(path.read_bytes()).items()}
     return {}

@@ -38,14 +38,14 @@ class Conversion:
     grey: Array | None = None
     colour: ImageCms.ImageCmsTransform | None = None
 
-    def greys(self, values: Array) -> Array:
-        """Return what values in [0, 1] are in sRGB."""
+    def convert_greys(self, values: Array) -> Array:
+        """Convert grey values in [0, 1] to sRGB values."""
         if self.grey is None:
             return values
         return np.asarray(self.grey[np.rint(values * _STEPS).astype(np.uint16)])
 
-    def colours(self, image: Image.Image) -> Image.Image:
-        """Return RGB or CMYK pixels as sRGB."""
+    def convert_colours(self, image: Image.Image) -> Image.Image:
+        """Convert RGB or CMYK pixels to sRGB."""
         return image.convert("RGB") if self.colour is None else self.colour.apply(image)
 
 
@@ -59,57 +59,61 @@ def find_conversion(picture: DecodedPicture) -> Conversion:
         profile = _open(picture.colour, grey=grey)
         space = profile.profile.xcolor_space.strip()
         if grey and space in ("GRAY", "RGB"):
-            return Conversion(grey=_convert_greys(profile, space))
+            return Conversion(grey=_tabulate_greys(profile, space))
         if space != ("CMYK" if mode == "CMYK" else "RGB"):
             raise ProfileError(space)
-        return Conversion(colour=ImageCms.buildTransform(profile, _srgb(), "CMYK" if mode == "CMYK" else "RGB", "RGB"))
+        return Conversion(
+            colour=ImageCms.buildTransform(profile, _make_srgb(), "CMYK" if mode == "CMYK" else "RGB", "RGB")
+        )
     except (ImageCms.PyCMSError, OSError, ValueError, TypeError, MemoryError) as error:
         raise ProfileError(str(error)) from None
 
 
 def _open(colour: bytes | Colorimetry, *, grey: bool) -> ImageCms.ImageCmsProfile:
-    return ImageCms.ImageCmsProfile(io.BytesIO(colour if isinstance(colour, bytes) else _profile_of(colour, grey=grey)))
+    return ImageCms.ImageCmsProfile(
+        io.BytesIO(colour if isinstance(colour, bytes) else _make_profile(colour, grey=grey))
+    )
 
 
-def _convert_greys(profile: ImageCms.ImageCmsProfile, space: str) -> Array:
-    """Return the sRGB values of all greys. Without LittleCMS's shortcuts, which miss dark greys by half."""
+def _tabulate_greys(profile: ImageCms.ImageCmsProfile, space: str) -> Array:
+    """Return the sRGB values of all greys. Avoid LittleCMS's shortcuts, which miss dark greys by half."""
     if space == "GRAY":
         greys = Image.fromarray(np.arange(65536, dtype=np.uint16).reshape(256, 256))
     else:
         greys = Image.fromarray(np.arange(256, dtype=np.uint8).reshape(16, 16)).convert("RGB")
     exact = ImageCms.Flags.NOOPTIMIZE | ImageCms.Flags.NOCACHE
     mode = "I;16" if space == "GRAY" else "RGB"
-    transform = ImageCms.buildTransform(profile, _grey_srgb(), mode, "I;16", flags=exact)
+    transform = ImageCms.buildTransform(profile, _make_grey_srgb(), mode, "I;16", flags=exact)
     found = np.asarray(transform.apply(greys)).ravel() / _STEPS
     return np.interp(np.arange(65536) / _STEPS, np.linspace(0.0, 1.0, found.size), found)
 
 
 @cache
-def _srgb() -> ImageCms.ImageCmsProfile:
+def _make_srgb() -> ImageCms.ImageCmsProfile:
     return ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
 
 
 @cache
-def _grey_srgb() -> ImageCms.ImageCmsProfile:
-    curve = _parametric(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
-    return ImageCms.ImageCmsProfile(io.BytesIO(_icc(b"GRAY", {b"kTRC": curve})))
+def _make_grey_srgb() -> ImageCms.ImageCmsProfile:
+    curve = _pack_curve(3, 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+    return ImageCms.ImageCmsProfile(io.BytesIO(_pack_profile(b"GRAY", {b"kTRC": curve})))
 
 
-def _profile_of(colour: Colorimetry, *, grey: bool) -> bytes:
-    """Write a profile for a gamma and primaries. ValueError where they are none."""
+def _make_profile(colour: Colorimetry, *, grey: bool) -> bytes:
+    """Return a profile for a gamma and primaries. ValueError if they are impossible."""
     if not _GAMMAS[0] <= colour.gamma <= _GAMMAS[1]:
         raise ValueError(colour.gamma)
-    curve = _parametric(0, colour.gamma)
+    curve = _pack_curve(0, colour.gamma)
     if grey:
-        return _icc(b"GRAY", {b"kTRC": curve})
-    columns = _colorants(colour).T
+        return _pack_profile(b"GRAY", {b"kTRC": curve})
+    columns = _compute_colorants(colour).T
     named = zip((b"rXYZ", b"gXYZ", b"bXYZ"), columns, strict=True)
-    return _icc(
-        b"RGB ", {b"rTRC": curve, b"gTRC": curve, b"bTRC": curve} | {name: _xyz(*column) for name, column in named}
+    return _pack_profile(
+        b"RGB ", {b"rTRC": curve, b"gTRC": curve, b"bTRC": curve} | {name: _pack_xyz(*column) for name, column in named}
     )
 
 
-def _colorants(colour: Colorimetry) -> Array:
+def _compute_colorants(colour: Colorimetry) -> Array:
     """Return XYZ of red, green, blue as columns, white adapted to D50 by Bradford's matrix (ICC.1, annex E)."""
     points = np.array([colour.red, colour.green, colour.blue, colour.white])
     x, y = points.T
@@ -124,25 +128,25 @@ def _colorants(colour: Colorimetry) -> Array:
     return np.asarray(np.linalg.inv(_BRADFORD) @ np.diag(gains) @ _BRADFORD @ primaries)
 
 
-def _icc(space: bytes, tags: Mapping[bytes, bytes]) -> bytes:
+def _pack_profile(space: bytes, tags: Mapping[bytes, bytes]) -> bytes:
     """Return a display profile of version 4 (ICC.1:2010, 7)."""
     words = b"mluc" + bytes(4) + struct.pack(">II2s2sII", 1, 12, b"en", b"US", 2, 28) + "-".encode("utf-16-be")
-    named = {b"desc": words, b"cprt": words, b"wtpt": _xyz(*_D50), **tags}
+    named = {b"desc": words, b"cprt": words, b"wtpt": _pack_xyz(*_D50), **tags}
     table, data, start = b"", b"", 128 + 4 + 12 * len(named)
     for name, content in named.items():
         table += name + struct.pack(">II", start + len(data), len(content))
         data += content + bytes(-len(content) % 4)
     header = struct.pack(">I4xI4s4s4s12x4s28x", start + len(data), 0x04200000, b"mntr", space, b"XYZ ", b"acsp")
-    return header + _xyz(*_D50)[8:] + bytes(48) + struct.pack(">I", len(named)) + table + data
+    return header + _pack_xyz(*_D50)[8:] + bytes(48) + struct.pack(">I", len(named)) + table + data
 
 
-def _xyz(*values: float) -> bytes:
-    return b"XYZ " + bytes(4) + _fixed(*values)
+def _pack_xyz(*values: float) -> bytes:
+    return b"XYZ " + bytes(4) + _pack_fixed(*values)
 
 
-def _parametric(kind: int, *values: float) -> bytes:
-    return b"para" + bytes(4) + struct.pack(">HH", kind, 0) + _fixed(*values)
+def _pack_curve(kind: int, *values: float) -> bytes:
+    return b"para" + bytes(4) + struct.pack(">HH", kind, 0) + _pack_fixed(*values)
 
 
-def _fixed(*values: float) -> bytes:
+def _pack_fixed(*values: float) -> bytes:
     return struct.pack(f">{len(values)}i", *(round(value * 65536) for value in values))

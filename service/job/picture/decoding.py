@@ -35,7 +35,7 @@ class Colorimetry:
     blue: Point
 
     def is_like(self, other: Colorimetry) -> bool:
-        """Return whether no eye tells them apart."""
+        """Return whether the two differ by less than an eye can see."""
         pairs = ((self.white, other.white), (self.red, other.red), (self.green, other.green), (self.blue, other.blue))
         near = all(abs(a - b) < 0.005 for ours, theirs in pairs for a, b in zip(ours, theirs, strict=True))
         return near and abs(self.gamma / other.gamma - 1) < 0.01
@@ -142,8 +142,8 @@ def _has_more_frames(image: Image.Image, layout: TiffLayout | None) -> bool:
 
 
 def _transparency_units(image: Image.Image, name: str) -> int:
-    """Return what a PNG's clear grey is to be multiplied with: it is written in the file's bits, and pixels of fewer
-    than 8 bits are spread over 8.
+    """Return the factor for a PNG's transparent grey: the file states it in its own bits, and Pillow spreads pixels of
+    fewer than 8 bits over 8.
     """
     if not (isinstance(image, PngImageFile) and "transparency" in image.info and image.tile):
         return 1
@@ -151,8 +151,8 @@ def _transparency_units(image: Image.Image, name: str) -> int:
     if image.mode == "RGB" and "16" in stored:
         raise PictureError(
             Phrase(
-                "{name}: this PNG stores one clear colour for RGB of 16 bits, which is not read; save it with an alpha "
-                "channel",
+                "{name}: this PNG stores one transparent colour for RGB of 16 bits, which is not read; save it with an "
+                "alpha channel",
                 name=name,
             )
         )
@@ -160,7 +160,7 @@ def _transparency_units(image: Image.Image, name: str) -> int:
 
 
 def _colour_of(image: Image.Image, chunks: PngChunks | None) -> bytes | Colorimetry | None:
-    """Return what the file says of its colours: a profile, else a gamma, else Exif's "Adobe RGB"; None for sRGB."""
+    """Return how the file defines its colours: a profile, else a gamma, else Exif's "Adobe RGB"; None for sRGB."""
     if chunks is None:
         profile = image.info.get("icc_profile")
         if isinstance(profile, bytes) and profile:
@@ -179,7 +179,7 @@ def _colour_of(image: Image.Image, chunks: PngChunks | None) -> bytes | Colorime
 
 
 def _is_adobe_rgb(image: Image.Image) -> bool:
-    """Return whether a camera's note says so (DCF 2.0: interoperability "R03")."""
+    """Return whether Exif states Adobe RGB (DCF 2.0: interoperability "R03")."""
     if image.format not in ("JPEG", "MPO"):
         return False
     try:

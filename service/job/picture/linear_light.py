@@ -52,13 +52,13 @@ class ToneReader:
 
     @classmethod
     def of(cls, picture: DecodedPicture, *, tone: str) -> ToneReader:
-        """Look through the picture. ValueError for values that are no tones."""
+        """Examine the picture and return its reader. ValueError if its values are not tones."""
         white, warnings = _find_white(picture)
         conversion = Conversion()
         if picture.image.mode != "F" and picture.colour is not None:
             if tone == "linear":
                 warnings.append(
-                    Phrase("names colours of its own, which are not used: image.tone = linear says what it holds")
+                    Phrase("has colour information that is not used: with image.tone = linear its values are light")
                 )
             else:
                 try:
@@ -74,7 +74,7 @@ class ToneReader:
     def read_strip(self, top: int, bottom: int) -> Array:
         """Return luminance (bottom - top, columns) in [0, 1], in linear light, transparent parts over white.
 
-        Floating-point pictures ("F") hold linear light whatever the tone says, as such files do by convention.
+        Floating-point pictures ("F") hold linear light by convention; the tone does not apply to them.
         """
         image = self.picture.image
         strip = image.crop((0, top, image.width, bottom))
@@ -100,7 +100,7 @@ class ToneReader:
             values = 1.0 - values
         if strip.mode == "F":
             return values
-        linear = self._linearise(self.conversion.greys(values))
+        linear = self._linearise(self.conversion.convert_greys(values))
         clear = self.picture.image.info.get("transparency")
         return np.where(raw == clear, 1.0, linear) if isinstance(clear, int) else linear
 
@@ -108,8 +108,8 @@ class ToneReader:
         """Return the light of L, RGB or CMYK pixels."""
         steps = np.arange(256) / 255.0
         if image.mode == "L":
-            return np.asarray(self._linearise(self.conversion.greys(steps))[np.asarray(image)])
-        pixels, table = np.asarray(self.conversion.colours(image)), self._linearise(steps)
+            return np.asarray(self._linearise(self.conversion.convert_greys(steps))[np.asarray(image)])
+        pixels, table = np.asarray(self.conversion.convert_colours(image)), self._linearise(steps)
         result = np.zeros(pixels.shape[:2])
         for channel, share in enumerate(_LUMINANCE):
             result += (share * table)[pixels[..., channel]]
@@ -125,7 +125,7 @@ def is_deep(image: Image.Image) -> bool:
 
 
 def has_alpha(image: Image.Image) -> bool:
-    """Return whether pixels of 8 bits may be clear."""
+    """Return whether pixels of 8 bits may be transparent."""
     return image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
 
 

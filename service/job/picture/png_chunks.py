@@ -1,4 +1,4 @@
-"""A PNG with the chunks that say something of its pixels, and no others: notes of any length never reach the decoder.
+"""Passes on only those chunks of a PNG that describe its pixels: long notes never reach the decoder.
 
 Pillow keeps all text of a PNG in memory and takes a file whose notes are long for damaged. Its colour profile is
 taken out here, too, with a bound of its own.
@@ -40,9 +40,9 @@ class PngChunks:
 
 
 def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
-    """Return what to read of a PNG, None for another file. PictureError for colours that are not read.
+    """Return which parts of a PNG to decode; None for another file. PictureError for colours that are not read.
 
-    From the first place on where the file is no row of chunks the decoder gets all of it, and says what is wrong.
+    Where the sequence of chunks is broken, the decoder gets the whole rest of the file, and reports the damage.
     """
     file.seek(0)
     if file.read(len(_SIGNATURE)) != _SIGNATURE:
@@ -56,7 +56,7 @@ def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
         if at + 12 + length > end or not kind.isalpha():
             break
         if kind == b"iCCP" and chunks.profile is None:
-            chunks.profile = _profile_of(file.read(min(length, _PROFILE_BYTES)))
+            chunks.profile = _read_profile(file.read(min(length, _PROFILE_BYTES)))
         elif kind == b"cICP":
             _require_srgb(file.read(min(length, 4)), name)
             chunks.is_srgb = True
@@ -69,7 +69,7 @@ def find_chunks(file: BinaryIO, name: str) -> PngChunks | None:
     return chunks
 
 
-def _profile_of(chunk: bytes) -> bytes:
+def _read_profile(chunk: bytes) -> bytes:
     _, _, rest = chunk.partition(b"\0")
     inflate = zlib.decompressobj()
     try:

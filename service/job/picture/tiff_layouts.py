@@ -1,8 +1,8 @@
 """The layouts of TIFF that are read. All others are refused by name, before anything is decoded.
 
-Pillow opens more layouts than it reads: of some it gives other tones without a word (16 bits with 0 = white, signed
-bytes, big-endian samples that are compressed). So this list holds what was compared with another decoder, tifffile
-(tests/service/job/picture/test_tiff_layouts.py), and a layout that is on no list is not read.
+Pillow opens more layouts than it reads right: for some it returns wrong tones without an error (16 bits with 0 = white,
+signed bytes, compressed big-endian samples). So this table lists the layouts that were compared with another decoder,
+tifffile (tests/service/job/picture/test_tiff_layouts.py), and only those are read.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ class TiffLayout:
 
     @property
     def white_is_zero(self) -> bool:
-        """Whether Pillow leaves it to its caller that 0 is white."""
+        """Return whether Pillow leaves it to its caller to invert samples in which 0 is white."""
         return self.photometric == _WHITE_IS_ZERO and self.bits > 8
 
     @property
     def full_scale(self) -> int:
-        """The largest value that a sample can hold."""
+        """Return the largest value that a sample can hold."""
         return int(2 ** (self.bits - 1 if self.format == _INT else self.bits) - 1)
 
     @property
@@ -144,22 +144,22 @@ def require_known_layout(file: BinaryIO, name: str) -> TiffLayout | None:
     if head[:4] not in PREFIXES:
         return None
     if head.startswith(_BIG_ENDIAN_BIGTIFF):
-        raise _unread(name, "BigTIFF, big-endian")
+        raise _make_refusal(name, "BigTIFF, big-endian")
     tags = ImageFileDirectory_v2(head if head[2] == 43 else head[:8])  # a BigTIFF has the longer head
     file.seek(tags.next)
     tags.load(file)
-    layout = _layout_of(tags, big_endian=head[:2] == b"MM")
+    layout = _read_layout(tags, big_endian=head[:2] == b"MM")
     file.seek(0)
-    if _first(tags, 254, 0) & 1:
+    if _read_first(tags, 254, 0) & 1:
         words = Phrase("{name}: the first picture of this TIFF is a preview; save the picture alone as PNG", name=name)
         raise PictureError(words)
     odd = _odd_colours(tags, layout)
     if odd or not layout.is_read:
-        raise _unread(name, f"{layout}{odd}")
+        raise _make_refusal(name, f"{layout}{odd}")
     return layout
 
 
-def _unread(name: str, layout: str) -> PictureError:
+def _make_refusal(name: str, layout: str) -> PictureError:
     return PictureError(
         Phrase(
             "{name}: this TIFF stores {layout}, which is not read; save it as PNG, grey or RGB of 8 or 16 bits",
@@ -169,38 +169,38 @@ def _unread(name: str, layout: str) -> PictureError:
     )
 
 
-def _layout_of(tags: ImageFileDirectory_v2, *, big_endian: bool) -> TiffLayout:
-    bits, formats = _all(tags, 258, (1,)), _all(tags, 339, (_UINT,))
-    samples = _first(tags, 277, 1)
+def _read_layout(tags: ImageFileDirectory_v2, *, big_endian: bool) -> TiffLayout:
+    bits, formats = _read_all(tags, 258, (1,)), _read_all(tags, 339, (_UINT,))
+    samples = _read_first(tags, 277, 1)
     alike = len(set(bits)) == 1 and len(bits) in (1, samples)
     return TiffLayout(
         big_endian=big_endian,
-        photometric=_first(tags, 262, -1),
+        photometric=_read_first(tags, 262, -1),
         format=formats[0] if len(set(formats)) == 1 else -1,
         bits=bits[0] if alike else 0,
         samples=samples,
-        extra=_all(tags, 338, ()),
-        separate=samples > 1 and _first(tags, 284, 1) != 1,
-        fill_order=_first(tags, 266, 1),
-        compression=_first(tags, 259, _RAW),
-        predictor=_first(tags, 317, 1),
+        extra=_read_all(tags, 338, ()),
+        separate=samples > 1 and _read_first(tags, 284, 1) != 1,
+        fill_order=_read_first(tags, 266, 1),
+        compression=_read_first(tags, 259, _RAW),
+        predictor=_read_first(tags, 317, 1),
         has_more_pages=bool(tags.next),
     )
 
 
 def _odd_colours(tags: ImageFileDirectory_v2, layout: TiffLayout) -> str:
-    """Return words for inks that are not those of print, and for a palette whose colours have 8 bits, not 16."""
-    if layout.photometric == _CMYK and _first(tags, 332, 1) != 1:
+    """Return a name for inks other than CMYK, or for a palette of 8 bits instead of 16; "" otherwise."""
+    if layout.photometric == _CMYK and _read_first(tags, 332, 1) != 1:
         return ", other inks"
-    if layout.photometric == _PALETTE and 0 < max(_all(tags, 320, (0,))) <= 255:
+    if layout.photometric == _PALETTE and 0 < max(_read_all(tags, 320, (0,))) <= 255:
         return ", its colours with 8 bits"
     return ""
 
 
-def _all(tags: ImageFileDirectory_v2, tag: int, default: tuple[int, ...]) -> tuple[int, ...]:
+def _read_all(tags: ImageFileDirectory_v2, tag: int, default: tuple[int, ...]) -> tuple[int, ...]:
     value: Any = tags.get(tag, default)
     return tuple(int(one) for one in value) if isinstance(value, tuple) else (int(value),)
 
 
-def _first(tags: ImageFileDirectory_v2, tag: int, default: int) -> int:
-    return _all(tags, tag, (default,))[0]
+def _read_first(tags: ImageFileDirectory_v2, tag: int, default: int) -> int:
+    return _read_all(tags, tag, (default,))[0]

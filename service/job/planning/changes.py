@@ -38,8 +38,9 @@ class Change:
 
 
 def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
-    """Yield changes that the job has not taken yet, and that its mill can. detail_mm: the smallest detail on the wall
-    that shows now.
+    """Yield changes that the job has not taken yet and that its mill allows.
+
+    detail_mm : the smallest detail that shows on the wall now
     """
     for change in _possible_changes(job, detail_mm):
         try:

@@ -1,7 +1,7 @@
-"""How far a job moves the mill, held against the travel of its axes: one rule for a submitted job, an estimate, the
+"""Compares the extent of a job with the travel of the mill's axes: one rule for a submitted job, an estimate, the
 command line and a plan.
 
-What is known without the lens is judged as soon as a job is resolved; its depth, once there is a lens.
+Width and height are checked as soon as a job is resolved; the depth, when the lens is computed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ROUNDING_MM = 1e-6
 
 
 def require_travel(spec: JobSpec, machine: MachineProfile, *, depth_mm: float) -> None:
-    """Raise SpecError where the passes of a job move the mill farther than it travels. depth_mm : of the lens"""
+    """Raise SpecError if the passes of a job need more than the mill's travel. depth_mm : of the lens"""
     problems = list(find_beyond_travel(spec, machine, [row.radius_mm for row in spec.passes], depth_mm=depth_mm))
     if problems:
         raise SpecError([one for one, _ in problems], {key: use for (key, _), use in problems if use is not None})
@@ -37,7 +37,7 @@ def find_beyond_travel(
     stock, optics = spec.stock, spec.optics
     sides = (("optics.width_mm", "X", optics.width_mm), ("optics.height_mm", "Y", optics.height_mm))
     for number, (key, axis, side_mm) in enumerate(sides):
-        beside_mm, what = max(_overhangs(spec, machine, radii_mm, axis), key=lambda one: one[0])
+        beside_mm, what = max(_list_overhangs(spec, machine, radii_mm, axis), key=lambda one: one[0])
         need_mm, have_mm = side_mm + 2 * beside_mm, machine.travel_mm[number]
         if need_mm <= have_mm + _ROUNDING_MM:
             continue
@@ -72,7 +72,7 @@ def find_beyond_travel(
         yield ("machine.travel_mm.2", words), None
 
 
-def _overhangs(
+def _list_overhangs(
     spec: JobSpec, machine: MachineProfile, radii_mm: Sequence[float], axis: str
 ) -> Iterator[tuple[float, Phrase]]:
     """Yield how far beyond the lens something moves at either side, and what."""

@@ -95,7 +95,7 @@ class RuleError(ValueError):
 
 
 def none_or_from(least: float) -> AfterValidator:
-    """Return the rule of a number that is 0, for none, or at least so much: what lies between is a slip."""
+    """Return the rule for a number that is 0, which means none, or at least a minimum: anything between is a slip."""
 
     def check(value: float) -> float:
         if 0 < abs(value) < least:

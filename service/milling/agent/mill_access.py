@@ -91,7 +91,7 @@ class MillAccess:
 
 
 async def _await_answer(future: Future[T], within_s: float) -> T:
-    """Wait for the mill's thread. A call that has not begun by then is taken back."""
+    """Wait for the mill's thread. Take the call back if it has not begun in time."""
     waiting = asyncio.wrap_future(future)
     done, _ = await asyncio.wait({waiting}, timeout=within_s)
     if done:

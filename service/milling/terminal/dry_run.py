@@ -18,7 +18,7 @@ from machines.driver import (
     MillStatus,
     ProgramDone,
     ProgramLine,
-    unconditional,
+    allow_always,
 )
 from machines.errors import MachineError, NotAControllerError
 from service.errors import FailedError
@@ -41,7 +41,7 @@ def run_check_mode(
     _set_check_mode(driver, url, on=True)
     protections = driver.protections
     try:
-        driver.start(lines, unconditional)
+        driver.start(lines, allow_always)
         while True:
             for event in driver.poll(_POLL_S):
                 if isinstance(event, Faulted):
@@ -57,7 +57,7 @@ def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
     """Check mode on or off, confirmed."""
     command = CheckMode(on)
     failures: list[str] = []
-    driver.command(command, unconditional)
+    driver.command(command, allow_always)
 
     def is_done(events: tuple[Event, ...]) -> bool:
         mine = [event for event in events if isinstance(event, CommandDone) and event.command == command]

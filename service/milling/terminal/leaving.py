@@ -110,7 +110,7 @@ def is_partly_unknown(status: MillStatus) -> bool:
 
 
 def await_status(thread: MillThread, is_open: Callable[[MillStatus], bool]) -> MillSnapshot:
-    """Wait a little while `is_open` says that something is still to come; return what is known then."""
+    """Wait for a short time while `is_open` expects more reports; return the last snapshot."""
     timeout = Timeout(_SETTLE_S)
     snapshot = thread.snapshot
     while is_open(snapshot.status) and not timeout.is_over:

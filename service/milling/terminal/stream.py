@@ -87,12 +87,12 @@ class StreamOrder:
 
     @property
     def questions(self) -> dict[str, str]:
-        """What a person has to confirm, by check."""
+        """Return the questions that a person has to confirm, by check."""
         return RECOVER_QUESTIONS if self.recover else START_QUESTIONS
 
     @property
     def given(self) -> frozenset[str]:
-        """Checks confirmed on the command line."""
+        """Return the checks that the command line confirms."""
         position = frozenset({"position"} if self.position_confirmed else ())
         return (START_CHECKS if self.confirmed else frozenset()) | position
 

@@ -93,7 +93,7 @@ const lockedWords = (number) => (number in ALARMS ? t`Locked: ${ALARMS[number][0
 const DOUBTS = {
   restarted: t("The controller has restarted since the run stopped, its position is lost"),
   unconfirmed: t("Nobody had confirmed the position when the run stopped"),
-  settings: t("Settings on which the position rests were changed since the run stopped"),
+  settings: t("Settings that define the position have changed since the run stopped"),
   unseen: t("Nothing shows that the controller went on without a restart while it was out of sight"),
 };
 const POSITION = t("home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you know that it is right, say so.");
@@ -183,7 +183,7 @@ const SENTENCES = {
   unlock: t("The mill is locked: home it, or unlock it."),
   position: ({ doubt, settings }) =>
     settings
-      ? t`Settings on which the position rests are others than when the part was cut (${settings}): put them back and home the mill, or, if you know that the position is right, say so.`
+      ? t`Settings that define the position have changed since the part was cut (${settings}): put them back and home the mill, or, if you know that the position is right, say so.`
       : `${DOUBTS[doubt]}: ${POSITION}`,
   zero: t("The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again."),
 

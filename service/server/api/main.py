@@ -48,7 +48,7 @@ from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine
 from service.server.serving import make_admission, make_config
-from service.server.standby.line import take_over
+from service.server.standby.line import receive_connections
 from service.server.stop_socket import StopSockets
 from service.server.stoppers import FILE as STOPPERS
 from service.settings import ServerSettings
@@ -147,12 +147,12 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
 
 
 async def _serve(services: Services, listener: socket.socket, line: socket.socket | None) -> None:
-    """line: to the standby, which serves stops while this process does not"""
+    """Serve until SIGTERM. line: to the standby, which serves stops while this process does not"""
 
     def begin() -> None:
         print(f"causticmill on {url_of(listener)}", flush=True)
         if line is not None:
-            take_over(line, server.begin)
+            receive_connections(line, server.begin)
             lifeline.say(line, lifeline.SERVING)
 
     def end() -> None:
@@ -163,14 +163,14 @@ async def _serve(services: Services, listener: socket.socket, line: socket.socke
     if services.settings.prepare:
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
-    turning = asyncio.create_task(_turn(server, line))
+    turning = asyncio.create_task(_send_beats(server, line))
     gc.freeze()  # what is here now stays: not worth looking at again and again
     await server.serve(sockets=[listener])
     turning.cancel()
 
 
-async def _turn(server: Server, line: socket.socket | None) -> None:
-    """Tell supervisor and standby of us while the loop turns; one that hangs is started again."""
+async def _send_beats(server: Server, line: socket.socket | None) -> None:
+    """Send beats to supervisor and standby while the event loop turns; a process that hangs is started again."""
     hang = Timeout(_STUCK_S, most_s=2.0 * lifeline.BEAT_S)  # looked at with every beat
     lifeline.healthy = lambda: not hang.is_over
     while True:
@@ -194,7 +194,7 @@ def server_of(
     app = make_app(services)
 
     async def serve(scope: Scope, receive: Receive, send: Send) -> None:
-        """Strangers may open sockets: that they pass by all of what requests need keeps them cheap."""
+        """Send WebSockets past all middleware: strangers may open them, so they must be cheap."""
         await (services.stop_sockets if scope["type"] == "websocket" else app)(scope, receive, send)
 
     config = make_config(serve, lifespan="on", timeout_graceful_shutdown=_DRAIN_S)

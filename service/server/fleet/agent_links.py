@@ -60,7 +60,7 @@ class AgentLinks:
         return self.get_link(known[machine])
 
     async def meet_agents(self) -> None:
-        """Find out where every mill's agent is, before anybody presses. One that is away is passed over."""
+        """Find the address of every mill's agent before the first order or stop. Skip an agent that is away."""
         known, _ = await self.list_machines()
         met = (self.get_link(machine).find_address() for machine in known.values())
         await asyncio.gather(*met, return_exceptions=True)

@@ -133,7 +133,7 @@ def _is_number(values: Json, name: str, least: float, most: float) -> bool:
 
 
 def make_order_view(machine: str, order: str, status: Json) -> OrderView:
-    """Return what an order or a stop beside a run is answered with."""
+    """Return the answer to an order, or to a stop of a machine."""
     return OrderView(machine=machine, order=order, mill=make_mill_view(status))
 
 
@@ -156,7 +156,7 @@ def make_mill_view(status: Json) -> Json:
         "controller",
     )
     return {name: told.get(name) for name in names} | {
-        "buffer_share": _buffer_share(status),
+        "buffer_share": _compute_buffer_share(status),
         "connected": status.get("connected", False),
         "problem": status.get("problem", ""),
         "needs": status.get("needs", []),
@@ -169,7 +169,7 @@ def make_mill_view(status: Json) -> Json:
     }
 
 
-def _buffer_share(status: Json) -> float | None:
+def _compute_buffer_share(status: Json) -> float | None:
     """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
     used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
     if not isinstance(used, int) or not isinstance(room, int) or room <= 0:

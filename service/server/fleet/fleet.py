@@ -64,7 +64,7 @@ class Fleet:
         return await self._core.await_end(seconds)
 
     async def meet_agents(self) -> None:
-        """Find out where the mills' agents are: a stop that comes first shall not have to."""
+        """Find the addresses of the mills' agents, so that the first stop need not look for them."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_MEET_S):
                 await self._core.meet_agents()

@@ -1,9 +1,9 @@
-"""Stops of mills: hold, abort, jog-cancel. Taken from everybody who may, at any time.
+"""Stops of mills: hold, abort, jog-cancel.
 
-Theory of operation. Between the request and the agent there is memory only: which link a machine has. No database, no
-thread, no lock and no profile file is waited for before the stop has left; where an agent has moved to is waited for
-afterwards, for a moment. A stop that may be meant for two agents goes to both: to stop a mill that did not need it
-costs little.
+Theory of operation. Between the request and the agent there is memory only: the link of each machine. A stop leaves
+before anything waits for a database, a thread, a lock or a profile file. Only then the profiles are read, for a moment,
+in case the agent has moved. A stop that may be meant for two agents goes to both: it costs little to stop a mill that
+did not need it.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class MachineStops:
             known = await self._find_present_link(machine, None)
             answer = await require_answer(known.send_urgent(path, headers=context.headers()), stop)
             return make_order_view(machine, stop.value, answer)
-        sending = self._go_on(known.send_urgent(path, headers=context.headers()))
-        present = self._go_on(self._stop_present(machine, known, path, context))
+        sending = self._start_task(known.send_urgent(path, headers=context.headers()))
+        present = self._start_task(self._stop_present(machine, known, path, context))
         await asyncio.wait({present}, timeout=_LOOK_S)
         waiting: set[asyncio.Future[Any]] = {sending, present}
         await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -53,10 +53,10 @@ class MachineStops:
     ) -> asyncio.Future[Json] | None:
         """Send the stop to where the mill's agent is now; None where that is the known one."""
         present = await self._find_present_link(machine, known)
-        return None if present is known else self._go_on(present.send_urgent(path, headers=context.headers()))
+        return None if present is known else self._start_task(present.send_urgent(path, headers=context.headers()))
 
     async def stop_run_anywhere(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
-        """Stop a run at whatever mill it is; return it as its agent has it. Problem 404, 409, 503, 504."""
+        """Stop a run at the mill that has it; return its agent's view of it. Problem 404, 409, 503, 504."""
         answers = await self.ask_agents(run_id, stop, context)
         for _, answer in answers:
             if isinstance(answer, dict):
@@ -80,7 +80,7 @@ class MachineStops:
 
     async def _find_present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """Return the link by the profiles as they are now; the known one where that takes too long."""
-        looking = self._go_on(self._links.renew_link(machine))
+        looking = self._start_task(self._links.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
         if not looking.done() or (known is not None and looking.exception() is not None):
             assert known is not None
@@ -91,7 +91,7 @@ class MachineStops:
         known, _ = await self._links.list_machines()
         return [self._links.get_link(machine) for machine in known.values()]
 
-    def _go_on(self, work: Awaitable[T]) -> asyncio.Future[T]:
+    def _start_task(self, work: Awaitable[T]) -> asyncio.Future[T]:
         task = asyncio.ensure_future(work)
         self._behind.add(task)
         task.add_done_callback(self._forget)
@@ -100,7 +100,7 @@ class MachineStops:
     def _forget(self, task: asyncio.Future[Any]) -> None:
         self._behind.discard(task)
         if not task.cancelled():
-            task.exception()  # told to whoever still waits; nobody may, and then it is no news
+            task.exception()  # read it, or asyncio logs it: perhaps nobody waits any more
 
 
 def find_refusal(run_id: str, stop: Stop, answers: Iterable[tuple[AgentLink, Json | BaseException]]) -> Problem:

@@ -1,4 +1,4 @@
-"""Who gives an order or a stop, as its mill's agent is told."""
+"""The origin of an order or a stop, for its mill's agent."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
 
-AT_THE_SERVER = "somebody at the server's computer"  # whoever stops a mill there without a token
+AT_THE_SERVER = "somebody at the server's computer"  # a caller there without a token
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

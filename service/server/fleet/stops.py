@@ -47,12 +47,12 @@ class Stops(MachineStops):
             if stop is not Stop.ABORT or problem.status not in (404, 409):
                 raise
             return await self._give_up(run_id, problem)
-        writing = self._go_on(self._core.do(self._core.runs.record_report, run, run_view(view, run.machine)))
+        writing = self._start_task(self._core.do(self._core.runs.record_report, run, run_view(view, run.machine)))
         return Seen(await self.wait_briefly(writing, _apply_view(run, view)))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:
         """Return what comes of work that may wait for a database; it goes on where that takes too long."""
-        task = self._go_on(work)
+        task = self._start_task(work)
         await asyncio.wait({task}, timeout=_BOOK_S)
         return task.result() if task.done() and task.exception() is None else otherwise
 

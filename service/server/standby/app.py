@@ -55,7 +55,7 @@ class StandbyApp:
         await JSONResponse(answer, status_code=202, headers={"Connection": "close"})(scope, receive, send)
 
     def _identify(self, scope: Scope, headers: Headers) -> OrderContext:
-        """Return who stops a mill; Problem 401 for one who may not."""
+        """Return the caller of a stop; Problem 401 if the caller may not stop mills."""
         context = OrderContext(
             name=AT_THE_SERVER,
             origin=address_of(scope, behind_proxy=self._behind_proxy),

@@ -1,10 +1,10 @@
-"""The line between the API and its standby: who accepts connections, and those that are handed over.
+"""The line between the API and its standby: which of them accepts connections, and the hand-over of connections.
 
 Theory of operation. Both have the listening socket. The API says SERVING twice a second as long as its event loop
-turns; the standby accepts connections while it hears nothing of the kind, and at once where the supervisor or an API
-that ends says GONE. It serves stops itself. What else it has accepted it hands to the API once that serves, with the
-bytes that it has read: a caller waits while the API is started, and is not refused. That both accept for a moment does
-no harm.
+turns. The standby accepts connections when it has not heard that for a while, and at once when the supervisor, or an
+API that ends, says GONE. It serves stops itself. It hands all other connections to the API when that serves, with the
+bytes that it has read: a caller waits while the API starts, and is not refused. Both may accept for a moment without
+harm.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class ApiWatch:
         self._silence: asyncio.TimerHandle | None = None
         self._loop.add_reader(line, self._read)
 
-    async def hand_over(self, connection: int, come: bytes, within_s: float) -> bool:
-        """Hand a connection to the API once it serves; return whether that was so in time."""
-        if len(come) > LINE_BYTES:
+    async def hand_over(self, connection: int, received: bytes, within_s: float) -> bool:
+        """Hand a connection to the API when it serves; return whether it did in time."""
+        if len(received) > LINE_BYTES:
             return False
         with contextlib.suppress(TimeoutError, OSError):
             async with asyncio.timeout(within_s):
                 while True:
                     await self._serves.wait()
                     with contextlib.suppress(BlockingIOError):
-                        socket.send_fds(self._line, [come], [connection])
+                        socket.send_fds(self._line, [received], [connection])
                         return True
                     await asyncio.sleep(_AGAIN_S)
         return False
@@ -59,14 +59,14 @@ class ApiWatch:
             self._on_change(serves)
 
 
-def take_over(line: socket.socket, begin: Callable[[socket.socket, bytes], None]) -> None:
-    """Call `begin` with every connection that the standby hands over, from now on: the API's end of the line."""
+def receive_connections(line: socket.socket, begin: Callable[[socket.socket, bytes], None]) -> None:
+    """Call `begin`, from now on, with every connection that the standby hands over. For the API's end of the line."""
 
     def read() -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
-                come, descriptors, _, _ = socket.recv_fds(line, LINE_BYTES, 1)
+                received, descriptors, _, _ = socket.recv_fds(line, LINE_BYTES, 1)
                 for descriptor in descriptors:
-                    begin(socket.socket(fileno=descriptor), come)
+                    begin(socket.socket(fileno=descriptor), received)
 
     asyncio.get_running_loop().add_reader(line, read)

@@ -63,7 +63,7 @@ async def _serve(settings: ServerSettings, listener: socket.socket, line: socket
 
 
 async def _meet_agents(links: AgentLinks) -> None:
-    """Keep in mind where the mills' agents are, until cancelled."""
+    """Look up the addresses of the mills' agents again and again, until cancelled."""
     while True:
         await links.meet_agents()
         await asyncio.sleep(_MEET_S)
@@ -95,16 +95,16 @@ class Standby:
 
 
 class StandbyProtocol(ProblemProtocol):
-    """Keeps what is no stop for the API."""
+    """Answers stops, and hands all other connections to the API."""
 
     def __init__(self, api: ApiWatch, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._api = api
-        self._come = b""
+        self._received = b""
         self._handing: asyncio.Task[bool] | None = None
 
     def data_received(self, data: bytes) -> None:
-        self._come += data
+        self._received += data
         super().data_received(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -118,7 +118,7 @@ class StandbyProtocol(ProblemProtocol):
             return
         self.transport.pause_reading()
         connection = self.transport.get_extra_info("socket").fileno()
-        self._handing = asyncio.create_task(self._api.hand_over(connection, self._come, _HELD_S))
+        self._handing = asyncio.create_task(self._api.hand_over(connection, self._received, _HELD_S))
         await asyncio.wait([self._handing])
         if self._handing.cancelled():
             return

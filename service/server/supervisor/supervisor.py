@@ -1,8 +1,8 @@
 """`python -m service.server.supervisor.supervisor`: the process of `causticmill serve`, configured by its environment.
 
 It locks the data folder, binds the address, and starts worker, API and the API's standby, which serves stops, as its
-children; it starts each again when it dies or freezes, and ends all when it is told to. It holds nothing else, and
-imports only what the standard library has: it lives as long as the server does. Children die with it, whatever ends it
+children; it starts each again when it dies or freezes, and ends all of them when it is asked to. It holds nothing else,
+and imports only the standard library: it lives as long as the server does. Children die with it, even if it is killed
 (`processes.lifeline`); agents of mills do not.
 """
 

@@ -38,7 +38,7 @@ class _Crowd:
         elif self.open:
             place, _ = self.open[which % len(self.open)]
             steps = {
-                "is heard": place.await_nothing,
+                "is heard": place.stop_waiting,
                 "stops": place.answer_stop,
                 "is known": place.identify,
                 "is answered": place.await_request,

@@ -160,7 +160,7 @@ class Guard:
                 raise not_authorised()
 
     async def _identify(self, scope: Scope, headers: Headers, here: bool) -> Principal | None:
-        """Find out who calls. Who shows no token that we know is charged before the database is asked."""
+        """Identify the caller. Charge a caller without a known token before the database is asked."""
         shown, secret = b"authorization" in headers, read_secret(headers)
         if not self._stop_access.knows(secret):
             self._charge(scope, None, limiter=self._wrong if shown else self._requests)

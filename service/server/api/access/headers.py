@@ -1,4 +1,4 @@
-"""What the headers of a request say, and which of them a browser could be made to send by a page of another site."""
+"""Reads the headers of a request, and refuses requests that a page of another site makes a browser send."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ Headers = dict[bytes, bytes]
 
 
 def read_headers(scope: Scope, names: frozenset[str]) -> Headers:
-    """Return the headers as a table. Problem where they are a flood, where one that decides something is there twice,
-    or where the Host is none of the names and no address.
+    """Return the headers as a table. Problem if there are too many, if one that must be unique is repeated, or if Host
+    is neither one of the names nor an address.
     """
     headers = _plain_headers(scope)
     host = headers.get(b"host", b"").decode("latin-1").lower()
@@ -57,7 +57,7 @@ def refuse_foreign_page(scope: Scope, headers: Headers, *, behind_proxy: bool) -
 
 
 def read_secret(headers: Headers) -> str:
-    """Return the token that is shown; "" for none, or where it is shown in another way."""
+    """Return the bearer token; "" if there is none."""
     kind, _, secret = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
     return secret.strip() if kind.lower() == "bearer" else ""
 

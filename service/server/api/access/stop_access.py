@@ -39,7 +39,7 @@ class StopAccess:
         return self._stoppers.get(hash_secret(secret)) if secret else None
 
     def knows(self, secret: str) -> bool:
-        """Return whether this was a token when the tokens were last looked at."""
+        """Return whether this was a valid token when the tokens were last read."""
         return bool(secret) and hash_secret(secret) in self._known
 
     def remember(self, secret: str, token: Token) -> None:

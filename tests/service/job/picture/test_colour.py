@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
-from service.job.picture.colour import _icc, _parametric, _profile_of
+from service.job.picture.colour import _make_profile, _pack_curve, _pack_profile
 from service.job.picture.decoding import _ADOBE_RGB, _SRGB, Colorimetry
 from service.job.picture.reading import Picture, read_picture, read_wall_photo
 from service.job.spec.model import ImageSpec
@@ -54,7 +54,7 @@ def read(path: Path, side: int = SIDE, **settings: Any) -> Picture:
 @pytest.mark.parametrize("name", PROFILES)
 @pytest.mark.parametrize("kind", ["PNG", "TIFF", "WEBP", "JPEG"])
 def test_a_profile_gives_the_light_of_what_is_seen(tmp_path: Path, name: str, kind: str) -> None:
-    profile = _profile_of(PROFILES[name], grey=False)
+    profile = _make_profile(PROFILES[name], grey=False)
     options: dict[str, Any] = {"WEBP": {"lossless": True}, "JPEG": {"quality": 100}}.get(kind, {})
     path = tmp_path / "a.file"
     Image.fromarray(COLOURS).save(path, kind, icc_profile=profile, **options)
@@ -67,7 +67,7 @@ def test_a_profile_gives_the_light_of_what_is_seen(tmp_path: Path, name: str, ki
 
 @pytest.mark.parametrize("mode", ["RGBA", "P", "CMYK"])
 def test_a_profile_is_used_in_every_mode_of_colour(tmp_path: Path, mode: str) -> None:
-    profile = _profile_of(LINEAR, grey=False)
+    profile = _make_profile(LINEAR, grey=False)
     image = Image.fromarray(COLOURS).quantize(64) if mode == "P" else Image.fromarray(COLOURS).convert(mode)
     if mode == "RGBA":
         image.putalpha(128)
@@ -89,7 +89,7 @@ def test_a_profile_is_used_in_every_mode_of_colour(tmp_path: Path, mode: str) ->
 def test_grey_pictures_keep_every_bit(gamma: float, mode: str, grey_profile: bool) -> None:
     """Their profile may be one for grey or, as converters leave it, the one of the colours they had."""
     gamma = round(gamma * 65536) / 65536
-    profile = _profile_of(Colorimetry(**{**_fields(_SRGB), "gamma": gamma}), grey=grey_profile)
+    profile = _make_profile(Colorimetry(**{**_fields(_SRGB), "gamma": gamma}), grey=grey_profile)
     most = 65535 if mode == "I;16" else 255
     values = np.round(RAMP * most).astype(np.uint16 if mode == "I;16" else np.uint8)
     image = Image.fromarray(values)
@@ -151,12 +151,12 @@ def test_a_gamma_is_obeyed_unless_srgb_is_named(
 def test_primaries_are_obeyed_with_their_gamma(tmp_path: Path) -> None:
     image = Image.fromarray(COLOURS)
     (tmp_path / "a.png").write_bytes(with_chunks(image, gama(_ADOBE_RGB.gamma), chrm(_ADOBE_RGB)))
-    wanted = as_seen(image, _profile_of(_ADOBE_RGB, grey=False))
+    wanted = as_seen(image, _make_profile(_ADOBE_RGB, grey=False))
     np.testing.assert_allclose(read(tmp_path / "a.png").linear, wanted, atol=0.006)  # 5 digits of a chunk
 
 
 def test_a_profile_counts_for_more_than_a_gamma(tmp_path: Path) -> None:
-    profile = _profile_of(P3, grey=False)
+    profile = _make_profile(P3, grey=False)
     image = Image.fromarray(COLOURS)
     named = chunk(b"iCCP", b"p\0\0" + zlib.compress(profile))
     (tmp_path / "a.png").write_bytes(with_chunks(image, gama(1.0), chrm(_ADOBE_RGB), named))
@@ -168,14 +168,14 @@ def test_a_note_of_a_camera_that_says_adobe_rgb_is_obeyed(tmp_path: Path) -> Non
     exif.get_ifd(0x8769)[0xA005] = {1: "R03"}
     Image.fromarray(COLOURS).save(tmp_path / "a.jpg", quality=100, exif=exif)
     with Image.open(tmp_path / "a.jpg") as stored:
-        wanted = as_seen(stored.convert("RGB"), _profile_of(_ADOBE_RGB, grey=False))
+        wanted = as_seen(stored.convert("RGB"), _make_profile(_ADOBE_RGB, grey=False))
     np.testing.assert_allclose(read(tmp_path / "a.jpg").linear, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB"])
 @pytest.mark.parametrize("cut", [0, 3, 100, 200, 300])
 def test_a_broken_profile_is_said_and_srgb_taken(tmp_path: Path, mode: str, cut: int) -> None:
-    whole = _profile_of(P3, grey=mode == "L")
+    whole = _make_profile(P3, grey=mode == "L")
     image = Image.fromarray(COLOURS).convert(mode)
     named = chunk(b"iCCP", b"p\0\0" + zlib.compress(whole[:cut]))
     (tmp_path / "a.png").write_bytes(with_chunks(image, named))
@@ -192,12 +192,12 @@ def test_a_profile_with_changed_bytes_is_a_picture_or_a_line(changes: list[tuple
     from service.job.picture.colour import ProfileError, find_conversion
     from service.job.picture.decoding import DecodedPicture
 
-    profile = bytearray(_profile_of(P3, grey=False))
+    profile = bytearray(_make_profile(P3, grey=False))
     for place, value in changes:
         profile[place % len(profile)] = value
     image = Image.fromarray(COLOURS[:16, :16])
     try:
-        shown = find_conversion(DecodedPicture(image=image, colour=bytes(profile))).colours(image)
+        shown = find_conversion(DecodedPicture(image=image, colour=bytes(profile))).convert_colours(image)
     except ProfileError:
         return
     assert shown.mode == "RGB" and shown.size == image.size
@@ -205,7 +205,7 @@ def test_a_profile_with_changed_bytes_is_a_picture_or_a_line(changes: list[tuple
 
 def test_linear_tone_counts_for_more_than_the_profile_and_that_is_said(tmp_path: Path) -> None:
     image = Image.fromarray(COLOURS)
-    image.save(tmp_path / "a.png", icc_profile=_profile_of(P3, grey=False))
+    image.save(tmp_path / "a.png", icc_profile=_make_profile(P3, grey=False))
     picture = read(tmp_path / "a.png", tone="linear")
     np.testing.assert_allclose(picture.linear, COLOURS / 255.0 @ SHARES, atol=1e-9)
     assert "image.tone = linear" in str(picture.warnings[0])
@@ -221,5 +221,7 @@ def test_an_srgb_profile_changes_nothing_that_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_grey_profile_on_a_colour_picture_is_of_another_kind(tmp_path: Path) -> None:
-    Image.fromarray(COLOURS).save(tmp_path / "a.png", icc_profile=_icc(b"GRAY", {b"kTRC": _parametric(0, 1.0)}))
+    Image.fromarray(COLOURS).save(
+        tmp_path / "a.png", icc_profile=_pack_profile(b"GRAY", {b"kTRC": _pack_curve(0, 1.0)})
+    )
     assert "another kind" in str(read(tmp_path / "a.png").warnings[0])

@@ -101,7 +101,7 @@ def test_each_layout_is_read_with_its_tones_or_refused_by_name(
     (tmp_path / "a.png").write_bytes(file)
     imagecodecs.png_decode(file)  # a good file
     if name == "rgb 16 one clear":
-        with pytest.raises(PictureError, match="this PNG stores one clear colour for RGB of 16 bits"):
+        with pytest.raises(PictureError, match="this PNG stores one transparent colour for RGB of 16 bits"):
             read(tmp_path / "a.png")
         return
     np.testing.assert_allclose(read(tmp_path / "a.png").linear, light, atol=error)

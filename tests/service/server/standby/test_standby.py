@@ -125,8 +125,8 @@ def test_what_is_no_stop_waits_for_the_api_and_is_handed_over_whole(alone: Alone
         assert alone.post(HOLD).status_code == 202  # meanwhile
         say(alone.api, SERVING)
         alone.api.setblocking(True)
-        come, (descriptor,), _, _ = socket.recv_fds(alone.api, 100_000, 1)
-        assert come == request
+        received, (descriptor,), _, _ = socket.recv_fds(alone.api, 100_000, 1)
+        assert received == request
         with socket.socket(fileno=descriptor) as connection:
             connection.setblocking(True)
             caller.sendall(b", and its end")
@@ -141,9 +141,9 @@ def test_a_connection_that_was_closed_meanwhile_is_not_handed_over(
     """The next caller has the number of its descriptor by then, and would get an answer that was meant for another."""
     held, hand_over = [], ApiWatch.hand_over
 
-    def note(self: ApiWatch, connection: int, come: bytes, within_s: float) -> Coroutine[Any, Any, bool]:
-        held.append(come)
-        return hand_over(self, connection, come, within_s)
+    def note(self: ApiWatch, connection: int, received: bytes, within_s: float) -> Coroutine[Any, Any, bool]:
+        held.append(received)
+        return hand_over(self, connection, received, within_s)
 
     monkeypatch.setattr(ApiWatch, "hand_over", note)
     monkeypatch.setattr(serving, "_STRANGERS", 1)
@@ -161,10 +161,10 @@ def test_a_connection_that_was_closed_meanwhile_is_not_handed_over(
                     assert before.recv(100) == b"", "it had to make room"
         say(alone.api, SERVING)
         alone.api.settimeout(PATIENCE_S)
-        come, descriptors, _, _ = socket.recv_fds(alone.api, 100_000, 1)
+        received, descriptors, _, _ = socket.recv_fds(alone.api, 100_000, 1)
         for descriptor in descriptors:
             os.close(descriptor)
-        assert come.endswith(b"third")
+        assert received.endswith(b"third")
         assert alone.post(HOLD).status_code == 202  # by now anything else would have been handed over
         alone.api.setblocking(False)
         with pytest.raises(BlockingIOError):
