@@ -216,7 +216,7 @@ def face(shape):
     texts = [list(text) for text in programs(paths, GRBL, frame)]
     grid = StockGrid.block(stock, 0.1)
     raw = StockGrid(x0_mm=grid.x0_mm, y0_mm=grid.y0_mm, cell_mm=0.1, top_mm=np.full(grid.top_mm.shape, 0.5))
-    checked = CheckedMill(kinematics=kinematics_of(mill), travel_mm=mill.travel_mm, safe_z_mm=mill.safe_z_mm)
+    checked = CheckedMill(kinematics=kinematics_of(mill), safe_z_mm=mill.safe_z_mm)
     verdict = check_facing(texts, facing, stock=stock, stock_top=raw, mill=checked)
     return facing.pitch_mm, facing.cusp_mm, verdict.left_um / 1000, verdict.faults
 

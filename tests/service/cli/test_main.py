@@ -150,7 +150,7 @@ def test_one_tone_is_a_plain_window_and_refused(capsys: pytest.CaptureFixture[st
     [
         (["optics.throw_mm=1", "optics.screen_width_mm=60"], ["throw", "1"]),
         (["stock.thickness_mm=2.05"], ["relief", "stock.thickness_mm", "2.05", "or more"]),
-        (["machine.travel_mm=[12,300,80]"], ["machine.travel_mm.0", "12", "X", "at least 16.0 mm"]),
+        (["machine.travel_mm=[9,300,80]"], ["optics.width_mm", "machine.travel_mm.0", "along X", "travels 9 mm"]),
         (["machine.travel_mm=[300,300,5]"], ["machine.travel_mm.2", "Z", "at least"]),
         (
             [

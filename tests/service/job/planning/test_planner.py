@@ -255,7 +255,7 @@ def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--hours", "0.0001"], ["plan.hours", "0.0001", "quickest"]),
+        (["--hours", "0.01"], ["plan.hours", "0.01", "quickest"]),
         (["--hours", "-1"], ["plan.hours", "from 0.01"]),
         (["--hours", "1", "--blur-mm", "1"], ["plan", "one of them"]),
         (["-o", "plan.jpg"], ["plan.jpg", ".png"]),

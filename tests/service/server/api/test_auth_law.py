@@ -39,7 +39,7 @@ ORDERS: dict[str, dict[str, Any]] = {
     "block": {"text": "G0 X1"},
 } | {order: {} for order in ("home", "unlock", "reset", "resume", "trust-position", "settings", *map(str, Stop))}
 OTHERS = ("jobs:read", "jobs:write", "admin")
-REFUSED = (400, 401, 403, 421)
+REFUSED = (400, 401, 403, 421, 429)  # 429: so many unknown tokens at once
 
 
 class ListeningMill(SimulatedMill):
