@@ -65,7 +65,7 @@ class OverrideControl:
 
     link: GrblLink
     _command: Override | None = None
-    _require: Require = allow_always  # until its first step has left
+    _require: Require = allow_always  # each step acts by itself, and is looked at by itself
     _step: bytes = b""  # to be written
     _until_s: float = 0.0
     _reports: int = 0  # since the last step
@@ -116,5 +116,4 @@ class OverrideControl:
         except MachineError as refusal:
             self.end(refusal.words)
             return
-        self._require = allow_always
         self.link.urgent += step
