@@ -93,8 +93,9 @@ def api_server(data: Path, *, admission: Admission | None = None, **settings: An
     migrate(given)
     with contextlib.closing(bind_address(given.host, given.port)) as listener, open_services(given) as services:
         admission = admission or Admission(most=1000, strangers=200)
-        server = server_of(services, admission=admission)
-        with _serving(server, listener):
+        serves = threading.Event()
+        server = server_of(services, serves.set, admission=admission)
+        with _serving(server, listener, serves):
             running = ApiServer(services, url_of(listener), server, admission)
             with running.client:
                 yield running
@@ -111,11 +112,11 @@ def migrate(settings: ServerSettings) -> None:
 
 
 @contextlib.contextmanager
-def _serving(server: uvicorn.Server, listener: socket.socket) -> Iterator[None]:
+def _serving(server: uvicorn.Server, listener: socket.socket, serves: threading.Event) -> Iterator[None]:
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
     thread.start()
-    until(lambda: server.started or not thread.is_alive())
-    assert server.started
+    until(lambda: serves.is_set() or not thread.is_alive())
+    assert serves.is_set()
     try:
         yield
     finally:

@@ -248,7 +248,7 @@ class World:
         self.hang_in, self.hang_s = -1, 0.0  # accesses to the disk until it hangs; how long it does
         self.hung = 0
         self.acts: list[Act] = []
-        self._noted: object = None  # the stream or command whose first byte has been seen
+        self._noted: dict[type, object] = {}  # whose first byte has been seen; an override goes beside a stream
         self.judged: list[str] = []
         self.loop = _SimulatedLoop(self)
         self.network = MessageNetwork(self.loop)
@@ -394,8 +394,8 @@ class World:
             self._note_first(session.streamer.stream if streams else session.commands.command)
 
     def _note_first(self, of: object) -> None:
-        if of is not self._noted:
-            self._noted = of
+        if of is not self._noted.get(type(of)):
+            self._noted[type(of)] = of
             self._note_act(of)
 
     def _note_act(self, of: object) -> None:
