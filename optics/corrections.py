@@ -1,7 +1,8 @@
 """The transport method's passes: solve, shape, look at the light, and aim at what it lacked.
 
 Correction: g <- max(0, g + T - I), and the map solved again from where it was; I is the light of the lens as it will be
-cut, valleys filled until the ball fits, under all of the source. The best pass is kept.
+cut, valleys filled until the ball fits, under all of the source. The best pass is kept. What a finish will take is the
+business of the descent that follows (`polish`).
 """
 
 from __future__ import annotations
@@ -16,19 +17,15 @@ from optics.ball_fit import ball_fits, fit_ball
 from optics.caustic import Caustic, simulate_caustic
 from optics.closing import close_to_radius
 from optics.errors import NoSurfaceError
-from optics.finish import foresee_finish, surface_in_light
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
 from optics.metrics import CausticScore, score_caustic
-from optics.polish import DESIGN_BEAMS
+from optics.outcomes import DESIGN_BEAMS
 from optics.spline import Array
 from optics.transport.solver import OpticalPath, solve_transport
 
 _CLOSING_PER_BALL = 1.25  # wider than the ball, for what a closing lets through; 1 or 1.5 score less after the fit
-_CLOSING_UNDER_FINISH = 0.6  # which rounds the rest; k0 2.7 rad/mm, ball 1.5 mm: 28.9 dB, 1.25: 28.4, none: 27.9
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
-_MORE_FOR_FINISH = 2  # passes at most: what a finish blurs is won back step by step
-_WORTH_DB = 0.1  # of such a pass, for another one
 _TUBES_PER_PIXEL = 4
 
 
@@ -107,11 +104,8 @@ def correct_lens(
     latest = best = unaided = _evaluate(path, raw, target, settings)
     history = [_record(0, latest)]
     aim = target
-    passes = settings.corrections + (_MORE_FOR_FINISH if settings.finish is not None and settings.corrections else 0)
-    for number in range(1, passes + 1):
-        if number > settings.corrections + 1 and history[-1]["psnr_db"] < history[-2]["psnr_db"] + _WORTH_DB:
-            break
-        report("corrections", (number - 1) / passes)
+    for number in range(1, settings.corrections + 1):
+        report("corrections", (number - 1) / settings.corrections)
         aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
         try:
@@ -126,17 +120,13 @@ def correct_lens(
 
 
 def _build_lens(path: OpticalPath, settings: LensSettings) -> Heightfield:
-    """Return the lens at its vertices, top a skim below Z0; where there is a finish, as it has to be milled for
-    that.
-    """
+    """Return the lens at its vertices, top a skim below Z0."""
     ny, nx = path.path_mm.shape
     x_mm = np.linspace(0.0, settings.bench.width_mm, settings.vertices(nx))
     y_mm = np.linspace(0.0, settings.bench.height_mm, settings.vertices(ny))
     t = path.heights_mm(x_mm, y_mm)
     lens = Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
-    if settings.finish is None:
-        return lens
-    return foresee_finish(replace(lens, rim_mm=settings.finish.seen_beyond_mm), settings.finish)
+    return lens if settings.finish is None else replace(lens, rim_mm=settings.finish.seen_beyond_mm)
 
 
 def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
@@ -147,14 +137,13 @@ def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
     ball_mm = settings.closing_radius_mm
     if ball_mm <= 0 or ball_fits(raw, ball_mm):
         return raw
-    radius_mm = (_CLOSING_PER_BALL if settings.finish is None else _CLOSING_UNDER_FINISH) * ball_mm
-    z = close_to_radius(raw.z_mm, radius_mm=radius_mm, dx_mm=raw.dx_mm, dy_mm=raw.dy_mm)
+    z = close_to_radius(raw.z_mm, radius_mm=_CLOSING_PER_BALL * ball_mm, dx_mm=raw.dx_mm, dy_mm=raw.dy_mm)
     return fit_ball(replace(raw, z_mm=z - z.max() - settings.skim_mm), ball_mm)
 
 
 def _simulate_light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     return simulate_caustic(
-        surface_in_light(lens, settings.finish),
+        lens,
         settings.bench,
         pixels=target.shape,
         tubes_per_cell=max(1, _TUBES_PER_PIXEL * target.shape[1] // (lens.x_mm.size - 1)),

@@ -87,14 +87,15 @@ def _design_by_transport(
     done = passes or correct_lens(target, settings, report)
     cost = measure_closing_cost(done, target, settings)
     lens, polish = done.best.lens, None
-    if settings.polish_steps > 0:
+    if steps := settings.descent_steps:
         report("polish", 0.0)
         lens, polish = polish_lens(
             lens,
             target,
             settings.bench,
-            steps=settings.polish_steps,
+            steps=steps,
             ball_mm=settings.closing_radius_mm,
+            finish=settings.finish,
             on_progress=lambda share: report("polish", share),
         )
     return LensDesign(

@@ -27,9 +27,6 @@ PAD_MM = 20.0
 """The usual size of what is held in the hand: a felt, a soft block."""
 
 _SIGMAS = 3.0
-GIVEN_UP = 1e-3
-"""eps of `foresee_finish`. `camera` behind rows off by 0.5 um, order 1, k0 2.7 rad/mm: 27.7 dB; 3e-3 and 3e-4: 27.4."""
-
 _BEYOND = 4.0  # reaches of the finish, that the surface goes on before it is mirrored
 
 
@@ -45,12 +42,18 @@ class Finish:
     k0_rad_per_mm: float
     order: float
     pad_mm: float = PAD_MM
+    depth_mm: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("k0_rad_per_mm", "order", "pad_mm"):
+        for name in ("k0_rad_per_mm", "order", "pad_mm", "depth_mm"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} = {value:g} must be more than 0")
+
+    def after(self, dose: float) -> Finish:
+        """Return the same work done `dose` times as long: the exponent of its law grows with the dose."""
+        depth_mm = None if self.depth_mm is None else dose * self.depth_mm
+        return replace(self, k0_rad_per_mm=self.k0_rad_per_mm * dose ** (-1.0 / self.order), depth_mm=depth_mm)
 
     @property
     def reach_mm(self) -> float:
@@ -96,7 +99,7 @@ def finish_surface(
     dy, dx = lens.dy_mm / finer, lens.dx_mm / finer
     least = max(math.ceil(finish.seen_beyond_mm / min(dx, dy)), beyond_cells, finer)
     ny, nx = ((axis.size - 1) * finer + 1 for axis in (lens.y_mm, lens.x_mm))
-    far_y, far_x = (_quick_margin(n, least) for n in (ny, nx))
+    far_y, far_x = (quick_margin(n, least) for n in (ny, nx))
     x = lens.x_mm[0] + dx * np.arange(-far_x, nx + far_x)
     y = lens.y_mm[0] + dy * np.arange(-far_y, ny + far_y)
     run_out_mm = max(far_x * dx, far_y * dy) + max(lens.dx_mm, lens.dy_mm)
@@ -118,19 +121,7 @@ def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
     return lens if finish is None else finish_surface(lens, finish)
 
 
-def foresee_finish(lens: Heightfield, finish: Finish) -> Heightfield:
-    """Return the surface to mill so that the finish leaves the lens, as far as it can; its highest vertex where it was.
-
-    Marks are made higher by what the finish takes off, H / (H^2 + eps) of what the lens would lack: what hardly
-    anything is left of is given up, or the milled surface would be all ripples.
-    """
-    kept = finish.multipliers((lens.y_mm.size, lens.x_mm.size), (lens.dy_mm, lens.dx_mm))
-    lacking = lens.z_mm - finish_surface(lens, finish).z_mm
-    z_mm = lens.z_mm + level(lacking, kept / (kept * kept + GIVEN_UP))
-    return replace(lens, z_mm=z_mm - z_mm.max() + lens.z_mm.max())
-
-
-def _quick_margin(count: int, least: int) -> int:
+def quick_margin(count: int, least: int) -> int:
     """Return a margin of at least so many on either side for which the transform of all is quick."""
     periods = ((margin, 2 * (count + 2 * margin - 1)) for margin in itertools.count(least))
     return next(margin for margin, period in periods if fft.next_fast_len(period, real=True) == period)

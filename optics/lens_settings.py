@@ -9,6 +9,7 @@ from optics.bench import Bench
 from optics.finish import Finish
 
 Method = Literal["transport", "paper"]
+_STEPS_FOR_FINISH = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,7 +21,7 @@ class LensSettings:
     min_radius_mm      : valleys tighter than a ball of this radius are filled; 0 leaves them
     vertices_per_pixel : heightfield vertices along the side of a pixel
     polish_steps       : steps of the descent on the picture's own error, after the corrections; 0 is none
-    finish             : what is done to the lens after milling, which it foresees; None: nothing
+    finish             : what is done to the lens after milling, for which it is descended on in any case; None: nothing
     creases            : concave creases as sharp as the grid shows, on vertices twice as close: for black areas, and
                          for a lens that no ball has to cut. min_radius_mm then does not apply
     """
@@ -42,6 +43,11 @@ class LensSettings:
     def vertices(self, pixels: int) -> int:
         """Return heightfield vertices along a side of that many pixels."""
         return (2 if self.creases else 1) * self.vertices_per_pixel * pixels + 1
+
+    @property
+    def descent_steps(self) -> int:
+        """Of the descent; a lens for a finish has some without being polished."""
+        return self.polish_steps if self.finish is None else max(self.polish_steps, _STEPS_FOR_FINISH)
 
     @property
     def closing_radius_mm(self) -> float:

@@ -1,12 +1,13 @@
-"""Polish: a descent on the picture's own error over the heights of the lens's vertices.
+"""Polish: a descent on the mean error of the pictures that may come of the lens, over the heights of its vertices.
 
-E = 1/2 sum over pixels of (I - T)^2 with I by flux tubes on the C2 spline, its exact gradient, and L-BFGS. First
-inverse Hessian: a dent of Laplacian L changes the light by I (n - 1) H L, so it is A^-1 / (I^2 + delta) A^-T with A
+The error and its exact gradient are those of `outcomes`, the method is L-BFGS. First inverse Hessian: a dent of
+Laplacian L changes the light by I (n - 1) H L, so it is A^-1 / (I^2 + delta) A^-T with A
 the square root of ((n - 1) H)^2 (L^2 + beta L) (m + eps) / v^2 in cosines. m is how far a pixel averages a wave out,
 v the vertices along its side; beta holds long waves back, which move edges instead of making light. (Measured on
 camera 256: |J dz|^2 is 1.4 to 1.1 times I (n - 1) H L / v at 4 to 128 of 512 half waves, 0.8 at 128-192, 0.05 at
-384-512.)
-Four tubes along a pixel's side overfit their own lattice, so the last steps see six. A ball that has to fit is looked
+384-512.) Behind a finish a wave has to be 1 / H as high, up to where that is not worth it.
+Four tubes along a pixel's side overfit their own lattice, so the last steps see six. Behind a finish, whose surface is
+smooth, four do; there most steps are taken on every second vertex and half the pixels. A ball that has to fit is looked
 after at the end: the descent hardly bends the surface, and what it does bend too far costs 0.1 dB to take back.
 """
 
@@ -19,15 +20,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, gaussian_filter
 
 from optics.ball_fit import fit_ball
 from optics.bench import Bench
+from optics.finish import Finish, level
 from optics.heightfield import Heightfield
-from optics.spline import Array
-from optics.threads import thread_count
-from optics.tubes.picture import TubePicture
+from optics.outcomes import MeanError, Outcome, outcomes_of
+from optics.spline import Array, BicubicSpline
 
+Mask = NDArray[np.bool_]
 _DEPTH = 8
 _LONG_WAVES = 1500.0  # beta, times the aperture's area
 _UNSEEN = 0.015  # eps
@@ -37,7 +40,10 @@ _SUFFICIENT = 1e-4  # of the decrease that the slope promises (Armijo)
 _MOST_TRIES = 6
 _FINE_SHARE = 0.3  # of the steps
 _TUBES_PER_PIXEL, _FINE_TUBES_PER_PIXEL = 4, 6  # along its side
-DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
+_LOST = 0.03  # H^2 of a wave that is not worth its height
+_HALVED_FROM = 256  # pixels along the shorter side
+_ROUND = 8  # steps from one touch to the next
+_BESIDE = 0.8  # times 1 / k0: where a pad hangs and so near, heights are left alone
 
 
 class Memory:
@@ -80,7 +86,7 @@ class PolishRecord:
     """What the descent did.
 
     steps          : accepted ones
-    psnr_db_*      : before and after, under the light that the lens was designed for
+    psnr_db_*      : before and after, under the light that the lens was designed for, finished as planned
     change_um_rms  : how far the vertices moved, root mean square, a common lift left out
     seconds        : wall time
     """
@@ -94,33 +100,21 @@ class PolishRecord:
 
 @dataclass(slots=True)
 class _Point:
-    """Heights, the error of their picture and its gradient."""
+    """Heights, the mean error of their pictures and its gradient."""
 
     z: Array
     error: float
     gradient: Array
 
 
-class _Error:
-    """E of heights, by that many tubes a cell side."""
-
-    def __init__(self, lens: Heightfield, target: Array, bench: Bench, tubes_per_cell: int) -> None:
-        self.target = target
-        self.tubes = TubePicture(lens, bench, pixels=target.shape, tubes_per_cell=tubes_per_cell, beams=DESIGN_BEAMS)
-        self.miss = target
-
-    def of(self, z: Array) -> float:
-        self.miss = self.tubes.picture(z) - self.target
-        return 0.5 * float((self.miss**2).sum())
-
-    def at(self, z: Array) -> _Point:
-        return _Point(z, self.of(z), self.tubes.gain(self.miss))
-
-
 class _Preconditioner:
-    """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g."""
+    """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g, I as at the heights that the error saw last.
 
-    def __init__(self, lens: Heightfield, target: Array, bench: Bench, error: _Error) -> None:
+    free : (ny, nx) 0 where heights are left alone, 1 elsewhere
+    """
+
+    def __init__(self, lens: Heightfield, target: Array, bench: Bench, error: MeanError, free: Array) -> None:
+        self.free = free
         ny, nx = lens.z_mm.shape
         per_pixel_x, per_pixel_y = (nx - 1) / target.shape[1], (ny - 1) / target.shape[0]
         wx, wy = (np.pi * np.arange(n) / (n - 1) for n in (nx, ny))
@@ -133,21 +127,20 @@ class _Preconditioner:
         power = 2.0 if bench.mirror else bench.refractive_index - 1
         square = (power * bench.throw_mm) ** 2 * (laplacian**2 + beta * laplacian) * (seen + _UNSEEN)
         square[0, 0] = np.inf  # a common lift
+        finish = error.outcomes[0].finish
+        if finish is not None:
+            square *= finish.multipliers((ny, nx), (lens.dy_mm, lens.dx_mm)) ** 2 + _LOST
         self.symbol = np.sqrt(per_pixel_x * per_pixel_y / square)
         self.rim = np.ones((ny, nx))  # cosines are orthogonal with rim vertices counted half
         for edge in (self.rim[0], self.rim[-1], self.rim[:, 0], self.rim[:, -1]):
             edge *= 0.5
         dark = float((target < 0.1).mean())
-        irradiance = error.tubes.seen_from_vertices(error.miss + target)
+        irradiance = error.tubes[0].seen_from_vertices(error.misses[0] + target)
         self.weight = 1.0 / (irradiance**2 + _LEAST_LIGHT + 0.8 * min(1.0, 2 * dark))
 
     def __call__(self, gradient: Array) -> Array:
-        return self._root(self.weight * self.rim * self._root(gradient / self.rim))
-
-    def _root(self, values: Array) -> Array:
-        spectrum = fft.dctn(values, type=1, workers=thread_count())
-        spectrum *= self.symbol
-        return np.asarray(fft.idctn(spectrum, type=1, workers=thread_count(), overwrite_x=True))
+        inner = self.weight * self.rim * level(self.free * gradient / self.rim, self.symbol)
+        return self.free * level(inner, self.symbol)
 
 
 def _box_power(w: Array, width: float) -> Array:
@@ -164,48 +157,78 @@ def polish_lens(
     *,
     steps: int,
     ball_mm: float = 0.0,
+    finish: Finish | None = None,
+    as_planned: bool = False,
     on_progress: Callable[[float], None] | None = None,
 ) -> tuple[Heightfield, PolishRecord]:
     """Return the lens (its top where it was) after at most that many steps of descent, and a record of them.
 
-    target  : (ny, nx), work frame, mean 1
-    ball_mm : radius of the ball that must fit afterwards as well; 0 where none has to
+    target     : (ny, nx), work frame, mean 1
+    ball_mm    : radius of the ball that must fit afterwards as well; 0 where none has to
+    finish     : after milling: the pictures are those behind it
+    as_planned : for the one finish that is planned, whatever may come of it: a quick look
 
     The lens comes back as it was where its finer tubes see no gain.
     """
     started = time.perf_counter()
-    report = on_progress or (lambda share: None)
-    per_pixel = (lens.x_mm.size - 1) / target.shape[1]
-    coarse, fine = (
-        _Error(lens, target, bench, max(1, math.ceil(tubes / per_pixel)))
-        for tubes in (_TUBES_PER_PIXEL, _FINE_TUBES_PER_PIXEL)
-    )
-    before = fine.of(lens.z_mm)
-    point = coarse.at(np.array(lens.z_mm))
-    inverse = _Preconditioner(lens, target, bench, coarse)
-    memory, taken, fine_steps = Memory(_DEPTH), 0, math.ceil(_FINE_SHARE * steps)
-    for error, count in ((coarse, steps - fine_steps), (fine, fine_steps)):
-        if error is fine:
-            point = fine.at(point.z)
-        for _ in range(count):
-            moved = _step(error, point, memory, inverse)
-            if moved is None:
-                break
-            point, taken = moved, taken + 1
-            report(taken / steps)
+    taken = 0
+
+    def report(share: float) -> None:
+        if on_progress is not None:
+            on_progress(share)
+
+    def count_step() -> None:
+        nonlocal taken
+        taken += 1
+        report(taken / steps)
+
+    likely = outcomes_of(finish, orders=False)[: 1 if as_planned else None]
+    last = _error_of(lens, target, bench, likely, _FINE_TUBES_PER_PIXEL if finish is None else _TUBES_PER_PIXEL)
+    last.touch(lens.z_mm)
+    before, before_db = last.of(lens.z_mm), last.psnr_db()
+    few = math.ceil(_FINE_SHARE * steps)
+    z = np.array(lens.z_mm)
+    if finish is None:
+        z = _descend(_error_of(lens, target, bench, likely, _TUBES_PER_PIXEL), lens, z, bench, steps - few, count_step)
+    elif _can_be_halved(lens, target):
+        half = replace(lens, x_mm=lens.x_mm[::2], y_mm=lens.y_mm[::2], z_mm=z[::2, ::2])
+        error = _error_of(half, _halve(target), bench, outcomes_of(finish), _TUBES_PER_PIXEL)
+        moved = _descend(error, half, np.array(half.z_mm), bench, steps - few, count_step) - half.z_mm
+        z = z + _spline_of(half, moved).heights_mm(lens.x_mm[None, :], lens.y_mm[:, None])
+    else:
+        few = steps
+    z = _descend(last, lens, z, bench, few, count_step)
     report(1.0)
-    done = _fit_ball(lens, point.z, ball_mm)
-    after = fine.of(done.z_mm)
+    done = _fit_ball(lens, z, ball_mm)
+    last.touch(done.z_mm)
+    after, after_db = last.of(done.z_mm), last.psnr_db()
     better = taken > 0 and after < before
     if not better:
-        done, after = lens, before
+        done, after_db = lens, before_db
     return done, PolishRecord(
         steps=taken if better else 0,
-        psnr_db_before=_psnr_db(before, target),
-        psnr_db_after=_psnr_db(after, target),
+        psnr_db_before=before_db,
+        psnr_db_after=after_db,
         change_um_rms=1e3 * float(np.std(done.z_mm - lens.z_mm)),
         seconds=time.perf_counter() - started,
     )
+
+
+def _error_of(lens: Heightfield, target: Array, bench: Bench, outcomes: list[Outcome], per_pixel: int) -> MeanError:
+    return MeanError(
+        lens, target, bench, outcomes, max(1, math.ceil(per_pixel * target.shape[1] / (lens.x_mm.size - 1)))
+    )
+
+
+def _can_be_halved(lens: Heightfield, target: Array) -> bool:
+    """Return whether every second vertex and half the pixels make a smaller task of the same sides."""
+    cells = (lens.z_mm.shape[0] - 1, lens.z_mm.shape[1] - 1)
+    return min(target.shape) >= 2 * _HALVED_FROM and not any(n % 2 for n in (*cells, *target.shape))
+
+
+def _halve(target: Array) -> Array:
+    ny, nx = target.shape
+    return np.asarray(target.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
 
 def _fit_ball(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
@@ -214,7 +237,54 @@ def _fit_ball(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
     return fit_ball(moved, ball_mm) if ball_mm > 0 else moved
 
 
-def _step(error: _Error, point: _Point, memory: Memory, inverse: _Preconditioner) -> _Point | None:
+def _spline_of(lens: Heightfield, z: Array) -> BicubicSpline:
+    return BicubicSpline.through(
+        z, x0_mm=float(lens.x_mm[0]), y0_mm=float(lens.y_mm[0]), dx_mm=lens.dx_mm, dy_mm=lens.dy_mm
+    )
+
+
+def _descend(
+    error: MeanError, lens: Heightfield, z: Array, bench: Bench, steps: int, on_step: Callable[[], None]
+) -> Array:
+    """Return heights after so many steps at most, fewer where none goes down any more.
+
+    Behind a finish in rounds, before each of which the contact is found anew: the last that was a gain counts.
+    """
+    finish = error.outcomes[0].finish
+    best, before = math.inf, z
+    for begun in range(0, steps, steps if finish is None else _ROUND):
+        hangs = error.touch(z)
+        point = _Point(z, error.of(z), error.gradient())
+        if point.error > best:
+            return before
+        best, before = point.error, z
+        beside_mm = 0.0 if finish is None else _BESIDE / finish.k0_rad_per_mm
+        free = _mark_free(hangs, beside_mm / min(lens.dx_mm, lens.dy_mm))
+        inverse = _Preconditioner(lens, error.target, bench, error, free)
+        memory = Memory(_DEPTH)
+        for _ in range(min(steps - begun, steps if finish is None else _ROUND)):
+            moved = _step(error, point, memory, inverse)
+            if moved is None:
+                break
+            point = moved
+            on_step()
+        z = point.z
+    if finish is not None:
+        error.touch(z)
+        if error.of(z) > best:
+            return before
+    return z
+
+
+def _mark_free(hangs: Mask, beside: float) -> Array:
+    """Return 1 where heights may move, 0 where a pad hangs and within `beside` vertices of there."""
+    if not hangs.any():
+        return np.ones(hangs.shape)
+    near = binary_dilation(hangs, iterations=max(1, round(beside)))
+    return np.asarray(1.0 - gaussian_filter(near.astype(np.float64), beside / 2.0))
+
+
+def _step(error: MeanError, point: _Point, memory: Memory, inverse: _Preconditioner) -> _Point | None:
     """Return the next point, with enough of a decrease; None where no length along the direction gives it."""
     length = 1.0 if memory.pairs else _FIRST_LENGTH
     direction = memory.direction(point.gradient, inverse)
@@ -223,13 +293,9 @@ def _step(error: _Error, point: _Point, memory: Memory, inverse: _Preconditioner
         z = point.z + length * direction
         value = error.of(z)
         if value <= point.error + _SUFFICIENT * length * slope:
-            moved = _Point(z, value, error.tubes.gain(error.miss))
+            moved = _Point(z, value, error.gradient())
             memory.learn(length * direction, moved.gradient - point.gradient)
             return moved
         bend = value - point.error - length * slope  # of the parabola through what is known
         length *= min(0.5, max(0.1, -slope * length / (2 * bend))) if math.isfinite(bend) else 0.1
     return None
-
-
-def _psnr_db(error: float, target: Array) -> float:
-    return float(10 * np.log10(target.max() ** 2 * target.size / max(2 * error, 1e-300)))

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from optics.run_out import RunOut
 from optics.threads import run_on_rows
 
 Array = NDArray[np.float64]
@@ -179,18 +180,10 @@ class BicubicSpline:
         run_on_rows(_fill_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
-    def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3, rim_mm: float = 0.0) -> BicubicSpline:
-        """Return the same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
-
-        New coefficients continue the slope across the rim, which dies out as exp(-d / fade_mm) instead of running up or
-        down without bound; what the rim's curvature adds to it dies out within a few cells, or a crease that runs out
-        of the lens would go on as a ridge. Within 1 mm, from rim_mm on, the run-out also turns down by `droop`, so that
-        it does not lift a ball that touches the rim: a dark frame makes half a valley of the rim.
-        """
+    def extended(self, by_mm: float, *, rim_mm: float = 0.0) -> BicubicSpline:
+        """Return the same surface, exactly, on its own grid, and a run-out of at least by_mm around it (`run_out`)."""
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
-        coefs = _continue_rows(self.coefs, pad_y, self.dy_mm, fade_mm, droop, rim_mm)
-        coefs = np.ascontiguousarray(_continue_rows(coefs.T, pad_x, self.dx_mm, fade_mm, droop, rim_mm).T)
-        _level_corners(coefs, pad_y, pad_x)
+        coefs = RunOut(cells=(pad_y, pad_x), dy_mm=self.dy_mm, dx_mm=self.dx_mm, rim_mm=rim_mm).extend(self.coefs)
         coefs.setflags(write=False)
         return BicubicSpline(
             coefs=coefs,
@@ -199,34 +192,3 @@ class BicubicSpline:
             dx_mm=self.dx_mm,
             dy_mm=self.dy_mm,
         )
-
-
-def _continue_rows(coefs: Array, rows: int, spacing: float, fade: float, droop: float, rim: float) -> Array:
-    """Return coefficients with `rows` more rows before the first and after the last; C2 whatever they are.
-
-    The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,
-    which belongs to half a cell beyond the rim, and s the slope at the rim itself, per cell.
-    """
-    k = np.arange(1, rows + 1)
-    slow = np.cumsum(np.exp(-k * spacing / fade))[:, None]
-    quick = np.cumsum((1 / 3) ** k)[:, None]
-    sag = np.cumsum(droop * spacing * np.clip(k * spacing - rim, 0.0, 1.0))[:, None]
-
-    def beyond(outer: Array, at_rim: Array, inner: Array) -> Array:
-        slope = (outer - inner) / 2
-        return np.asarray(outer + slow * slope + quick * (outer - at_rim - slope) - sag)
-
-    before = beyond(coefs[0], coefs[1], coefs[2])[::-1]
-    return np.concatenate([before, coefs, beyond(coefs[-1], coefs[-2], coefs[-3])])
-
-
-def _level_corners(coefs: Array, pad_y: int, pad_x: int) -> None:
-    """Set the corner blocks of the run-out to the sum of the two strips that meet there, in place.
-
-    Continuing the strips once more would multiply the twist at the rim's corners into towers of millimetres.
-    """
-    ny, nx = coefs.shape
-    for rows, edge_j in ((slice(0, pad_y), pad_y), (slice(ny - pad_y, ny), ny - pad_y - 1)):
-        for columns, edge_i in ((slice(0, pad_x), pad_x), (slice(nx - pad_x, nx), nx - pad_x - 1)):
-            sides = coefs[rows, edge_i][:, None] + coefs[edge_j, columns][None, :]
-            coefs[rows, columns] = sides - coefs[edge_j, edge_i]

@@ -21,7 +21,7 @@ from cam.planning.planner import Marks
 from cam.planning.row_slopes import RowSlopes, row_profile
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.finish import GIVEN_UP, Finish, finish_surface
+from optics.finish import Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves
 
@@ -29,6 +29,7 @@ _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
 _STRIPES = 1.6  # bright places, whose stripes are stronger than their share
 _ALONG = 1.35  # what shaped heights leave along the rows, too: 1.16 to 1.53 for five pictures on two mills
+_GIVEN_UP = 1e-3  # H^2 of a wave of which a lens for a finish keeps half
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 1.75, 7
 _WAVE_NUMBERS = 1024  # of a picture, that are told apart
 _ALIKE = 0.01  # waves, by the ratio of their numbers
@@ -209,7 +210,7 @@ def _picture_wave_numbers(shape: tuple[int, ...], bench: Bench) -> Array:
 
 def _kept_of(finish: Finish, k_rad_per_mm: Array) -> Array:
     square = np.square(finish.kept(k_rad_per_mm))
-    return np.asarray(square / (square + GIVEN_UP))
+    return np.asarray(square / (square + _GIVEN_UP))
 
 
 def blur_of(finish: Finish) -> float:
@@ -218,8 +219,8 @@ def blur_of(finish: Finish) -> float:
 
 
 def _half_kept(finish: Finish) -> float:
-    """Return the wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is GIVEN_UP."""
-    return finish.k0_rad_per_mm * float(-0.5 * math.log(GIVEN_UP)) ** (1.0 / finish.order)
+    """Return the wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is _GIVEN_UP."""
+    return finish.k0_rad_per_mm * float(-0.5 * math.log(_GIVEN_UP)) ** (1.0 / finish.order)
 
 
 def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
