@@ -215,9 +215,8 @@ def polish_lens(
 
 
 def _error_of(lens: Heightfield, target: Array, bench: Bench, outcomes: list[Outcome], per_pixel: int) -> MeanError:
-    return MeanError(
-        lens, target, bench, outcomes, max(1, math.ceil(per_pixel * target.shape[1] / (lens.x_mm.size - 1)))
-    )
+    tubes = max(1, math.ceil(per_pixel * target.shape[1] / (lens.x_mm.size - 1)))
+    return MeanError(lens, target, bench, outcomes, tubes)
 
 
 def _can_be_halved(lens: Heightfield, target: Array) -> bool:
