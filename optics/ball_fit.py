@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from optics.heightfield import Heightfield
-from optics.spline import Array, slope_weights, spline_weights
+from optics.spline import Array, Mask, slope_weights, spline_weights
 from optics.threads import run_on_rows
 
-Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 _TILE = 16  # points along its side
 _ROUNDING = 1e-6

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from optics.spline import Array
+from optics.spline import Array, Mask
 from optics.threads import thread_count
 
 STEPS = 3
@@ -53,7 +53,7 @@ class Wear:
     """
 
     removal_mm: Array
-    touched: Array
+    touched: Mask
     residual: float
 
 

@@ -24,6 +24,7 @@ from optics.contact import transform, transform_back, wear_surface
 from optics.finish import Finish, quick_margin
 from optics.heightfield import Array, Heightfield
 from optics.run_out import RunOut
+from optics.spline import Mask
 from optics.tubes.picture import TubePicture
 from optics.tubes.rays import fit_transposed
 
@@ -40,12 +41,12 @@ class Outcome:
     finish: Finish | None
 
 
-def outcomes_of(finish: Finish | None, *, orders: bool = True) -> list[Outcome]:
-    """Return what may come of a finish, the planned one first. orders: whether the order of its law is unsure, too"""
+def outcomes_of(finish: Finish | None) -> list[Outcome]:
+    """Return what may come of a finish, the planned one first."""
     if finish is None:
         return [Outcome(weight=1.0, finish=None)]
     others = [finish.after(share**-finish.order) for share in _OFF_K0]
-    others += [replace(finish, order=share * finish.order) for share in _OFF_ORDER] if orders else []
+    others += [replace(finish, order=share * finish.order) for share in _OFF_ORDER]
     planned = Outcome(weight=1.0 - _OFF_WEIGHT * len(others), finish=finish)
     return [planned, *(Outcome(weight=_OFF_WEIGHT, finish=one) for one in others)]
 
@@ -79,12 +80,12 @@ class FinishedHeights:
             for kept, left in zip(self._kept, self._left, strict=True)
         ]
 
-    def touch(self, z_mm: Array) -> Array:
+    def touch(self, z_mm: Array) -> Mask:
         """Find anew where the pads touch; (ny, nx) of bool: where that of the first finish hangs over the surface.
 
         In one step of all the work: `camera` behind four was the same within 0.02 dB.
         """
-        hangs = np.zeros(z_mm.shape, dtype=np.bool_)
+        hangs: Mask = np.zeros(z_mm.shape, dtype=np.bool_)
         wide = self._widen(z_mm)
         for number, (finish, kept) in enumerate(zip(self._finishes, self._kept, strict=True)):
             if finish is None or kept is None or finish.depth_mm is None:
@@ -145,7 +146,7 @@ class MeanError:
         ]
         self.misses = [target] * len(outcomes)
 
-    def touch(self, z_mm: Array) -> Array:
+    def touch(self, z_mm: Array) -> Mask:
         """Find anew where the pads touch; (ny, nx) of bool: where that of the first outcome hangs over the surface."""
         return self._finished.touch(z_mm)
 

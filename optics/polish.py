@@ -20,7 +20,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
 from optics.ball_fit import fit_ball
@@ -28,9 +27,8 @@ from optics.bench import Bench
 from optics.finish import Finish, level
 from optics.heightfield import Heightfield
 from optics.outcomes import MeanError, Outcome, outcomes_of
-from optics.spline import Array, BicubicSpline
+from optics.spline import Array, BicubicSpline, Mask
 
-Mask = NDArray[np.bool_]
 _DEPTH = 8
 _LONG_WAVES = 1500.0  # beta, times the aperture's area
 _UNSEEN = 0.015  # eps
@@ -39,6 +37,7 @@ _FIRST_LENGTH = 0.1  # the inverse Hessian is too bold until the first pair of s
 _SUFFICIENT = 1e-4  # of the decrease that the slope promises (Armijo)
 _MOST_TRIES = 6
 _FINE_SHARE = 0.3  # of the steps
+_WHOLE_SHARE = 0.2  # of them, on all vertices: more fit the planned finish at the cost of its others
 _TUBES_PER_PIXEL, _FINE_TUBES_PER_PIXEL = 4, 6  # along its side
 _LOST = 0.03  # H^2 of a wave that is not worth its height
 _HALVED_FROM = 256  # pixels along the shorter side
@@ -182,17 +181,17 @@ def polish_lens(
         taken += 1
         report(taken / steps)
 
-    likely = outcomes_of(finish, orders=False)[: 1 if as_planned else None]
+    likely = outcomes_of(finish)[: 1 if as_planned else None]
     last = _error_of(lens, target, bench, likely, _FINE_TUBES_PER_PIXEL if finish is None else _TUBES_PER_PIXEL)
     last.touch(lens.z_mm)
     before, before_db = last.of(lens.z_mm), last.psnr_db()
-    few = math.ceil(_FINE_SHARE * steps)
+    few = math.ceil((_FINE_SHARE if finish is None else _WHOLE_SHARE) * steps)
     z = np.array(lens.z_mm)
     if finish is None:
         z = _descend(_error_of(lens, target, bench, likely, _TUBES_PER_PIXEL), lens, z, bench, steps - few, count_step)
     elif _can_be_halved(lens, target):
         half = replace(lens, x_mm=lens.x_mm[::2], y_mm=lens.y_mm[::2], z_mm=z[::2, ::2])
-        error = _error_of(half, _halve(target), bench, outcomes_of(finish), _TUBES_PER_PIXEL)
+        error = _error_of(half, _halve(target), bench, likely, _TUBES_PER_PIXEL)
         moved = _descend(error, half, np.array(half.z_mm), bench, steps - few, count_step) - half.z_mm
         z = z + _spline_of(half, moved).heights_mm(lens.x_mm[None, :], lens.y_mm[:, None])
     else:

@@ -18,6 +18,7 @@ from optics.run_out import RunOut
 from optics.threads import run_on_rows
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True)

@@ -27,6 +27,7 @@ from optics.corrections import Corrected, correct_lens
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from optics.lens_settings import LensSettings
+from optics.polish import polish_lens
 from optics.threads import thread_count
 from optics.transport.solver import OpticalPath, solve_transport
 from service.job.picture.resampling import resize
@@ -36,6 +37,7 @@ from service.job.planning.predicted_light import PictureLight, Valleys
 COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
 _SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
+_COARSE_STEPS = 8  # of the descent, of which the job takes four times as many
 
 _solving = Lock()
 
@@ -113,16 +115,21 @@ def simplify(settings: LensSettings) -> LensSettings:
 
 
 def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Return a maker of lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the
-    job's.
+    """Return a maker of lenses for finishes: coarse ones, descended on in a few steps for the one finish, or as fine as
+    the target, like the job's.
     """
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
 
     def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
         aim, wanted = (target, whole) if fine else (_coarser(target), quick)
-        made = compute_passes(aim, replace(wanted, finish=finish, min_radius_mm=radius_mm))
-        return made.best.lens, aim
+        wanted = replace(wanted, finish=finish, min_radius_mm=radius_mm)
+        start, ball_mm = compute_passes(aim, wanted).best.lens, wanted.closing_radius_mm
+        steps = wanted.descent_steps if fine else _COARSE_STEPS
+        lens, _ = polish_lens(
+            start, aim, settings.bench, steps=steps, ball_mm=ball_mm, finish=finish, as_planned=not fine
+        )
+        return lens, aim
 
     return design
 
