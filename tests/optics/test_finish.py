@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from optics.ball_fit import ball_fits
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.corrections import correct_lens
-from optics.finish import Finish, finish_surface, foresee_finish
+from optics.design import design_lens
+from optics.finish import Finish, finish_surface
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
 from optics.metrics import psnr_db, smallest_detail_mm
@@ -73,22 +74,6 @@ def test_what_is_as_long_as_the_tool_is_half_mark_and_half_form(pad_mm: float) -
     assert height_left(finish_surface(lens, finish), wave) == pytest.approx(1e-3 * np.exp(-1.0), rel=0.03)
 
 
-def test_a_foreseen_lens_is_the_lens_once_finished() -> None:
-    """All that a wave of 1.5 mm loses is given back before, to 2 %; the surface to mill has it higher by as much."""
-    lens, wave = rippled(1.5)
-    finish = Finish(k0_rad_per_mm=3.0, order=1.0)
-    milled = foresee_finish(lens, finish)
-    assert height_left(milled, wave) == pytest.approx(1e-3 / float(finish.transfer(2 * np.pi / 1.5)), rel=0.03)
-    assert height_left(finish_surface(milled, finish), wave) == pytest.approx(1e-3, rel=0.02)
-
-
-def test_what_hardly_anything_is_left_of_is_given_up() -> None:
-    """A wave of 0.3 mm keeps a thousandth: to foresee it the surface would need ripples a thousand times as high."""
-    lens, wave = rippled(0.3)
-    milled = foresee_finish(lens, Finish(k0_rad_per_mm=3.0, order=1.0))
-    assert height_left(milled, wave) < 2.5e-3
-
-
 def test_departures_are_levelled_with_the_lens() -> None:
     """Linear: the lens with a mark, finished, is the finished lens and the finished mark."""
     lens, _ = rippled(6.0)
@@ -110,22 +95,24 @@ def test_figures_of_a_finish_are_positive(wrong: dict[str, float]) -> None:
         replace(Finish(k0_rad_per_mm=3.0, order=1.0), **wrong)
 
 
-def test_a_lens_that_foresees_its_finish_shows_more_behind_it() -> None:
-    """Corrections look at the finished lens's light: 5 dB more than the same lens designed for no finish."""
+@pytest.mark.parametrize("depth_mm", [None, 0.01])
+def test_a_lens_made_for_its_finish_shows_more_behind_it_whatever_comes_of_it(depth_mm: float | None) -> None:
+    """Than the same lens made for no finish: as planned, and with k0 0.8 and 1.25 times as much."""
     y, x = (np.mgrid[0:64, 0:64] + 0.5) / 64
     target = (
         1.0 + 0.6 * np.sin(2 * np.pi * 5 * x) * np.sin(2 * np.pi * 4 * y) + 0.8 * (np.hypot(x - 0.5, y - 0.5) < 0.2)
     )
     target /= target.mean()
     bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=60.0, refractive_index=1.49)
-    finish = Finish(k0_rad_per_mm=3.5, order=1.0)
+    finish = Finish(k0_rad_per_mm=3.5, order=1.0, depth_mm=depth_mm)
     plain = LensSettings(bench=bench, skim_mm=0.1, min_radius_mm=0.5)
-    seen = [
-        simulate_caustic(finish_surface(correct_lens(target, task).best.lens, finish), bench, pixels=target.shape)
-        for task in (plain, replace(plain, finish=finish))
-    ]
-    without, foreseen = (psnr_db(one.irradiance, target) for one in seen)
-    assert foreseen > without + 5.0
+    lenses = [design_lens(target, task).heightfield for task in (plain, replace(plain, finish=finish))]
+    for share, gain_db in ((1.0, 5.0), (0.8, 3.0), (1.25, 2.0)):
+        done = finish.after(share**-finish.order)
+        seen = [simulate_caustic(finish_surface(lens, done), bench, pixels=target.shape) for lens in lenses]
+        without, made_for_it = (psnr_db(one.irradiance, target) for one in seen)
+        assert made_for_it > without + gain_db, share
+    assert ball_fits(lenses[1], 0.5)
 
 
 @pytest.mark.parametrize("sigma_px", [1.5, 3.0, 6.0])
