@@ -96,4 +96,5 @@ async def _await_answer(future: Future[T], within_s: float) -> T:
     done, _ = await asyncio.wait({waiting}, timeout=within_s)
     if done:
         return waiting.result()
+    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # nobody waits for it any more
     raise no_answer(within_s, taken_back=future.cancel())
