@@ -221,6 +221,8 @@ def _solve_wave(tips_mm: Sequence[float], finish: Finish, mill: Mill, share: flo
         return math.log(max(amplitude_mm, 1e-12) * k * left / VISIBLE_SLOPE_RAD)
 
     low, high = near / 2, near * 2
+    if excess(low) < 0 or excess(high) > 0:  # steps have made another ripple of it
+        raise NoMarksError("slope")
     for _ in range(40):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if excess(middle) > 0 else (low, middle)

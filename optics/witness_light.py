@@ -83,7 +83,7 @@ def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> t
 
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
     """Return heights (n,) after that share of the planned dose, uniform across; the strip has flat at its ends."""
-    k = math.pi * np.arange(heights_mm.size) / ((heights_mm.size - 1) * _CELL_MM)
+    k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * _CELL_MM)
     reached = replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * dose ** (-1 / finish.order))
     return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * reached.kept(k), type=1))
 
@@ -126,7 +126,9 @@ def read_strip(photo: Array, strip: Strip) -> StripLight:
     inside = slice(beyond, beyond + count)
     trend = np.polynomial.Polynomial.fit(u[inside], light[inside], 2)(u)  # the lamp's light, the camera's vignetting
     light /= trend
-    blur_mm = float(np.sqrt(_edge_variance_mm2(light[: 2 * beyond]) * _edge_variance_mm2(light[: -2 * beyond - 1 : -1])) ** 0.5)
+    blur_mm = float(
+        np.sqrt(_edge_variance_mm2(light[: 2 * beyond]) * _edge_variance_mm2(light[: -2 * beyond - 1 : -1])) ** 0.5
+    )
     return StripLight(light=light[inside], blur_mm=max(blur_mm, _LEAST_BLUR_MM), pixels_per_mm=pixels_per_mm)
 
 
@@ -144,9 +146,7 @@ def fit_dose(seen: StripLight, strip: Strip, finish: Finish, *, refractive_index
     return min(fits, key=lambda one: one.misfit)
 
 
-def _fit(
-    measured: Array, error: Array, blur_mm: float, strip: Strip, finish: Finish, lever_mm: float
-) -> DoseReading:
+def _fit(measured: Array, error: Array, blur_mm: float, strip: Strip, finish: Finish, lever_mm: float) -> DoseReading:
     u, heights = strip_heights_mm(strip)
     waves = np.array([mark.k_rad_per_mm for mark in strip.marks])
 
