@@ -28,6 +28,7 @@ _LEAST_ROW_MM, _MOST_ROW_MM = 4.0, 12.0
 _CLAMP_MM = 1.5  # between a clamp and the cutter
 _BESIDE_SLOT_MM = 1.0
 _MOVED_MM = 3.0
+_DEEPER_MM = 0.05  # than the lens's highest point: the most that ripples and steps add
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +69,7 @@ class _Room:
         """Return the room at a side; None where there is too little, or the mill does not travel so far."""
         spec, optics, margin_mm = job.spec, job.spec.optics, job.spec.stock.margin_mm
         skim_mm, radius_mm = spec.stock.skim_mm, spec.passes[-1].radius_mm
-        beside_mm = math.sqrt(2 * radius_mm * skim_mm)
+        beside_mm = math.sqrt(2 * radius_mm * (skim_mm + _DEEPER_MM))
         swept_mm = max(2 * row.radius_mm for row in spec.passes)
         if spec.stock.cut_out is not None:
             swept_mm = max(swept_mm, 2 * spec.stock.cut_out.radius_mm + beside_mm + _BESIDE_SLOT_MM)

@@ -345,6 +345,7 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     process = spec.finish.process
     facts["finish_process"] = None if process == NONE else repr(job.figures.processes.get(process))
     facts["finishes"] = spec.finish.finishes
+    facts["witness"] = facts["finish"].pop("witness")  # which no lens and no light depends on
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(job.machine)
     facts["tools"] = [asdict(tool) for tool in job.figures.tools] if spec.to_be_planned else None
