@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy import fft
@@ -36,6 +37,7 @@ _SAMPLES_PER_MM, _ACROSS = 40, 48
 _BORDER = 0.3  # of the strip's width at either rim that is left out
 _WHITE, _MOST_WHITE = 0.97, 0.02
 _STARTS = 24
+_COVERED_MM = np.linspace(-0.25, 1.0, 6)  # of either end of the strip, by tape
 _LEAST_BLUR_MM, _BLUR_SPREAD = 0.01, 0.2  # of the logarithm of the blur that the strip's ends show
 _EDGE_MM = 0.8  # of the light at either end, from which its blur is taken
 _LEVER_SPREAD = 0.05
@@ -46,8 +48,15 @@ _LEAST_LIT = 0.02  # of the camera's white
 _LEAST_PIXELS_PER_MM = 8.0
 
 
+Refusal = Literal["no_light", "too_dark", "too_bright", "too_small"]
+
+
 class StripNotFoundError(ValueError):
-    """A photograph that shows no strip of marks that could be read."""
+    """A photograph that shows no strip of marks that could be read; code says why."""
+
+    def __init__(self, code: Refusal) -> None:
+        super().__init__(code)
+        self.code: Refusal = code
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +120,7 @@ def read_strip(photo: Array, strip: Strip) -> StripLight:
         corners, sides = np.roll(corners, -1, axis=0), [*sides[1:], sides[0]]
     pixels_per_mm = min(sides[0], sides[2]) / strip.length_mm
     if pixels_per_mm < _LEAST_PIXELS_PER_MM:
-        raise StripNotFoundError("too small")
+        raise StripNotFoundError("too_small")
     count, beyond = round(strip.length_mm * _SAMPLES_PER_MM), round(_EDGE_MM * _SAMPLES_PER_MM)
     u = (np.arange(-beyond, count + beyond) + 0.5) / count
     v = _BORDER + (1 - 2 * _BORDER) * (np.arange(_ACROSS) + 0.5) / _ACROSS
@@ -119,9 +128,9 @@ def read_strip(photo: Array, strip: Strip) -> StripLight:
     x, y = apply_homography(to_photo, *np.broadcast_arrays(u, v[:, None]))
     seen = map_coordinates(photo, [y - 0.5, x - 0.5], order=1, mode="nearest")
     if np.mean(seen > _WHITE) > _MOST_WHITE:
-        raise StripNotFoundError("too bright")
+        raise StripNotFoundError("too_bright")
     if level - dark < _LEAST_LIT:
-        raise StripNotFoundError("too dark")
+        raise StripNotFoundError("too_dark")
     light = (seen - dark).mean(axis=0)
     inside = slice(beyond, beyond + count)
     trend = np.polynomial.Polynomial.fit(u[inside], light[inside], 2)(u)  # the lamp's light, the camera's vignetting
@@ -141,7 +150,7 @@ def _edge_variance_mm2(light: Array) -> float:
 
 def fit_dose(seen: StripLight, strip: Strip, finish: Finish, *, refractive_index: float) -> DoseReading:
     """Return the share of the planned dose that the light shows, whichever way round the strip was photographed."""
-    ways = [_measure_fringes(strip, seen.light[::way]) for way in (1, -1)]
+    ways = [_align_fringes(strip, seen.light[::way]) for way in (1, -1)]
     fits = [_fit(*way, seen.blur_mm, strip, finish, (refractive_index - 1) * WALL_MM) for way in ways]
     return min(fits, key=lambda one: one.misfit)
 
@@ -172,10 +181,22 @@ def _fit(measured: Array, error: Array, blur_mm: float, strip: Strip, finish: Fi
     )
 
 
-def _measure_fringes(strip: Strip, light: Array) -> tuple[Array, Array]:
-    """Return the strength of each mark's fringes (n,), and what it may be off by: what is seen beside its frequency."""
+def _align_fringes(strip: Strip, light: Array) -> tuple[Array, Array]:
+    """Return the same as `_measure_fringes`, of the strip within what is lit: tape is laid by hand, not all of the
+    strip may be seen.
+    """
+    covered = [(before, after) for before in _COVERED_MM for after in _COVERED_MM]
+    tried = (_measure_fringes(strip, light, before, after) for before, after in covered)
+    return max(tried, key=lambda one: float((one[0] ** 2).sum()))
+
+
+def _measure_fringes(strip: Strip, light: Array, before_mm: float, after_mm: float) -> tuple[Array, Array]:
+    """Return the strength of each mark's fringes (n,), and what it may be off by: what is seen beside its frequency.
+
+    before_mm, after_mm : of the strip, not in the light, at either end
+    """
     found, errors = [], []
-    place_mm = (np.arange(light.size) + 0.5) * strip.length_mm / light.size
+    place_mm = before_mm + (np.arange(light.size) + 0.5) * (strip.length_mm - before_mm - after_mm) / light.size
     for begin, mark in zip(strip.begins_mm, strip.marks, strict=True):
         away = place_mm - begin
         window = _window(away, mark.width_mm)
@@ -200,7 +221,7 @@ def _find_corners(photo: Array) -> tuple[Array, float, float]:
     dark, level = float(np.median(soft)), float(np.quantile(soft, 0.995))
     joined, count = label(binary_closing(np.pad(soft > dark + 0.4 * (level - dark), 12), iterations=6)[12:-12, 12:-12])
     if count == 0 or level <= dark:
-        raise StripNotFoundError("no light")
+        raise StripNotFoundError("no_light")
     lit = joined == 1 + int(np.argmax(np.bincount(joined.ravel())[1:]))
     inside = float(np.median(soft[lit]))
     rows, columns = np.nonzero(lit & (soft > (dark + inside) / 2))
@@ -208,8 +229,8 @@ def _find_corners(photo: Array) -> tuple[Array, float, float]:
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
-        raise StripNotFoundError("no light") from None
+        raise StripNotFoundError("no_light") from None
     around = enclose_quadrilateral(points[hull.vertices])
     if len(around) < 4:
-        raise StripNotFoundError("no light")
+        raise StripNotFoundError("no_light")
     return np.asarray(around, dtype=np.float64), inside, dark

@@ -28,19 +28,22 @@ def work_strip(heights_mm: Array, finish: Finish, depth_mm: float, dose: float) 
 
 def light_on_paper(
     strip: Strip, finish: Finish, depth_mm: float, dose: float, *, noise_mm: float, lamp_mm: float,
-    lever: float = 1.0, seed: int = 0,
+    lever: float = 1.0, seed: int = 0, covered_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Array:  # fmt: skip
     """Light (n,) along the strip and 4 mm around it, 50 to a mm; rays counted where they arrive, no linear optics.
 
-    lever : of the paper, over its nominal one; lamp_mm: standard deviation of the blur on the paper
+    covered_mm : of either end of the strip, by tape
+    lever      : of the paper, over its nominal one
+    lamp_mm    : standard deviation of the blur there
     """
     u, milled = strip_heights_mm(strip, noise_mm=noise_mm, seed=seed)
     heights = work_strip(milled, finish, depth_mm, dose)
-    fine = np.linspace(0.0, strip.length_mm, 60 * round(_PER_MM * strip.length_mm))
+    fine = np.linspace(covered_mm[0], strip.length_mm - covered_mm[1], 60 * round(_PER_MM * strip.length_mm))
     slope = np.interp(fine, u, np.gradient(heights, u[1] - u[0]))
     arrive = fine + 0.49 * WALL_MM * lever * slope
-    bins = round((strip.length_mm + 2 * _AROUND_MM) * _PER_MM)
-    light, _ = np.histogram(arrive, bins=bins, range=(-_AROUND_MM, strip.length_mm + _AROUND_MM))
+    seen_mm = strip.length_mm - sum(covered_mm)
+    ends = covered_mm[0] - _AROUND_MM, strip.length_mm - covered_mm[1] + _AROUND_MM
+    light, _ = np.histogram(arrive, bins=round((seen_mm + 2 * _AROUND_MM) * _PER_MM), range=ends)
     return np.asarray(gaussian_filter1d(light / 60.0, lamp_mm * _PER_MM))
 
 

@@ -27,7 +27,7 @@ SHOWN = {
 
 _EDGE, _GAP = 34.0, 16.0
 _COLUMN = (WIDTH - 2 * _EDGE - _GAP) / 2
-_PICTURE = 92.0
+_PICTURE, _SMALL_PICTURE = 92.0, 74.0  # one alone, and each in a row
 _RED, _GREEN, _SOFT = "#b3261e", "#1b6e3c", "#5b6b7a"
 _LARGE, _SMALL, _SMALLEST = 9.5, 7.5, 6.0
 _LEADING = 1.24
@@ -63,7 +63,8 @@ def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: byte
     """Draw name, facts, verdict, and the picture at the right; return where the rest begins."""
     right = WIDTH - _EDGE
     if picture is not None:
-        right = paper.draw_picture(picture, right, _EDGE, _PICTURE, beside=beside) - _GAP
+        side = _PICTURE if beside == 1 else _SMALL_PICTURE
+        right = paper.draw_picture(picture, right, _EDGE, side, beside=beside) - _GAP
     y = _EDGE
     verdict = {"good": _GREEN, "bad": _RED}.get(setup["verdict"][0], INK)
     parts = (
@@ -205,10 +206,10 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
     more = [f"{len(warnings) - most} more on the setup sheet, report.html."] if most < len(warnings) else []
     return [
         ("Warnings", "!", [*map(escape, warnings[:most]), *more]),
-        ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup))]),
         ("Stock and zero", "•", _items("stock", setup) if setup["block"] else []),
         ("Before you press start", "☐", _items("start", setup)),
         ("Around the passes", "•", [*map(escape, setup["around"])]),
+        ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup))]),
     ]
 
 

@@ -80,6 +80,13 @@ def _sentences(made: Mapping[str, Any], marks: list[Mapping[str, Any]], minutes:
         every=duration(60 * minutes * 0.1),
         slope_mrad=1000 * made["visible_slope_rad"],
     )
+    if made["wall_mm"] is not None:
+        yield Phrase(
+            "A photograph says it to a few percent: cover all but the strip with tape, put one small bright LED 2 m or "
+            "more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph the paper from "
+            "its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
+            wall_mm=made["wall_mm"],
+        )
     yield Phrase(
         "The marks count, not the clock: stop as soon as mark {stop} cannot be seen any more. If mark 1 goes earlier "
         "or later than the table says, all others do in the same ratio. Mark {after} must still be plain: too little "

@@ -26,6 +26,7 @@ from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
 from optics.witness import VISIBLE_SLOPE_RAD, NoMarksError
+from optics.witness_light import WALL_MM
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import arrays
@@ -77,6 +78,7 @@ def run_witness(context: StageContext) -> None:
         "box_mm": list(task.box_mm),
         "depth_mm": -task.lowest_mm,
         "visible_slope_rad": VISIBLE_SLOPE_RAD,
+        "wall_mm": WALL_MM if context.spec.optics.surface == "lens" else None,  # no light goes through a mirror
         "marks": [
             {"share": mark.share, "period_mm": mark.period_mm, "periods": mark.periods, "height_mm": mark.amplitude_mm}
             for mark in planned.strip.marks

@@ -152,7 +152,7 @@ _WITNESS = Stage(
     function=f"{_AROUND}:run_witness",
     reads=(".stock-last.npz",),
     spec=(
-        *("finish", "passes", "stock.cut_out", "stock.skim_mm", "optics.outline", "machine.step_mm"),
+        *("finish", "passes", "stock.cut_out", "stock.skim_mm", "optics.outline", "optics.surface", "machine.step_mm"),
         *("machine.whole_steps", "machine.z_noise_mm", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
     ),
     parts=(("write", 0.2), ("check", 0.8)),

@@ -47,6 +47,7 @@ CUT = PROGRAM | {"file": "pass-3-cut-out.nc", "clear_um": 3.0, "tabs": [{"height
 MARKS = PROGRAM | {"file": "pass-3-witness.nc", "name": "witness", "tool": "ball", "radius_mm": 0.5}
 WITNESS = {
     "side": "front", "box_mm": [10.0, 45.0, -13.0, -6.0], "depth_mm": 0.108, "visible_slope_rad": 1e-3,
+    "wall_mm": 20.0,
     "marks": [
         {"share": share, "period_mm": 0.7, "periods": 8, "height_mm": 0.004} for share in (0.6, 0.8, 1.0, 1.25, 2.0)
     ],
