@@ -1,4 +1,4 @@
-"""What finishing by hand does to a milled surface: a low pass on its heights.
+"""What finishing by hand does to a milled surface: a low pass on its heights, as far as the tool touches it.
 
 z_finished(k) = H(k) z_milled(k) - depth with H(k) = exp(-(k / k0)^order), k in rad/mm. Sanding between grits is
 diffusion (order 2), a soft pad removes in proportion to its pressure (Preston; order 1), a film of lacquer levels under
@@ -6,8 +6,15 @@ its surface tension (Orchard; order 4). H holds for marks; the form of a lens, m
 longer than the tool in the hand, which follows it: where a pad would have to take off more than its own depth it only
 loses touch. So waves much longer than the tool keep their height.
 
+A film (lacquer, melt, swollen skin) wets all of the surface: the law is linear and keeps the volume, since H is 1 at
+k = 0; a coat adds the same everywhere. A pad or paper takes off, and never adds: where H z - depth would lie above z it
+hangs over the surface and the law is that of `optics.contact`, whose limit for small marks is H. It hangs in creases,
+beside steep walls, and behind rims; smoothing ends there, for as long as one works.
+
 A surface ends somewhere, but a low pass looks beyond: the lens goes on as its run-out does, and the whole is mirrored
-at its end (cosine transform), far enough away to be seen by nobody.
+at its end (cosine transform), far enough away to be seen by nobody. That is all that is known of what stands around the
+lens: a pad is taken to go on over the run-out. The wall of a pit that the run-out does not reach, and a pad that tips
+over an outer edge, are not seen.
 """
 
 from __future__ import annotations
@@ -19,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
+from optics.contact import transform, transform_back, wear_surface
 from optics.heightfield import Heightfield
 from optics.spline import Array
-from optics.threads import thread_count
 
 PAD_MM = 20.0
 """The usual size of what is held in the hand: a felt, a soft block."""
@@ -40,16 +47,19 @@ class Finish:
     k0_rad_per_mm : wave number at which 1/e of a mark's height is left
     order         : 1 soft pad, 2 random abrasion, 4 levelling film
     pad_mm        : size of the tool; marks much longer than it are form, which it follows
+    depth_mm      : what a pad or paper takes off on average, which decides where it touches; None: a film, or not
+                    known: the linear law everywhere
     """
 
     k0_rad_per_mm: float
     order: float
     pad_mm: float = PAD_MM
+    depth_mm: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("k0_rad_per_mm", "order", "pad_mm"):
+        for name in ("k0_rad_per_mm", "order", "pad_mm", "depth_mm"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} = {value:g} must be more than 0")
 
     @property
@@ -77,18 +87,44 @@ class Finish:
         return self.kept(np.hypot(down[:, None], across[None, :]))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Finished:
+    """A lens after its finish.
+
+    contact_share : of the aperture, that the tool touches at the end of the work; 1 of a film
+    """
+
+    lens: Heightfield
+    contact_share: float
+
+
 def level(heights_mm: Array, multipliers: Array) -> Array:
     """Return heights (ny, nx) after a finish, mirrored at their ends; linear, and its own transpose but for the
     rims.
     """
-    spectrum = fft.dctn(heights_mm, type=1, workers=thread_count())
-    spectrum *= multipliers
-    return np.asarray(fft.idctn(spectrum, type=1, workers=thread_count(), overwrite_x=True))
+    return transform_back(transform(heights_mm) * multipliers, heights_mm.shape)
 
 
 def finish_surface(
-    lens: Heightfield, finish: Finish, *, departure_mm: Array | None = None, finer: int = 1, beyond_cells: int = 0
+    lens: Heightfield,
+    finish: Finish,
+    *,
+    departure_mm: Array | None = None,
+    finer: int = 1,
+    beyond_cells: int = 0,
 ) -> Heightfield:
+    """Return the lens of `finish_lens`."""
+    return finish_lens(lens, finish, departure_mm=departure_mm, finer=finer, beyond_cells=beyond_cells).lens
+
+
+def finish_lens(
+    lens: Heightfield,
+    finish: Finish,
+    *,
+    departure_mm: Array | None = None,
+    finer: int = 1,
+    beyond_cells: int = 0,
+) -> Finished:
     """Return the lens after the finish, its highest vertex where it was, on a grid `finer` times as fine.
 
     departure_mm : (ny, nx) of what is milled from the lens, on that grid and beyond_cells of its cells around it
@@ -104,13 +140,16 @@ def finish_surface(
     if departure_mm is not None:
         cut_y, cut_x = far_y - beyond_cells, far_x - beyond_cells
         heights[cut_y : y.size - cut_y, cut_x : x.size - cut_x] += departure_mm
-    done = level(heights, finish.multipliers(heights.shape, (dy, dx)))[far_y : far_y + ny, far_x : far_x + nx]
-    return replace(
-        lens,
-        x_mm=x[far_x : far_x + nx],
-        y_mm=y[far_y : far_y + ny],
-        z_mm=done - done.max() + lens.z_mm.max(),
-    )
+    aperture = np.s_[far_y : far_y + ny, far_x : far_x + nx]
+    kept = finish.multipliers(heights.shape, (dy, dx))
+    if finish.depth_mm is None:
+        done, share = level(heights, kept), 1.0
+    else:
+        worn = wear_surface(heights, kept, finish.depth_mm)
+        done, share = heights - worn.removal_mm, float(worn.touched[aperture].mean())
+    done = done[aperture]
+    surface = replace(lens, x_mm=x[aperture[1]], y_mm=y[aperture[0]], z_mm=done - done.max() + lens.z_mm.max())
+    return Finished(lens=surface, contact_share=share)
 
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
@@ -119,13 +158,14 @@ def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
 
 
 def foresee_finish(lens: Heightfield, finish: Finish) -> Heightfield:
-    """Return the surface to mill so that the finish leaves the lens, as far as it can; its highest vertex where it was.
+    """Return the surface to mill so that the finish, by its linear law, leaves the lens as far as it can; its highest
+    vertex where it was.
 
     Marks are made higher by what the finish takes off, H / (H^2 + eps) of what the lens would lack: what hardly
     anything is left of is given up, or the milled surface would be all ripples.
     """
     kept = finish.multipliers((lens.y_mm.size, lens.x_mm.size), (lens.dy_mm, lens.dx_mm))
-    lacking = lens.z_mm - finish_surface(lens, finish).z_mm
+    lacking = lens.z_mm - finish_surface(lens, replace(finish, depth_mm=None)).z_mm
     z_mm = lens.z_mm + level(lacking, kept / (kept * kept + GIVEN_UP))
     return replace(lens, z_mm=z_mm - z_mm.max() + lens.z_mm.max())
 

@@ -31,7 +31,7 @@ WALL_MM = 20.0
 
 DOSE_RANGE = (0.2, 4.0)
 
-_CELL_MM = 0.02
+CELL_MM = 0.02
 _BEYOND_MM = 12.0  # of the strip: flat, and far enough for a finish to see
 _SAMPLES_PER_MM, _ACROSS = 40, 48
 _BORDER = 0.3  # of the strip's width at either rim that is left out
@@ -85,21 +85,21 @@ def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> t
     places, tips = strip.rows()
     if noise_mm:
         tips = tips + noise_mm * np.random.default_rng(seed).standard_normal(tips.size)
-    u = np.arange(-_BEYOND_MM, strip.length_mm + _BEYOND_MM, _CELL_MM)
+    u = np.arange(-_BEYOND_MM, strip.length_mm + _BEYOND_MM, CELL_MM)
     heights = envelope_mm(places, tips, strip.radius_mm, np.clip(u, 0.0, strip.length_mm))
     return u, heights
 
 
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
     """Return heights (n,) after that share of the planned dose, uniform across; the strip has flat at its ends."""
-    k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * _CELL_MM)
+    k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * CELL_MM)
     reached = replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * dose ** (-1 / finish.order))
     return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * reached.kept(k), type=1))
 
 
 def fringes_of(strip: Strip, u_mm: Array, heights_mm: Array, lever_mm: float) -> Array:
     """Return the strength of each mark's fringes (n,): the light's amplitude at its period over its mean, unblurred."""
-    slope = np.gradient(heights_mm, _CELL_MM)
+    slope = np.gradient(heights_mm, CELL_MM)
     arrive = u_mm + lever_mm * slope
     found = []
     for begin, mark in zip(strip.begins_mm, strip.marks, strict=True):

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from optics.contact import wear_surface
 from optics.finish import Finish
 from optics.spline import Array
 from optics.witness import Strip
-from optics.witness_light import WALL_MM, finish_strip, strip_heights_mm
+from optics.witness_light import CELL_MM, WALL_MM, strip_heights_mm
 from tests.optics.photographs import camera, photographed
 
-_PER_MM, _STEPS = 50, 12
+_PER_MM = 50
 _WIDE_MM, _AROUND_MM = 5.0, 4.0
 
 
 def work_strip(heights_mm: Array, finish: Finish, depth_mm: float, dose: float) -> Array:
-    """Heights after a finish by a pad that takes depth_mm off at the planned dose, and never adds: in steps, of each
-    of which what the linear law would add is taken off elsewhere.
-    """
-    for _ in range(_STEPS):
-        off = depth_mm * dose / _STEPS + heights_mm - finish_strip(heights_mm, finish, dose / _STEPS)
-        off = np.maximum(off, 0.0)
-        heights_mm = heights_mm - off * (depth_mm * dose / _STEPS / off.mean())
-    return heights_mm
+    """Heights after that share of a finish by a pad that takes depth_mm off at the planned dose: unilateral contact."""
+    reached = replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * dose ** (-1 / finish.order))
+    same = np.tile(heights_mm, (3, 1))
+    multipliers = reached.multipliers(same.shape, (CELL_MM, CELL_MM))
+    return np.asarray((same - wear_surface(same, multipliers, depth_mm * dose, steps=4).removal_mm)[1])
 
 
 def light_on_paper(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -14,9 +14,9 @@ from optics.threads import thread_count
 from phrases.phrase import Phrase
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
-from service.job.spec.finish import BEST, NONE
+from service.job.spec.finish import BEST, NONE, FinishSpec, fill_figures
 from service.job.spec.finish_library import Process, say
-from service.job.spec.lens_task import finish_of
+from service.job.spec.lens_task import build_finish
 from service.job.spec.resolved import ResolvedJob
 
 _NEAR = 6  # of such steps, within which a lens is as good a sample
@@ -24,6 +24,7 @@ _FINER = 1.12  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
 _FINER_LACKS = 1.6  # times as much as a lens of 96 pixels, of the light of one as fine as the picture
 _WORTH_DB = 0.1
+_MOST_CHECKED = 3  # finishes, by a lens as fine as the picture each
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -56,10 +57,9 @@ def list_finishings(job: ResolvedJob) -> list[Finishing]:
     given = spec.finish
     if not given.finishes:
         return []
-    if (finish := finish_of(spec)) is not None:
-        title = Phrase("Your own finish") if given.process == NONE else say(processes[given.process].title)
+    if build_finish(given) is not None:
         return [
-            Finishing(process=given.process, title=title, finish=finish, minutes=given.minutes, depth_um=given.depth_um)
+            _build(given, Phrase("Your own finish") if given.process == NONE else say(processes[given.process].title))
         ]
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
     names = [one.name for one in processes.values() if one.offered] if given.process == BEST else [given.process]
@@ -73,13 +73,14 @@ def _by_minutes(process: Process, area_mm2: float) -> Iterator[Finishing]:
         minutes = round(float(minutes), 1)
         k0 = process.k0_rad_per_mm(minutes, area_mm2)
         if _LEAST_K0 <= k0 <= _MOST_K0:
-            yield Finishing(
-                process=process.name,
-                title=say(process.title),
-                finish=Finish(k0_rad_per_mm=round(k0, 4), order=process.order, pad_mm=min(process.pad_mm, 5000.0)),
-                minutes=minutes,
-                depth_um=round(process.depth_after_um(minutes, area_mm2), 2),
-            )
+            given = FinishSpec(process=process.name, minutes=minutes)
+            yield _build(fill_figures(given, process, area_mm2=area_mm2), say(process.title))
+
+
+def _build(given: FinishSpec, title: str) -> Finishing:
+    finish = build_finish(given)
+    assert finish is not None
+    return Finishing(process=given.process, title=title, finish=finish, minutes=given.minutes, depth_um=given.depth_um)
 
 
 def plan_finish(
@@ -92,29 +93,42 @@ def plan_finish(
     *,
     exactly: bool,
 ) -> FinishedPlan:
-    """Return the best plan of all finishings, its guesses corrected by a lens designed for one of the best of them.
+    """Return the best plan of all finishings, its guesses corrected by a lens for one of the best of each kind: by
+    contact, and films.
 
-    exactly    : and by one as fine as the picture for each of the two best: creases cost more there than on a coarse
+    exactly    : and by lenses as fine as the picture, until the best is one of them: creases cost more there than on a
+                 coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
     rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
-    first = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
-    first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
-    for _, light in ways:
-        if light is not first.light:
-            light.trust(first.light)
+    films = [way for way in ways if way[0].finish.depth_mm is None]
+    tools = [way for way in ways if way[0].finish.depth_mm is not None]
+    for alike in filter(None, (films, tools)):
+        first = best_of(_plan_all(rows, left_out, alike[::_NEAR], goal), goal)
+        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
+        _trust(first.light, (light for _, light in alike))
     if not exactly:
         best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
         return best_of(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
-    plans = _plan_all(rows, left_out, ways, goal)
-    best = find_best(plans, goal)
-    two = sorted(plans, key=lambda one: (one is best, merit(one.plan, goal)))[-2:]  # some lenses turn out badly
-    for one in two:
-        one.light.calibrate(one.plan.chosen.marks, design, fine=True)
-    return find_best(_plan_all(rows, left_out, [(one.finishing, one.light) for one in two], goal), goal)
+    checked: list[FinishedLight] = []
+    for _ in range(_MOST_CHECKED):
+        best = find_best(_plan_all(rows, left_out, ways, goal), goal)
+        if best.light in checked:
+            break
+        best.light.calibrate(best.plan.chosen.marks, design, fine=True)
+        checked.append(best.light)
+        _trust(best.light, [light for _, light in ways if light not in checked])
+    return find_best(_plan_all(rows, left_out, [way for way in ways if way[1] in checked], goal), goal)
+
+
+def _trust(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
+    """Take over how far guesses were off for finishes of the same kind: lost contact says nothing of a film."""
+    for light in others:
+        if light is not calibrated and (light.finish.depth_mm is None) == (calibrated.finish.depth_mm is None):
+            light.trust(calibrated)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:

@@ -21,7 +21,7 @@ from cam.planning.planner import Marks
 from cam.planning.row_slopes import RowSlopes, row_profile
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.finish import GIVEN_UP, Finish, finish_surface
+from optics.finish import GIVEN_UP, Finish, finish_lens
 from optics.heightfield import Array, Heightfield
 from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves
 
@@ -159,7 +159,8 @@ class FinishedLight(PictureLight):
         finer_lacks : how many times as much one as fine as the picture misses
         """
         lens, target = design(self.finish, marks.radius_mm, fine)
-        finished = finish_surface(lens, self.finish)
+        done = finish_lens(lens, self.finish)
+        finished, self.contact_share = done.lens, done.contact_share
         whole = self.target.shape  # half of the stripes are finer than a coarse pixel
         plain = self._light_of(finished, whole)
         seen = plain if target.shape == whole else self._light_of(finished, target.shape)
@@ -184,6 +185,7 @@ class FinishedLight(PictureLight):
     def trust(self, calibrated: FinishedLight) -> None:
         """Take over how far the guesses of another finish were off."""
         self._lens_scale, self._stripe_scale = calibrated._lens_scale, dict(calibrated._stripe_scale)
+        self.contact_share = calibrated.contact_share
 
     def _light_of(self, lens: Heightfield, shape: tuple[int, ...]) -> Array:
         pixels = (shape[0], shape[1])

@@ -18,6 +18,7 @@ def plan_figures(planned: Planned) -> dict[str, Any]:
         {
             **_figures(planned, chosen),
             **planned.settings(),
+            "contact_share": planned.light.contact_share,
             "psnr_db_unfinished": None if planned.unfinished is None else planned.unfinished.chosen.psnr_db,
             "goal": {key: value for key, value in asdict(planned.goal).items() if value is not None},
             "goal_met": planned.plan.met,

@@ -68,6 +68,9 @@ class PictureLight:
     goal     : the target's waves, where they are known
     """
 
+    contact_share: float | None = None
+    """Of the lens, that a tool of a finish touches; None without a finish."""
+
     def __init__(
         self,
         target: Array,

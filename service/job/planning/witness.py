@@ -43,8 +43,8 @@ class WitnessPlan:
 def plan_witness(job: ResolvedJob) -> WitnessPlan:
     """Return the marks of a job whose passes and finish are known. Raises NoMarksError."""
     spec, finish = job.spec, finish_of(job.spec)
-    assert finish is not None and spec.finish.depth_um is not None  # by FinishSpec.witnessed
-    ball, depth_mm = spec.passes[-1], spec.finish.depth_um / 1000
+    assert finish is not None and finish.depth_mm is not None  # by FinishSpec.witnessed
+    ball, depth_mm = spec.passes[-1], finish.depth_mm
     step_mm = digits_of(job.machine).coarsen(job.machine.step_mm).z_mm
     mill = Mill(radius_mm=ball.radius_mm, step_mm=step_mm, noise_mm=job.machine.z_noise_mm)
     for side in _SIDES:

@@ -71,6 +71,8 @@ def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
             if (detail_mm := seen.get("smallest_detail_mm")) is not None:
                 parts.append(Phrase("details from {detail} show", detail=_mm(detail_mm)))
             yield what, join("; ", parts)
+        if (share := seen.get("contact_share")) is not None:
+            yield Phrase("The tool touches"), Phrase("{percent:.0f} % of the lens", percent=100 * share)
 
 
 def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Phrase]:

@@ -16,6 +16,7 @@ from service.job.spec.finish_library import (
     DEPTH_RANGE_UM,
     LEAST_K0_RAD_PER_MM,
     LEAST_PAD_MM,
+    LONGEST_PAD_MM,
     ORDER_RANGE,
     Process,
     built_in_processes,
@@ -35,9 +36,10 @@ class FinishSpec(Section):
     """process: "none", a name of the finish library, or "best": the planner of preset "recommended" chooses.
 
     k0_rad_per_mm, order : what is left of a wave of k rad/mm is exp(-(k / k0)^order)
-    depth_um             : what comes off
+    depth_um             : what comes off on average; where it is more than 0 and there is a tool, that tool works by
+                           contact and takes nothing off where it does not reach; else all is levelled, as by a film
     minutes              : of work on the whole lens; the planner of "recommended" chooses them where they are left out
-    pad_mm               : size of the tool, which follows whatever is longer
+    pad_mm               : size of the tool, which follows whatever is longer; more than 500 mm: there is none
     witness              : marks beside the lens show when to stop, where a pad does the work and the margin has room
     """
 
@@ -92,13 +94,19 @@ class FinishSpec(Section):
     @property
     def witnessed(self) -> bool:
         """Whether marks are asked for and a pad may do the work, as far as it is known yet."""
-        by_contact = self.process != NONE if self.depth_um is None else self.depth_um > 0
+        by_contact = self.process != NONE if self.depth_um is None else self.contact_depth_mm is not None
         return self.witness and self.finishes and by_contact
 
     @property
     def finishes(self) -> bool:
         """Whether anything is levelled, as far as it is known yet."""
         return self.process != NONE or self.k0_rad_per_mm is not None
+
+    @property
+    def contact_depth_mm(self) -> float | None:
+        """What a tool takes off by contact; None of a film, and where no depth is given."""
+        has_tool = self.pad_mm is None or self.pad_mm <= LONGEST_PAD_MM
+        return self.depth_um / 1000 if self.depth_um is not None and self.depth_um > 0 and has_tool else None
 
 
 def find_processes(name: str) -> dict[str, Process]:

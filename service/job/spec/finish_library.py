@@ -23,7 +23,7 @@ _BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = _BUILT_IN.name
 _SENTENCES, _LISTS = ("title", "removal", "when_to_stop", "law"), ("needs", "steps", "donts")
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
-_LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
+LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
 LEAST_K0_RAD_PER_MM = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
 ORDER_RANGE = (0.5, 8.0)
 DEPTH_RANGE_UM = (-500.0, 500.0)
@@ -39,7 +39,8 @@ class Process:
                       no stress in the block; empty: only by its name
     order           : 1, 2 or 4, by the physics (`law`)
     depth_um        : what comes off in `default_minutes`; negative where a layer is added
-    pad_mm          : size of the tool that follows the form; longer waves are not levelled; inf: no tool touches it
+    pad_mm          : size of the tool that follows the form; longer waves are not levelled; inf: no tool touches it,
+                      the process levels as a film, everywhere
     default_minutes : per 100 cm2 where `by_area`, else for a lens of any size; so is `minutes_range`
     default_k0_rad_per_mm, k0_exponent : k0 after the default minutes, and the power of the minutes it falls with
     """
@@ -138,7 +139,7 @@ def instruct_finishing(
         depth_um = process.depth_after_um(minutes, area_mm2) if depth_um is None else depth_um
         pad_mm = process.pad_mm if pad_mm is None else pad_mm
     told |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
-    if pad_mm is not None and pad_mm <= _LONGEST_PAD_MM:
+    if pad_mm is not None and pad_mm <= LONGEST_PAD_MM:
         told["pad_mm"] = pad_mm
     if k0 is not None and order is not None and math.isfinite(k0):
         told |= {
@@ -307,7 +308,7 @@ _VALUES = Rules(
         "by_area": _YES_OR_NO,
         "depth_um": number(*DEPTH_RANGE_UM, "um"),
         "depth_grows": _YES_OR_NO,
-        "pad_mm": number(LEAST_PAD_MM, _LONGEST_PAD_MM, "mm"),
+        "pad_mm": number(LEAST_PAD_MM, LONGEST_PAD_MM, "mm"),
         "needs": _TEXTS,
         "steps": _TEXTS,
         "removal": _TEXT,

@@ -19,6 +19,7 @@ from optics.light import Light
 from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
+from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LIGHT_WORDS
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
@@ -86,11 +87,19 @@ def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
 
 def finish_of(spec: JobSpec) -> Finish | None:
     """Return the finish after milling; None where nothing is levelled, or where it is still to be planned."""
-    given = spec.finish
+    return build_finish(spec.finish)
+
+
+def build_finish(given: FinishSpec) -> Finish | None:
+    """Return a finish as the optics package takes it; None where nothing is levelled, as far as it is known."""
     if given.k0_rad_per_mm is None or given.order is None:
         return None
-    pad_mm = PAD_MM if given.pad_mm is None else given.pad_mm
-    return Finish(k0_rad_per_mm=given.k0_rad_per_mm, order=given.order, pad_mm=pad_mm)
+    return Finish(
+        k0_rad_per_mm=given.k0_rad_per_mm,
+        order=given.order,
+        pad_mm=PAD_MM if given.pad_mm is None else given.pad_mm,
+        depth_mm=given.contact_depth_mm,
+    )
 
 
 def _profile(optics: OpticsSpec) -> Array | None:

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from cam.as_milled.height_map import DepartureMap, map_departure
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
-from optics.finish import Finish, finish_surface
+from optics.finish import Finish, Finished, finish_lens
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
@@ -33,6 +33,7 @@ from service.job.stages.light import save_light
 _STEPPING_MM = 0.05  # an axis steps within moves, and a finish leaves the terraces; shorter ones it takes off
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
 _SEEN_MM = 0.1  # of a rim
+_ALL_TOUCHED = 0.98  # of the lens: what is lost on the rest is hardly seen
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
@@ -60,17 +61,19 @@ def run_as_finished(context: StageContext) -> None:
         del tracks
         finished = finish_departure(lens, finish, departure)
     with context.watch.stage("as finished: light"):
-        seen = light_through(finished, bench, shape)
+        seen = light_through(finished.lens, bench, shape)
         if context.is_shown:
-            save_light(context, LIGHT_AS_FINISHED, finished, target)
-    _tell(context, finish, target, seen, bench.screen.width_mm / shape[1])
+            save_light(context, LIGHT_AS_FINISHED, finished.lens, target)
+    _tell(context, finished, target, seen)
+    if sentence := warn_of_lost_contact(finished.contact_share):
+        context.note("passes", sentence)
     if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
         context.note("passes", sentence)
     _draw(context, target, seen.irradiance)
     with context.watch.stage("as finished: tolerance"):
         report_tolerance(
             *(context, finish, target, seen.irradiance),
-            lambda other: light_through(finish_departure(lens, other, departure), bench, shape).irradiance,
+            lambda other: light_through(finish_departure(lens, other, departure).lens, bench, shape).irradiance,
         )
 
 
@@ -87,15 +90,27 @@ def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:
     )
 
 
+def warn_of_lost_contact(share: float) -> Phrase | None:
+    """Warn where the tool does not reach part of the lens, share within 0 and 1 of which it touches."""
+    if share >= _ALL_TOUCHED:
+        return None
+    return Phrase(
+        "the tool of the finish touches {percent:.0f} % of the lens: its creases are too deep for it, nothing comes "
+        "off there, and dark parts of the picture show bright lines. What helps: a wall farther away, which makes the "
+        "creases shallower; a picture whose black is a dark grey; a finish that reaches creases, as lacquer does",
+        percent=100 * share,
+    )
+
+
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
     """Return how many times as fine as the lens's vertices the surface must be known for that finish."""
     cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
-def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Heightfield:
+def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Finished:
     """Return the lens as milled and finished."""
-    return finish_surface(
+    return finish_lens(
         lens,
         finish,
         departure_mm=departure.departure_mm,
@@ -111,8 +126,10 @@ def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
 
 
-def _tell(context: StageContext, finish: Finish, target: Array, seen: Caustic, pixel_mm: float) -> None:
-    score = asdict(score_caustic(seen.irradiance, target))
+def _tell(context: StageContext, finished: Finished, target: Array, seen: Caustic) -> None:
+    finish, score = finish_of(context.spec), asdict(score_caustic(seen.irradiance, target))
+    assert finish is not None
+    pixel_mm = bench_of(context.spec).screen.width_mm / target.shape[1]
     context.report["as_finished"] = plain(
         {
             **score,
@@ -120,6 +137,7 @@ def _tell(context: StageContext, finish: Finish, target: Array, seen: Caustic, p
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
+            "contact_share": finished.contact_share,
             "finish": {**context.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
         }
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -59,10 +58,8 @@ def minutes_ratio(job: ResolvedJob, finish: Finish, k0_times: float) -> float:
 
 def work_longer(finish: Finish, k0_times: float, minutes_times: float) -> Finish:
     """Return the finish after another time, at the same pressure: what comes off grows with the minutes."""
-    changes: dict[str, Any] = {"k0_rad_per_mm": finish.k0_rad_per_mm * k0_times}
-    if (depth_mm := getattr(finish, "depth_mm", None)) is not None:
-        changes["depth_mm"] = depth_mm * minutes_times
-    return replace(finish, **changes)
+    depth_mm = None if finish.depth_mm is None else finish.depth_mm * minutes_times
+    return replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * k0_times, depth_mm=depth_mm)
 
 
 def find_limit(loss_db: float, ratio: float) -> float:

@@ -35,6 +35,7 @@ export function finishingRows({ finishing, as_milled: milled, as_finished: finis
   for (const [words, seen] of [[t("The wall as milled"), milled], [t("The wall as finished"), finished]])
     if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
   if (finished?.smallest_detail_mm !== undefined) rows.push([t("Smallest detail, finished"), mm(finished.smallest_detail_mm)]);
+  if (finished?.contact_share !== undefined) rows.push([t("The tool touches"), t`${(100 * finished.contact_share).toFixed(0)} % of the lens`]);
   return rows;
 }
 

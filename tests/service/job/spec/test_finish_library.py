@@ -12,10 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import InputError
+from service.job.planning.finish_choice import list_finishings
 from service.job.report.finishing import make_finishing_card
 from service.job.report.setup_sheet import render_report
 from service.job.spec import finish_library
 from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
+from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import resolve_job
 from service.job.stages.table import facts_of
 
@@ -224,3 +226,33 @@ def test_a_finish_that_makes_it_worse_is_said_first() -> None:
     assert "12.0 dB instead of 15.3 dB" in card["warnings"][0]
     (outside,) = make_finishing_card({**SEEN, "finishing": told(minutes=0.2)})["warnings"]  # type: ignore[index]
     assert "12 s lies outside" in outside
+
+
+@pytest.mark.parametrize(
+    ("overrides", "depth_mm"),
+    [
+        (["finish.process=felt", "finish.minutes=40"], 0.013),
+        (["finish.process=sanding", "finish.minutes=45"], 0.02),
+        (["finish.process=lacquer"], None),
+        (["finish.process=flame"], None),
+        (["finish.process=vapour"], None),
+        (["finish.process=felt", "finish.depth_um=0"], None),
+        (["finish.k0_rad_per_mm=3", "finish.order=1"], None),
+        (["finish.k0_rad_per_mm=3", "finish.order=1", "finish.depth_um=12"], 0.012),
+        (["finish.k0_rad_per_mm=3", "finish.order=1", "finish.depth_um=-12"], None),
+        (["finish.k0_rad_per_mm=3", "finish.order=1", "finish.depth_um=12", "finish.pad_mm=4000"], None),
+    ],
+)
+def test_a_tool_works_by_contact_and_a_film_everywhere(overrides: list[str], depth_mm: float | None) -> None:
+    """A pad or paper with what it takes off; where nothing comes off, or no tool touches the lens, all is levelled."""
+    finish = finish_of(resolve_job(preset="draft", overrides=overrides).spec)
+    assert finish is not None
+    assert finish.depth_mm == (None if depth_mm is None else pytest.approx(depth_mm))
+
+
+@pytest.mark.parametrize("process", [name for name in SHIPPED if name != "none"])
+def test_the_planner_tries_a_finish_by_the_law_of_the_job_it_makes(process: str) -> None:
+    job = resolve_job(preset="recommended", overrides=[f"finish.process={process}"])
+    for one in list_finishings(job):
+        given = [f"finish.process={process}", f"finish.minutes={one.minutes}"]
+        assert one.finish == finish_of(resolve_job(preset="draft", overrides=given).spec)

@@ -11,7 +11,7 @@ from PIL import Image
 from optics.finish import Finish
 from service.job.files import AS_FINISHED, COMPARED_FINISHED
 from service.job.spec.loading import resolve_spec
-from service.job.stages.as_finished import warn_of_rounded_rim
+from service.job.stages.as_finished import warn_of_lost_contact, warn_of_rounded_rim
 from service.job.stages.table import plan
 from tests.service.job.stages.jobs import StagedJob, run_job
 
@@ -34,7 +34,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
     y, x = np.mgrid[0:48, 0:48] / 48
     grey = 0.35 + 0.3 * (np.hypot(x - 0.4, y - 0.6) < 0.25) + 0.15 * np.sin(2 * np.pi * 3 * x)
     Image.fromarray(np.uint8(255 * grey)).save(folder / "disc.png")
-    spec = resolve_spec(base={**SMALL, "finish": {"k0_rad_per_mm": 5.0, "order": 1.0}})
+    spec = resolve_spec(base={**SMALL, "finish": {"k0_rad_per_mm": 5.0, "order": 1.0, "depth_um": 20.0}})
     return run_job(folder, folder / "disc.png", spec, without=("caustic", "check", "report"))
 
 
@@ -46,6 +46,9 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     assert seen["psnr_db"] > milled["psnr_db"] + 3.0
     assert seen["smallest_detail_mm"] < 0.6 * milled["smallest_detail_mm"]
     assert seen["finish"]["k0_rad_per_mm"] == 5.0
+    assert 0.5 < seen["contact_share"] <= 1.0
+    notes = " ".join(finished.results["as-finished"].notes["passes"])
+    assert ("touches" in notes) == (seen["contact_share"] < 0.98)
 
 
 @given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))
@@ -54,6 +57,13 @@ def test_a_rim_that_the_finish_reaches_from_beyond_the_cut_is_told(radius_mm: fl
     told = warn_of_rounded_rim(finish, radius_mm)
     assert (told is not None) == (finish.reach_mm >= radius_mm + 0.1)
     assert told is None or f"{radius_mm:g} mm are milled" in told
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_a_tool_that_does_not_reach_is_told(share: float) -> None:
+    told = warn_of_lost_contact(share)
+    assert (told is not None) == (share < 0.98)
+    assert told is None or f"touches {100 * share:.0f} % of the lens" in told
 
 
 @pytest.mark.thorough

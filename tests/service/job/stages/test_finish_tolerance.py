@@ -41,9 +41,10 @@ def test_the_limit_is_where_one_decibel_is_lost_and_never_beyond_what_was_simula
 )
 def test_minutes_lead_to_k0_as_the_process_has_it(values: tuple[str, ...], order: float, ratio: float) -> None:
     job = look_up(tiny_spec(*values))
-    finish = Finish(k0_rad_per_mm=3.0, order=order)
+    finish = Finish(k0_rad_per_mm=3.0, order=order, depth_mm=0.01)
     assert minutes_ratio(job, finish, 0.8) == pytest.approx(ratio)
-    assert work_longer(finish, 0.8, ratio).k0_rad_per_mm == pytest.approx(2.4)
+    longer = work_longer(finish, 0.8, ratio)
+    assert longer.k0_rad_per_mm == pytest.approx(2.4) and longer.depth_mm == pytest.approx(0.01 * ratio)
 
 
 def test_the_minutes_come_first_and_then_what_too_little_and_too_much_show() -> None:
