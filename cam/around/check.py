@@ -1,4 +1,4 @@
-"""The check of facing and cutting out: the written program is read back and cut in the computer.
+"""The check of facing, witness marks and cutting out: the written program is read back and cut in the computer.
 
 Nothing of the generator is used, as in the check of passes: text -> moves (cam.reading) -> stock left, time
 (cam.duration), rules for single moves. That the lens is not touched is shown twice: by cells of the stock that is left,
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cam.around.outline import segment_distances
-from cam.around.specs import BESIDE_MM, CutOut, Facing
+from cam.around.specs import BESIDE_MM, CutOut, Facing, WitnessCut
 from cam.checking.clamps import Clamps
 from cam.checking.findings import Finding
 from cam.checking.flat_removal import removal_of
 from cam.checking.move_rules import say_spindle_off
-from cam.cutters import CUTTERS, CutterShape
+from cam.cutters import BALL, CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
 from cam.passes import Stock
@@ -32,6 +32,7 @@ _RAPID_CLEARANCE_MM = 0.5
 _GOUGE_ALLOWED_MM = 1e-6
 _BITE_ALLOWED = 1.05  # of the step-down
 _TAB_ALLOWED_MM = 0.01
+_WITNESS_ALLOWED_MM = 1e-4
 _AXES = "xyz"
 
 
@@ -159,12 +160,66 @@ def check_cut_out(
     )
 
 
+def check_witness(
+    parts: Iterable[Iterable[bytes]],
+    task: WitnessCut,
+    *,
+    stock: Stock,
+    stock_top: StockGrid,
+    mill: CheckedMill,
+    corners_mm: Array,
+) -> AroundCheck:
+    """Cut the program into stock_top: nothing is touched but the strip, and each row is there, at its height.
+
+    corners_mm (k, 2) : of the lens, counter-clockwise
+    """
+    run = _FlatRun(
+        *(task, stock, stock_top, mill),
+        reach_mm=stock.margin_mm,
+        lowest_mm=task.lowest_mm,
+        cutter=BALL,
+        lens_mm=corners_mm,
+    )
+    for batch in read_parts(parts, mill.language):
+        run.add(batch)
+    after = run.stock()
+    left, right, front, back = task.box_mm
+    x, y, rim_mm = after.x_mm, after.y_mm, 2 * mill.xy_digit_mm + _TOUCH_MM
+    beside = (x < left - rim_mm) | (x > right + rim_mm) | ((y < front - rim_mm) | (y > back + rim_mm))[:, None]
+    if (after.top_mm < stock_top.top_mm)[beside].any():
+        run.faults.append(Phrase("stock is taken off beside the strip of witness marks (allowed: none)"))
+    off_mm = _off_witness(task, after)
+    allowed_mm = 1.5 * mill.digit_mm + _WITNESS_ALLOWED_MM
+    if off_mm > allowed_mm:
+        run.faults.append(
+            Phrase(
+                "the witness marks are {off_um:.2f} µm off their heights (allowed: {allowed_um:.2f} µm)",
+                off_um=1000 * off_mm,
+                allowed_um=1000 * allowed_mm,
+            )
+        )
+    clear_mm = run.nearest_mm - task.radius_mm
+    return run.verdict(gouge_mm=max(0.0, -clear_mm), left_mm=0.0, clear_um=1000 * max(0.0, clear_mm))
+
+
+def _off_witness(task: WitnessCut, after: StockGrid) -> float:
+    """Return how far the stock in the middle of the strip, from row to row, is off what a ball leaves in its rows."""
+    u, other = (after.x_mm, after.y_mm) if task.along == "x" else (after.y_mm, after.x_mm)
+    inside = (u > task.places_mm[0]) & (u < task.places_mm[-1])
+    middle = int(np.abs(other - sum(task.across_mm) / 2).argmin())
+    cut = after.top_mm[middle] if task.along == "x" else after.top_mm[:, middle]
+    places, tips = np.array(task.places_mm), np.array(task.tips_mm)
+    away = np.minimum(np.abs(u[inside, None] - places), task.radius_mm)
+    made = (tips + task.radius_mm - np.sqrt(task.radius_mm**2 - away**2)).min(axis=1)
+    return float(np.abs(cut[inside] - made).max(initial=0.0))
+
+
 class _FlatRun:
     """The state of one check: rules each move must keep, totals, and the stock."""
 
     def __init__(
         self,
-        spec: Facing | CutOut,
+        spec: Facing | WitnessCut | CutOut,
         stock: Stock,
         stock_top: StockGrid,
         mill: CheckedMill,

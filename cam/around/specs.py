@@ -1,9 +1,10 @@
-"""Facing and cutting out as data: which cutter takes what off around the passes of the lens."""
+"""Facing, witness marks and cutting out as data: which cutter takes what off around the passes of the lens."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, radians, tan
+from math import ceil, radians, sqrt, tan
+from typing import Literal
 
 from cam.cutters import CUTTERS, CutterShape
 from cam.errors import PassValueError
@@ -100,6 +101,44 @@ class CutOut:
     def tab_foot_mm(self) -> float:
         """Return the way of the cutter's axis from the middle of a tab to where it is down again."""
         return self.tab_width_mm / 2 + self.radius_mm + (self.tab_height_mm + self.through_mm) / FLANK_SLOPE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WitnessCut:
+    """Rows of a ball, each at one height, side by side in the margin: the marks by which a finish is watched.
+
+    along             : axis along which the rows follow one another; each runs along the other one
+    places_mm         : of the rows' axes on it, rising; tips_mm: heights of the tip in each
+    across_mm         : from the outer end of a row, near the block's edge, to the end near the lens
+    """
+
+    radius_mm: float
+    along: Literal["x", "y"]
+    places_mm: tuple[float, ...]
+    tips_mm: tuple[float, ...]
+    across_mm: tuple[float, float]
+    step_down_mm: float
+    feed_mm_per_min: float
+    plunge_mm_per_min: float
+    spindle_rpm: float
+
+    def __post_init__(self) -> None:
+        _require_positive(self, "radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm")
+        if not -self.radius_mm < min(self.tips_mm) <= max(self.tips_mm) < 0:
+            raise PassValueError(name="tips_mm", value=max(self.tips_mm), allowed=Phrase("under Z0, above one radius"))
+
+    @property
+    def lowest_mm(self) -> float:
+        return min(self.tips_mm)
+
+    @property
+    def box_mm(self) -> tuple[float, float, float, float]:
+        """Return left, right, front and back of what the ball cuts into the block's top."""
+        depth_mm = -self.lowest_mm
+        beside_mm = sqrt(depth_mm * (2 * self.radius_mm - depth_mm))
+        along = (self.places_mm[0] - beside_mm, self.places_mm[-1] + beside_mm)
+        across = (min(self.across_mm) - beside_mm, max(self.across_mm) + beside_mm)
+        return (*along, *across) if self.along == "x" else (*across, *along)
 
 
 def _require_positive(spec: object, *names: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cam.around.specs import CutOut, Facing
+from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.passes import PassSpec, Stock
 from cam.posts.post import number as n
 
@@ -26,12 +26,19 @@ def name_cutter(spec: PassSpec) -> str:
     return f"{spec.shape.name} end mill" + ("" if spec.is_ball or not corner_mm else f" corner {n(corner_mm)} mm")
 
 
-def describe_around(task: Facing | CutOut, stock: Stock) -> tuple[str, ...]:
+def describe_around(task: Facing | WitnessCut | CutOut, stock: Stock) -> tuple[str, ...]:
     """Return the remarks of what is milled beside the lens."""
     if isinstance(task, Facing):
         return (
             f"face: {task.shape} end mill radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0",
             f"{_CORNER}, Z0: top of the faced block, mm",
+        )
+    if isinstance(task, WitnessCut):
+        left, right, front, back = task.box_mm
+        return (
+            f"witness marks: ball end mill radius {task.radius_mm:g} mm, the ball of the pass before",
+            f"strip X{left:.2f} to X{right:.2f}, Y{front:.2f} to Y{back:.2f}, down to Z{task.lowest_mm:g}",
+            f"{_CORNER}, Z0: top of the block, mm",
         )
     return (
         f"cut-out: flat end mill radius {task.radius_mm:g} mm, {task.tabs} tabs {task.tab_height_mm:g} mm high",

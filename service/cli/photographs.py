@@ -84,9 +84,19 @@ def look(
         float | None,
         typer.Option("--width-mm", help="How wide the lit rectangle is on the wall, if measured: a surer distance."),
     ] = None,
+    marks: Annotated[
+        bool,
+        typer.Option("--marks", help="The photograph shows the light of the witness marks: how far the finish is."),
+    ] = False,
+    minutes: Annotated[
+        float | None, typer.Option("--minutes", min=0.01, help="With --marks: worked so far, for the pace.")
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """What the wall tells: compare a photograph with what was foretold, and say what is off and what to do."""
+    if marks:
+        _look_at_marks(photo, job, minutes)
+        return
     from service.job import files as job_files
     from service.job.photo.looking import LOOK_FIGURES, LOOK_PICTURE, look_at_photo
     from service.progress import report_progress
@@ -102,3 +112,11 @@ def look(
         for finding in found.findings:
             print(finding.sentence())
         print(f"picture: {folder / LOOK_PICTURE}")
+
+
+def _look_at_marks(photo: Path, job: Path, minutes: float | None) -> None:
+    """Say how far the finish is: the answer is all that there is, so it is said with --quiet, too."""
+    from service.job.photo.witness import read_witness_photo
+
+    for sentence in read_witness_photo(photo, job, worked_minutes=minutes).sentences():
+        print(sentence)

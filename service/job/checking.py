@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from cam.around.check import AroundCheck
-from cam.around.specs import CutOut, Facing
+from cam.around.specs import CutOut, Facing, WitnessCut
 from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
@@ -21,6 +21,7 @@ from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield
+from service.job.planning.witness import plan_witness
 from service.job.spec.loading import load_stored_job, resolve_job
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
 from service.job.spec.resolved import ResolvedJob
@@ -31,7 +32,7 @@ from service.progress import Reporter, Stopwatch
 from service.wording import duration
 
 T = TypeVar("T")
-Task = tuple[Sequence[Path], PassSpec | Facing | CutOut]
+Task = tuple[Sequence[Path], PassSpec | Facing | WitnessCut | CutOut]
 """The programs of a pass, in the order in which they are run, and the pass, or what is milled around them."""
 
 
@@ -140,7 +141,8 @@ def _read_job_tasks(
     """Return passes by file name from the job's report and spec; passes before the last one asked for are run, too, and
     all parts of a pass.
     """
-    spec, rows = job.spec, job_files.programs_in_order(job_files.read_report(folder))
+    spec, report = job.spec, job_files.read_report(folder)
+    rows = job_files.programs_in_order(report)
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
     for path in programs:
@@ -149,7 +151,8 @@ def _read_job_tasks(
     last = max(of_file[path.name] for path in programs)
     given = {path.name: path for path in programs}
     paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
-    all_specs = (facing_task_of(spec), *cam_passes_of(spec), cut_out_of(spec))
+    marks = plan_witness(job).cut if job_files.WITNESS in report.get("around", {}) else None
+    all_specs = (facing_task_of(spec), *cam_passes_of(spec), marks, cut_out_of(spec))
     specs = [one for one in all_specs if one is not None]
     tasks: list[Task] = list(zip(paths, specs, strict=False))
     return tasks, cam_stock_of(spec), job.machine

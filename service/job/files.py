@@ -34,7 +34,9 @@ TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
 LENS_FILES = (HEIGHTFIELD, MAP, SOLID, *list_pictures("lens"))
 LIGHT_FILES = tuple(list_pictures("light"))
 AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
-FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
+FINISH_TOLERANCE = "finish-tolerance.png"
+FACE, WITNESS, CUT_OUT = "face", "witness", "cut-out"  # programs around the passes, by the name in their file
+AFTER_PASSES = (WITNESS, CUT_OUT)
 TOOLPATH, PLAN = "toolpath.png", "plan.png"
 SURFACE = "surface.bin"
 THUMBNAIL = "thumbnail.png"  # of the target, as long as there is none of what the wall will show
@@ -81,9 +83,9 @@ FACED_STOCK, LAST_STOCK = stock_name(0), ".stock-last.npz"
 
 
 def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of all programs in the order in which they are run: face, passes, cut-out."""
+    """Return the rows of all programs in the order in which they are run: face, passes, witness marks, cut-out."""
     around = report.get("around", {})
-    first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
+    first, last = ([around[name] for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
     return [*first, *report.get("passes", ()), *last]
 
 

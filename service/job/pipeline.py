@@ -158,7 +158,7 @@ def _take_over(so_far: JobSoFar, earlier: dict[str, Any], *, programs: bool) -> 
         "optics",
         "timings_s",
         "phrases",
-        *(("passes", "around", "as_milled") if programs else ()),
+        *(("passes", "around", "witness", "as_milled") if programs else ()),
     )
     so_far.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})

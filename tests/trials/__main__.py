@@ -2,7 +2,7 @@
 of each when it was last run, on which commit, and what was seen.
 
     python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate recommended renderer
-                           interpreter storm-sqlite storm-postgres]
+                           interpreter witness storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tests.benchmarks.reporting import machine, run_sections
 from tests.benchmarks.timing import Figure
-from tests.trials import interpreter, recommended, renderer, sections
+from tests.trials import interpreter, recommended, renderer, sections, witness
 from tests.trials.server import sections as server
 
 SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
@@ -34,6 +34,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "recommended": recommended.figures,
     "renderer": renderer.figures,
     "interpreter": interpreter.figures,
+    "witness": witness.figures,
     "storm-sqlite": server.sqlite_storm,
     "storm-postgres": server.postgres_storm,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -10,10 +11,13 @@ from cam.around.cut_out import cut_out_paths
 from cam.around.facing import make_facing_paths
 from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
 from cam.around.specs import CutOut
+from cam.around.witness import make_witness_paths
 from cam.moves import Array
 from cam.moves import Path as ToolPath
 from cam.posts.dialects import POSTS
-from service.job.files import CUT_OUT, FACE
+from optics.witness import NoMarksError
+from service.job.files import CUT_OUT, FACE, WITNESS
+from service.job.planning.witness import plan_witness
 from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
 from service.job.spec.resolved import ResolvedJob
 
@@ -23,6 +27,10 @@ def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]
     spec, stock, machine = job.spec, cam_stock_of(job.spec), job.machine
     if (facing := facing_task_of(spec)) is not None:
         yield FACE, facing.radius_mm, list(make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
+    if spec.passes and spec.finish.witnessed and spec.finish.depth_um is not None:
+        with suppress(NoMarksError):
+            marks = plan_witness(job).cut
+            yield WITNESS, marks.radius_mm, list(make_witness_paths(marks, top_mm=0.0, safe_z_mm=machine.safe_z_mm))
     if (task := cut_out_of(spec)) is not None:
         loop = cut_out_ways(job, task)[1]
         paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
@@ -40,9 +48,14 @@ def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
     return seconds
 
 
+def lens_corners(job: ResolvedJob) -> Array:
+    """Return corners of the lens (k, 2), counter-clockwise."""
+    outline = job.spec.optics.outline_mm
+    return aperture_corners(cam_stock_of(job.spec)) if outline is None else np.array(outline, dtype=np.float64)
+
+
 def cut_out_ways(job: ResolvedJob, task: CutOut) -> tuple[Array, Array]:
     """Return corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
-    outline = job.spec.optics.outline_mm
-    corners = aperture_corners(cam_stock_of(job.spec)) if outline is None else np.array(outline, dtype=np.float64)
+    corners = lens_corners(job)
     digit_mm = POSTS[job.machine.dialect].digits.xy_mm
     return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)

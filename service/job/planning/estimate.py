@@ -33,7 +33,7 @@ from optics.tolerance import blur_mm, source_rad
 from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
-from service.job.files import CUT_OUT, FACE
+from service.job.files import AFTER_PASSES, FACE
 from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import Picture, picture_of
@@ -254,7 +254,7 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
         }
         for name, radius_mm, paths in paths_around(job)
     }
-    first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
+    first, last = ([around[name] for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
     return [*first, *passes, *last]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from cam.rows.entries import RAMP_DEG
 from phrases.phrase import Phrase, join
+from service.job.files import WITNESS
 from service.wording import MISSING, number, whole
 
 Row = Mapping[str, Any]
@@ -81,6 +82,8 @@ def flutes_in_words(row: Row) -> str:
 def order_in_words(row: Row) -> str:
     """Return how the tool goes over the lens in a pass."""
     if row.get("is_around"):
+        if row.get("name") == WITNESS:
+            return Phrase("rows beside the lens, each at its own height")
         whole_top = "above_mm" in row
         return Phrase("rows along X over the whole top") if whole_top else Phrase("around the lens, layer by layer")
     if row.get("strategy") == "contour":

@@ -25,6 +25,7 @@ def top_view(block: BlockSizes) -> Phrase:
         _box(left, top, w, h, _BLOCK, "#5b6b7a"),
         *_hatch_for_clamps(block, left, top, w, h),
         *_swept(block, zero_x, zero_y, scale),
+        *_witness(block, zero_x, zero_y, scale),
         *_lens(block, zero_x, zero_y, scale),
         *_clamps(block, zero_x, zero_y, scale),
         _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
@@ -67,6 +68,16 @@ def _swept(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> lis
     box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
     size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
     return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
+
+
+def _witness(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:
+    """Draw the strip of witness marks, over the hatching of where clamps may stand."""
+    if block.witness_mm is None:
+        return []
+    left, right, front, back = block.witness_mm
+    box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
+    size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
+    return [f'<rect {box} {size} fill="#ffffff" stroke="{_ACCENT}" stroke-dasharray="1.5 2"/>']
 
 
 def _clamps(block: BlockSizes, zero_x: float, zero_y: float, scale: float) -> list[str]:

@@ -7,6 +7,8 @@ from typing import Any
 
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
+from service.job.report.finish_tolerance import tolerance_sentences
+from service.job.report.witness import describe_witness
 from service.wording import duration, number, psnr_in_words
 
 _WORTH_DB = 0.3
@@ -16,13 +18,16 @@ _SENTENCES = ("needs", "steps", "donts")
 def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return title, rows (what, figure), warnings and the sentences of the process; None where a job has no finish.
 
-    report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it)
+    report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
+             `finish_tolerance` and `witness`
     """
     told = table(report.get("finishing"))
     if not told:
         return None
     return {
         "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
+        "tolerance": list(tolerance_sentences(report)),
+        "witness": describe_witness(report),
         "rows": [*_work_rows(told), *_light_rows(report)],
         "warnings": list(_warnings(report, told)),
         **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},

@@ -11,6 +11,7 @@ from service.wording import number
 CLAMP_MM = 8.0  # that a clamp needs to stand on
 CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
 _UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
+_BESIDE_WITNESS_MM = 8.0  # a ball of 6 mm and its shank
 _JAWS_MM = 5.0  # of the block that a vice needs
 
 
@@ -21,6 +22,7 @@ class BlockSizes:
     outline_mm : corners of a lens that is no rectangle
     swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
     clamps_mm  : left, front, width and depth of each that the spec names
+    witness_mm : left, right, front and back of the strip of witness marks
     """
 
     width_mm: float
@@ -34,6 +36,7 @@ class BlockSizes:
     outline_mm: Sequence[Sequence[float]] = ()
     swept_mm: tuple[float, float, float, float] | None = None
     clamps_mm: Sequence[tuple[float, float, float, float]] = ()
+    witness_mm: tuple[float, float, float, float] | None = None
 
     @property
     def ring_mm(self) -> float:
@@ -82,7 +85,11 @@ def plan_holding(
     if block is None or block.swept_mm is None:
         sentences = (Phrase("outside of what the cutters sweep."),)
     else:
-        sentences = (_word_sweep(block.swept_mm), *_word_holding(block, lows, highest_mm, faced))
+        sentences = (
+            _word_sweep(block.swept_mm),
+            *_word_witness(block.witness_mm),
+            *_word_holding(block, lows, highest_mm, faced),
+        )
     highest = Phrase("{highest_mm} mm above the stock top", highest_mm=number(highest_mm))
     if faced:
         highest = Phrase("1 mm below the faced top")
@@ -98,6 +105,21 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> Phrase:
         right_mm=right,
         front_mm=front,
         back_mm=back,
+    )
+
+
+def _word_witness(witness_mm: tuple[float, float, float, float] | None) -> Iterator[Phrase]:
+    if witness_mm is None:
+        return
+    left, right, front, back = (number(one, 1) for one in witness_mm)
+    yield Phrase(
+        "The witness marks are milled into the ring at X {left_mm} to {right_mm}, Y {front_mm} to {back_mm} mm (dotted "
+        "in the drawing): no clamp stands there or within {clear_mm} mm of it.",
+        left_mm=left,
+        right_mm=right,
+        front_mm=front,
+        back_mm=back,
+        clear_mm=number(_BESIDE_WITNESS_MM),
     )
 
 

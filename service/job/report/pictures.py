@@ -26,7 +26,8 @@ class ReportPicture:
     title   : in the page's list of files; wall: on its pictures as well
     caption : on the setup sheet
     shown   : "wall": what the light paints: first on the sheet, and on the page over any other such picture;
-              "page": by itself on the sheet and on the page; "sheet": on the sheet alone
+              "page": by itself on the sheet and on the page; "sheet": on the sheet alone; "finish": beside the
+              instructions for the finish
     note    : after the title, on the page's pictures
     """
 
@@ -34,7 +35,7 @@ class ReportPicture:
     part: Part
     title: str
     caption: Phrase
-    shown: Literal["wall", "page", "sheet"] = "sheet"
+    shown: Literal["wall", "page", "sheet", "finish"] = "sheet"
     note: str = ""
 
 
@@ -93,6 +94,15 @@ PICTURES = (
         part="light",
         title="As finished against target",
         caption=Phrase("Target, the picture after finishing by hand and the difference between them."),
+    ),
+    ReportPicture(
+        name="finish-tolerance.png",
+        part="light",
+        title="Finished too little and too much",
+        caption=Phrase(
+            "What the wall shows after too little of the finish, as planned, and after too much, at the same exposure."
+        ),
+        shown="finish",
     ),
     ReportPicture(
         name="as-milled.png",

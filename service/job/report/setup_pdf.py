@@ -19,12 +19,15 @@ from service.job.report.figures.a4_sheet import HEIGHT, INK, WIDTH, Paper, Word,
 from service.job.report.setup_sheet import in_language, render_block
 from service.wording import MISSING, duration, number, shape_of, whole
 
-SHOWN = ("caustic-as-finished.png", "caustic-as-milled.png", "caustic.png", "target.png")
-"""What the wall will show: the first that there is."""
+SHOWN = {
+    "finish-tolerance.png": 3, "caustic-as-finished.png": 1, "caustic-as-milled.png": 1, "caustic.png": 1,
+    "target.png": 1,
+}  # fmt: skip
+"""What the wall will show: the first that there is, and how many pictures it has beside one another."""
 
 _EDGE, _GAP = 34.0, 16.0
 _COLUMN = (WIDTH - 2 * _EDGE - _GAP) / 2
-_PICTURE = 92.0
+_PICTURE, _SMALL_PICTURE = 92.0, 74.0  # one alone, and each in a row
 _RED, _GREEN, _SOFT = "#b3261e", "#1b6e3c", "#5b6b7a"
 _LARGE, _SMALL, _SMALLEST = 9.5, 7.5, 6.0
 _LEADING = 1.24
@@ -44,21 +47,24 @@ class _Line:
     is_loud: bool = False
 
 
-def render_setup_pdf(setup: Mapping[str, Any], picture: bytes | None) -> bytes:
+def render_setup_pdf(setup: Mapping[str, Any], picture: bytes | None, *, beside: int = 1) -> bytes:
     """Return the page.
 
-    setup : from `describe_setup`     picture : PNG of what the wall will show
+    setup : from `describe_setup`     picture : PNG of what the wall will show     beside : pictures in it, in a row
     """
     setup, paper, title = in_language(setup, "en"), Paper(), f"Setup sheet: {setup['title']}"
-    top = _draw_head(paper, setup, title, picture)
+    top = _draw_head(paper, setup, title, picture, beside)
     top = _draw_programs(paper, setup["passes"], top) + _GAP
     _draw_columns(paper, setup, top)
     return paper.render_pdf(known(title))
 
 
-def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: bytes | None) -> float:
+def _draw_head(paper: Paper, setup: Mapping[str, Any], title: str, picture: bytes | None, beside: int) -> float:
     """Draw name, facts, verdict, and the picture at the right; return where the rest begins."""
-    right = WIDTH - _EDGE if picture is None else paper.draw_picture(picture, WIDTH - _EDGE, _EDGE, _PICTURE) - _GAP
+    right = WIDTH - _EDGE
+    if picture is not None:
+        side = _PICTURE if beside == 1 else _SMALL_PICTURE
+        right = paper.draw_picture(picture, right, _EDGE, side, beside=beside) - _GAP
     y = _EDGE
     verdict = {"good": _GREEN, "bad": _RED}.get(setup["verdict"][0], INK)
     parts = (
@@ -203,7 +209,16 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
         ("Stock and zero", "•", _items("stock", setup) if setup["block"] else []),
         ("Before you press start", "☐", _items("start", setup)),
         ("Around the passes", "•", [*map(escape, setup["around"])]),
+        ("Finishing by hand", "•", [*map(escape, _finish_sentences(setup))]),
     ]
+
+
+def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
+    """Return the tolerance of the finish, and how the witness marks tell: what is read while one works."""
+    card = setup["finishing"] or {}
+    witness = card.get("witness") or {"rows": [], "sentences": []}
+    rows = [f"{when}: {what}" for when, what in witness["rows"]]
+    return [*card.get("tolerance", ()), *witness["sentences"], *rows]
 
 
 def _warnings(setup: Mapping[str, Any]) -> list[str]:

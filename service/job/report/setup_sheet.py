@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 from cam.materials import MATERIALS
 from phrases.phrase import Phrase, restore, say
-from service.job.files import CUT_OUT, FACE
+from service.job.files import AFTER_PASSES, FACE, WITNESS
 from service.job.finite_json import table
 from service.job.report.around import around_sentences, explain_zero_before_facing
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
@@ -145,7 +145,10 @@ def describe_setup(
         "lowest_z_mm": min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         "main_pictures": _list_walls(files),
         "finish_pictures": [name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
-        "pictures": [asdict(one) for one in PICTURES if one.name in files and one.shown != "wall"],
+        "tolerance_picture": next(
+            (asdict(one) for one in PICTURES if one.name in files and one.shown == "finish"), None
+        ),
+        "pictures": [asdict(one) for one in PICTURES if one.name in files and one.shown in ("page", "sheet")],
         "files": frozenset(files),
     }
 
@@ -203,6 +206,7 @@ def _block_of(
             lamp_mm=table(optics.get("light")).get("distance_mm"),
             outline_mm=_outline(optics),
             swept_mm=_swept(passes),
+            witness_mm=_box(table(report.get("witness")).get("box_mm")),
             clamps_mm=[_clamp(one) for one in stock.get("clamps") or ()],
             deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
         )
@@ -223,10 +227,21 @@ def _clamp(box: Mapping[str, Any]) -> tuple[float, float, float, float]:
     return float(box["x_mm"]), float(box["y_mm"]), float(box["width_mm"]), float(box["depth_mm"])
 
 
+def _box(sides: Any) -> tuple[float, float, float, float] | None:
+    if not sides:
+        return None
+    left, right, front, back = map(float, sides)
+    return left, right, front, back
+
+
 def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:
-    """Return left, right, front and back of what the balls of all programs go over, their radius included."""
+    """Return left, right, front and back of what the balls of all programs go over, their radius included; the strip
+    of witness marks by itself is not among it.
+    """
     sides = []
     for row in passes:
+        if row.get("name") == WITNESS:
+            continue
         bounds, radius_mm = table(row.get("cut_bounds")) or table(row.get("bounds")), row.get("radius_mm")
         if radius_mm is None or not all(len(bounds.get(axis) or ()) == 2 for axis in "xy"):
             return None
@@ -244,8 +259,8 @@ def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[s
     """
     wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
     around = table(report.get("around"))
-    first, last = ([table(around[name])] if name in around else [] for name in (FACE, CUT_OUT))
-    numbered = [*((0, row) for row in first), *enumerate(made, 1), *((len(made) + 1, row) for row in last)]
+    first, last = ([table(around[name]) for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
+    numbered = [*((0, row) for row in first), *enumerate(made, 1), *enumerate(last, len(made) + 1)]
     rows = []
     for number_, program in numbered:
         is_around = program in first or program in last

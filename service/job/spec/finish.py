@@ -40,6 +40,7 @@ class FinishSpec(Section):
                            contact and takes nothing off where it does not reach; else all is levelled, as by a film
     minutes              : of work on the whole lens; the planner of "recommended" chooses them where they are left out
     pad_mm               : size of the tool, which follows whatever is longer; more than 500 mm: there is none
+    witness              : marks beside the lens show when to stop, where a pad does the work and the margin has room
     """
 
     process: Annotated[
@@ -81,6 +82,20 @@ class FinishSpec(Section):
         Annotated[float, Field(ge=LEAST_PAD_MM, le=5000)] | None,
         shown("Size of the tool", "Of the pad or block: it follows whatever is longer.", usual="usual"),
     ] = None
+
+    witness: Annotated[
+        bool,
+        shown(
+            "Witness marks",
+            "A last program mills a few ripples beside the lens. Each disappears at a known minute of the finish.",
+        ),
+    ] = True
+
+    @property
+    def witnessed(self) -> bool:
+        """Whether marks are asked for and a pad may do the work, as far as it is known yet."""
+        by_contact = self.process != NONE if self.depth_um is None else self.contact_depth_mm is not None
+        return self.witness and self.finishes and by_contact
 
     @property
     def finishes(self) -> bool:

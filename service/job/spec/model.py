@@ -219,6 +219,11 @@ class JobSpec(Section):
         return not self.passes
 
     @property
+    def goes_on_after_passes(self) -> bool:
+        """Whether something is milled after the passes, into the stock that they leave."""
+        return self.finish.witnessed or self.stock.cut_out is not None
+
+    @property
     def pixel_rows(self) -> int:
         """Picture rows: square pixels on the screen, as nearly as whole rows allow."""
         width_mm, height_mm = self.optics.screen_size_mm

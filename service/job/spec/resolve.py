@@ -132,7 +132,7 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
         optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
     if optics.min_radius_mm is None and not optics.creases:
         optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
-    finish = FinishSpec.model_validate(planned.get("finish", {}))
+    finish = FinishSpec.model_validate({"witness": spec.finish.witness, **planned.get("finish", {})})
     machine = spec.machine
     if machine.whole_steps is None and planned["whole_steps"]:
         machine = machine.model_copy(update={"whole_steps": True})

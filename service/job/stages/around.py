@@ -1,4 +1,5 @@
-"""Stages around the passes of the lens: the stock's top faced before them, the lens cut out after them.
+"""Stages around the passes of the lens: the stock's top faced before them, witness marks milled and the lens cut out
+after them.
 
 Written, read back and simulated as every pass; the stock goes on from one to the next.
 """
@@ -13,21 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
+from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing, check_witness
 from cam.around.cut_out import cut_out_paths, highest_along
 from cam.around.facing import make_facing_paths
-from cam.around.specs import CutOut, Facing
+from cam.around.specs import CutOut, Facing, WitnessCut
+from cam.around.witness import make_witness_paths
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.surface.stock_grid import StockGrid
+from optics.witness import VISIBLE_SLOPE_RAD, NoMarksError
+from optics.witness_light import WALL_MM
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import arrays
-from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
-from service.job.planning.around import cut_out_ways
+from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WITNESS, WrittenProgram, program_name, read_chunks
+from service.job.planning.around import cut_out_ways, lens_corners
+from service.job.planning.witness import plan_witness
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
@@ -49,6 +54,38 @@ def run_facing(context: StageContext) -> None:
     context.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
+def run_witness(context: StageContext) -> None:
+    """Write the program that mills the witness marks; its row of report `around`, and what the marks are in `witness`;
+    no program where none can be made.
+    """
+    try:
+        planned = plan_witness(context.job)
+    except NoMarksError as error:
+        context.report["witness"] = {"obstacle": error.obstacle}
+        return
+    task, top = planned.cut, context.receive(LAST_STOCK, arrays.load_stock)
+    left, right, front, back = task.box_mm
+    highest_mm = top.highest_mm(left, right, front, back)
+    assert highest_mm is not None  # the strip lies in the block
+    paths = make_witness_paths(task, top_mm=highest_mm, safe_z_mm=context.machine.safe_z_mm)
+    written = _write(context, len(context.spec.passes) + 1, WITNESS, paths, task)
+    verdict = _check(context, written, task, top)
+    figures = ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm")
+    settings = {"name": WITNESS, "tool": "ball", **{name: getattr(task, name) for name in figures}}
+    context.report["around"] = {WITNESS: _row(written, verdict, settings)}
+    context.report["witness"] = {
+        "side": planned.side,
+        "box_mm": list(task.box_mm),
+        "depth_mm": -task.lowest_mm,
+        "visible_slope_rad": VISIBLE_SLOPE_RAD,
+        "wall_mm": WALL_MM if context.spec.optics.surface == "lens" else None,  # no light goes through a mirror
+        "marks": [
+            {"share": mark.share, "period_mm": mark.period_mm, "periods": mark.periods, "height_mm": mark.amplitude_mm}
+            for mark in planned.strip.marks
+        ],
+    }
+
+
 def run_cut_out(context: StageContext) -> None:
     """Write the program that cuts the lens out; its row of report `around`."""
     task, stock, machine = cut_out_of(context.spec), cam_stock_of(context.spec), context.machine
@@ -57,7 +94,7 @@ def run_cut_out(context: StageContext) -> None:
     loop = cut_out_ways(context.job, task)[1]
     top_mm = highest_along(loop, task.radius_mm, top)
     paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
-    written = _write(context, len(context.spec.passes) + 1, CUT_OUT, paths, task)
+    written = _write(context, len(context.spec.passes) + context.spec.finish.witnessed + 1, CUT_OUT, paths, task)
     verdict = _check(context, written, task, top)
     depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm
     if depth_mm > _SLENDER * diameter_mm:
@@ -77,7 +114,9 @@ def run_cut_out(context: StageContext) -> None:
     context.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
 
 
-def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, stock_top: StockGrid) -> AroundCheck:
+def simulate(
+    paths: Sequence[Path], task: Facing | WitnessCut | CutOut, job: ResolvedJob, stock_top: StockGrid
+) -> AroundCheck:
     """Read the programs back, one after the other, and simulate what they remove from stock_top."""
     machine, stock = job.machine, cam_stock_of(job.spec)
     texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
@@ -90,6 +129,8 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, sto
     )
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
+    if isinstance(task, WitnessCut):
+        return check_witness(texts, task, stock=stock, stock_top=stock_top, mill=mill, corners_mm=lens_corners(job))
     corners, loop = cut_out_ways(job, task)
     return check_cut_out(texts, task, stock=stock, stock_top=stock_top, mill=mill, corners_mm=corners, loop_mm=loop)
 
@@ -108,7 +149,7 @@ def _write(
     number: int,
     name: str,
     paths: Iterable[ToolPath],
-    task: Facing | CutOut,
+    task: Facing | WitnessCut | CutOut,
     *,
     trace: tuple[ToolPath, ...] = (),
 ) -> list[WrittenProgram]:
@@ -129,7 +170,9 @@ def _write(
         return write_parts(context.folder, partial(program_name, number, name, post.suffix), parts)
 
 
-def _check(context: StageContext, written: list[WrittenProgram], task: Facing | CutOut, top: StockGrid) -> AroundCheck:
+def _check(
+    context: StageContext, written: list[WrittenProgram], task: Facing | WitnessCut | CutOut, top: StockGrid
+) -> AroundCheck:
     called = written[0].file
     with context.watch.stage(f"check {called}"):
         try:

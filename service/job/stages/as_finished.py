@@ -27,6 +27,7 @@ from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
+from service.job.stages.finish_tolerance import report_tolerance
 from service.job.stages.light import save_light
 
 _STEPPING_MM = 0.05  # an axis steps within moves, and a finish leaves the terraces; shorter ones it takes off
@@ -69,6 +70,11 @@ def run_as_finished(context: StageContext) -> None:
     if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
         context.note("passes", sentence)
     _draw(context, target, seen.irradiance)
+    with context.watch.stage("as finished: tolerance"):
+        report_tolerance(
+            *(context, finish, target, seen.irradiance),
+            lambda other: light_through(finish_departure(lens, other, departure).lens, bench, shape).irradiance,
+        )
 
 
 def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:

@@ -79,7 +79,7 @@ def run_pass(context: StageContext) -> None:
     context.report["passes"] = [row]
     if context.number < len(context.spec.passes):
         context.hand_over(stock_name(context.number), verdict.stock_top, arrays.stock_bytes)
-    elif context.spec.stock.cut_out is not None:
+    elif context.spec.goes_on_after_passes:
         context.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 

@@ -45,8 +45,9 @@ def run_report(context: StageContext) -> None:
     context.save(job_files.REPORT_PAGE, render_page(setup).encode())
     for language in LANGUAGES if context.is_shown else ():
         context.save(job_files.page_in(language), render_page(setup, language).encode())
-    picture = next((path for name in SHOWN if (path := context.folder / name).is_file()), None)
-    context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture.read_bytes() if picture else None))
+    name = next((name for name in SHOWN if (context.folder / name).is_file()), None)
+    picture = None if name is None else (context.folder / name).read_bytes()
+    context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture, beside=1 if name is None else SHOWN[name]))
     job_files.write_json(context.folder / job_files.REPORT, report)
 
 

@@ -147,11 +147,21 @@ _FACE = Stage(
     spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
     parts=(("write", 0.2), ("check", 0.8)),
 )
+_WITNESS = Stage(
+    name="pass-witness",
+    function=f"{_AROUND}:run_witness",
+    reads=(".stock-last.npz",),
+    spec=(
+        *("finish", "passes", "stock.cut_out", "stock.skim_mm", "optics.outline", "optics.surface", "machine.step_mm"),
+        *("machine.whole_steps", "machine.z_noise_mm", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
+    ),
+    parts=(("write", 0.2), ("check", 0.8)),
+)
 _CUT_OUT = Stage(
     name="pass-cut-out",
     function=f"{_AROUND}:run_cut_out",
     reads=(".stock-last.npz",),
-    spec=("stock.cut_out", "optics.outline", "passes_count", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
+    spec=("stock.cut_out", "optics.outline", "programs_before_cut_out", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _MILLED = (
@@ -183,17 +193,23 @@ _AFTER = (
         function="service.job.stages.as_finished:run_as_finished",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=_MILLED,
-        parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
+        parts=(("as finished: surface", 0.5), ("as finished: light", 0.15), ("as finished: tolerance", 0.35)),
     ),
     Stage(
         name="report",
         function="service.job.stages.sheet:run_report",
-        reads=("target.png", "caustic.png", "caustic-as-milled.png", "caustic-as-finished.png"),
+        reads=(
+            "target.png",
+            "caustic.png",
+            "caustic-as-milled.png",
+            "caustic-as-finished.png",
+            "finish-tolerance.png",
+        ),
         spec=("",),
         sheet=True,
     ),
 )
-_ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _CUT_OUT, *_AFTER)}
+_ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _WITNESS, _CUT_OUT, *_AFTER)}
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
@@ -203,9 +219,10 @@ def plan(spec: JobSpec) -> tuple[str, ...]:
     passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
     first = (_FACE.name,) if spec.stock.face is not None else ()
+    witness = (_WITNESS.name,) if spec.finish.witnessed else ()
     last = (_CUT_OUT.name,) if spec.stock.cut_out is not None else ()
     after = (stage.name for stage in _AFTER if stage.name != "as-finished" or spec.finish.finishes)
-    return (*before, *first, *passes, *last, *after)
+    return (*before, *first, *passes, *witness, *last, *after)
 
 
 def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
@@ -263,11 +280,11 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         "caustic": 1.0 + 4.0 * beams * pixels,
         "check": 0.7,
         "as-milled": 1.0,
-        "as-finished": 2.0 + 4.0 * pixels,
+        "as-finished": 3.0 + 8.0 * pixels,
         "report": 0.1,
     }
     block = spec.optics.width_mm * spec.optics.height_mm / 100**2
-    seconds[_FACE.name] = seconds[_CUT_OUT.name] = AROUND_S
+    seconds[_FACE.name] = seconds[_WITNESS.name] = seconds[_CUT_OUT.name] = AROUND_S
     for number, row in enumerate(_rows(spec), 1):
         path_m = _path_m(spec, row) * (REST_SHARE if row.where == "rest" else 1.0)
         finishes = row.stock_to_leave_mm == 0
@@ -328,6 +345,7 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     process = spec.finish.process
     facts["finish_process"] = None if process == NONE else repr(job.figures.processes.get(process))
     facts["finishes"] = spec.finish.finishes
+    facts["witness"] = facts["finish"].pop("witness")  # which no lens and no light depends on
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(job.machine)
     facts["tools"] = [asdict(tool) for tool in job.figures.tools] if spec.to_be_planned else None
@@ -336,9 +354,9 @@ def facts_of(job: ResolvedJob) -> dict[str, Any]:
     warm_up = [warm_up_s, slowest_rpm] if warm_up_s else None
     facts["beginning"] = [warm_up, facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None]
     facts["own_beginning"] = None if facts["faced"] else facts["beginning"]
-    facts["passes_count"] = len(facts["passes"])
+    facts["programs_before_cut_out"] = len(facts["passes"]) + spec.finish.witnessed
     for row in facts["passes"]:
-        row["last"] = row is facts["passes"][-1] and spec.stock.cut_out is None
+        row["last"] = row is facts["passes"][-1] and not spec.goes_on_after_passes
     for number, row in enumerate(facts["passes"], 1):
         row["rest_follows"] = any(later["where"] == "rest" for later in facts["passes"][number:])
     return facts

@@ -47,10 +47,10 @@ export function detailOfPlan(spec, row) {
   return Math.max(pixelMm(spec), 2 * row.blur_mm);
 }
 
-/** What the report says of all programs, in the order in which they are run: facing, passes, cutting out. */
+/** What the report says of all programs, in the order in which they are run: facing, passes, marks, cutting out. */
 export function programRows(report) {
-  const { face, "cut-out": cutOut } = report?.around ?? {};
-  return [face, ...(report?.passes ?? []), cutOut].filter(Boolean);
+  const { face, witness, "cut-out": cutOut } = report?.around ?? {};
+  return [face, ...(report?.passes ?? []), witness, cutOut].filter(Boolean);
 }
 
 /** Seconds on the mill of all programs; null before they are known. */
@@ -199,6 +199,7 @@ const STAGES = {
   heightfield: t("Check its surface"),
   caustic: t("Simulate its light"),
   "pass-face": t("Make and check the facing of the block"),
+  "pass-witness": t("Make and check the witness marks"),
   "pass-cut-out": t("Make and check the cutting out"),
   check: t("Check the programs as the mill reads them"),
   "as-milled": t("Simulate the milled lens"),

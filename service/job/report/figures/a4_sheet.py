@@ -86,12 +86,14 @@ class Paper:
     def draw_curve(self, path: Curve, **look: Any) -> None:
         self._axes.add_patch(PathPatch(path, zorder=self._take_order(), **look))
 
-    def draw_picture(self, png: bytes, right: float, top: float, side: float) -> float:
-        """Draw a picture into a square's upper right; return how far left it reaches."""
+    def draw_picture(self, png: bytes, right: float, top: float, side: float, *, beside: int = 1) -> float:
+        """Draw a picture into a square's upper right; return how far left it reaches. beside: pictures in a row in it,
+        each as large.
+        """
         with Image.open(io.BytesIO(png)) as opened:
             shown = opened.convert("L")
-        shown.thumbnail((300, 300))
-        wide, high = (side * one / max(shown.size) for one in shown.size)
+        shown.thumbnail((300 * beside, 300))
+        wide, high = (side * one / max(shown.width / beside, shown.height) for one in shown.size)
         place = (right - wide, right, top + high, top)
         levels = np.asarray(shown)
         self._axes.imshow(levels, cmap="gray", vmin=0, vmax=255, extent=place, aspect="auto", interpolation="none")

@@ -52,6 +52,16 @@ def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
     return buffer.getvalue()
 
 
+def row_png(pictures: Sequence[Array], *, white: float, side: int = 300) -> bytes:
+    """Draw pictures (ny, nx) of one shape side by side, small, with a white gap between them and no words."""
+    levels = [srgb_levels(_smaller(picture, side), white=white) for picture in pictures]
+    gap = np.full((levels[0].shape[0], max(2, side // 30)), 255, dtype=np.uint8)
+    row = np.hstack([part for one in levels for part in (gap, one)][1:])
+    buffer = io.BytesIO()
+    Image.fromarray(row).save(buffer, format="PNG", compress_level=COMPRESS_LEVEL)
+    return buffer.getvalue()
+
+
 def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated caustic") -> bytes:
     """Draw target, caustic and their difference: caustic - target in percent of white, red where too bright."""
     white = float(target.max())

@@ -26,7 +26,7 @@ from tests.service.job.spec.test_finish_library import SEEN, told
 # Each entry stands between two letters that nobody sees; what stands in for a placeholder is outside of them.
 BEGIN, END = "\N{ZERO WIDTH SPACE}", "\N{SOFT HYPHEN}"
 MARKED = {key: BEGIN + PLACEHOLDER.sub(rf"{END}\g<0>{BEGIN}", key) + END for key in TABLES["de"]}
-NAMES = re.compile(r"\b(?:face|blob|rough|cut-out|transport|[0-9a-f]{64}|[GMP]\d+|[md]|mrad|px)\b")
+NAMES = re.compile(r"\b(?:face|blob|rough|witness|cut-out|transport|[0-9a-f]{64}|[GMP]\d+|[md]|mrad|px)\b")
 CURVATURE = {"p50": 0.01, "p90": 0.1, "p99.9": 0.4, "p100": 2.0}
 LAST = PASSED | {
     "file": "pass-2-finish.nc",
@@ -44,6 +44,14 @@ LAST = PASSED | {
 }
 FACED = PROGRAM | {"file": "pass-0-face.nc", "above_mm": 0.5, "left_um": 1.0, "radius_mm": 3.0}
 CUT = PROGRAM | {"file": "pass-3-cut-out.nc", "clear_um": 3.0, "tabs": [{"height_mm": 0.3}], "radius_mm": 0.25}
+MARKS = PROGRAM | {"file": "pass-3-witness.nc", "name": "witness", "tool": "ball", "radius_mm": 0.5}
+WITNESS = {
+    "side": "front", "box_mm": [10.0, 45.0, -13.0, -6.0], "depth_mm": 0.108, "visible_slope_rad": 1e-3,
+    "wall_mm": 20.0,
+    "marks": [
+        {"share": share, "period_mm": 0.7, "periods": 8, "height_mm": 0.004} for share in (0.6, 0.8, 1.0, 1.25, 2.0)
+    ],
+}  # fmt: skip
 FIGURES = REPORT["optics"] | {
     "converged": False, "branch": "inverted", "message": detail_lost(MILLED), "from_a_point_source": {"psnr_db": 44.0},
     "closing": CLOSING, "polish": POLISH, "tolerances": TOLERANCES, "concave_curvature_per_mm": CURVATURE,
@@ -56,7 +64,14 @@ EVERYTHING = REPORT | {
     "as_milled": MILLED,
     "as_finished": SEEN["as_finished"],
     "finishing": told() | {"minutes": 1000.0},
-    "around": {"face": FACED, "cut-out": CUT},
+    "finish_tolerance": {
+        "psnr_db": [24.0, 26.0, 20.0],
+        "minutes_ratio": [0.8, 1.25],
+        "within_ratio": [0.86, 1.08],
+        "loss_db": 1.0,
+    },
+    "witness": WITNESS,
+    "around": {"face": FACED, "witness": MARKS, "cut-out": CUT},
     "passes": [PASSED, LAST],
     "warnings": [detail_lost(MILLED)],
 }
@@ -82,6 +97,10 @@ JOBS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "everything": (EVERYTHING, AROUND),
     "plain": (REPORT, SPEC),
     "failed": ({"passes": [FAILED, PROGRAM], "source": {"file": "face.png"}}, SPEC),
+    **{
+        f"no marks by {obstacle}": ({"finishing": told(), "witness": {"obstacle": obstacle}}, SPEC)
+        for obstacle in ("room", "steps", "noise", "slope")
+    },
     "bare": ({}, {}),
     "designed": ({"optics": {"relief_mm": 3.0}}, SPEC | {"optics": SPEC["optics"] | {"light": {"kind": "sun"}}}),
 }

@@ -24,7 +24,18 @@ from service.job.stages.run import run_order
 from service.job.stages.source_state import modules_used, state_of_sources
 from service.job.stages.table import facts_of, part_of, plan, reads, shares, stage_key, stage_of
 from tests.service.job.stages.jobs import StagedJob, hashes, staged_job
-from tests.service.job.stages.variants import ALONE, BASE, ONLY_ONE_VALUE, OTHER, POINT, leaves, spec_of, spec_with
+from tests.service.job.stages.variants import (
+    ALONE,
+    BASE,
+    CLAMP,
+    FELT,
+    ONLY_ONE_VALUE,
+    OTHER,
+    POINT,
+    leaves,
+    spec_of,
+    spec_with,
+)
 
 STAGES = plan(spec_with())
 FILES = (
@@ -118,6 +129,7 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
         ("stock.face", {"pass-1"}),  # its stage is a further one; the first pass begins from another stock
         ("stock.cut_out", {"pass-2", "check"}),  # which hands on what it leaves
         ("finish.k0_rad_per_mm", {"map", "caustic", "as-milled"}),  # and the stage that only a finish brings
+        ("finish.witness", {"pass-2", "check"}),  # the last pass hands on what it leaves
         ("machine.high_precision", set()),  # said to be none, or left so
         *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],
@@ -146,6 +158,30 @@ def test_what_is_milled_around_the_passes_depends_on_the_block_and_not_on_the_le
 ) -> None:
     before, after = keys_of(spec_of(FACED)), keys_of(spec_of({**FACED, **changes}))
     assert {stage for stage in before if before[stage] != after[stage]} == stages | {"report"}
+
+
+WITNESSED = {**FACED, "finish": FELT}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"finish": {**FELT, "minutes": 3.0}}, {"passes.1.radius_mm": 2.75}, {"passes.1.feed_mm_per_min": 900.0},
+        {"stock.margin_mm": 2.5}, {"stock.skim_mm": 0.15}, {"stock.clamps": [CLAMP]}, {"machine.step_mm": 0.01},
+        {"machine.z_noise_mm": 0.001}, {"machine.travel_mm": [190.0, 190.0, 55.0]}, {"machine.safe_z_mm": 6.0},
+        {"stock.cut_out": {"radius_mm": 0.4, "tabs": 1, "tab_width_mm": 1.0}}, {"optics.outline": "ellipse"},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)  # fmt: skip
+def test_witness_marks_depend_on_all_that_their_place_and_shape_follow_from(changes: dict[str, Any]) -> None:
+    before, after = keys_of(spec_of(WITNESSED)), keys_of(spec_of({**WITNESSED, **changes}))
+    assert before["pass-witness"] != after["pass-witness"]
+
+
+def test_witness_marks_do_not_depend_on_picture_and_wall() -> None:
+    others = {"image.pixels": 20, "optics.throw_mm": 25.0, "optics.corrections": 1}
+    before, after = keys_of(spec_of(WITNESSED)), keys_of(spec_of({**WITNESSED, **others}))
+    assert before["pass-witness"] == after["pass-witness"]
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ _GIVEN: dict[str, Any] = {
          "feed_mm_per_min": 1000.0},
     ],
     "finish": {"process": "none", "k0_rad_per_mm": None, "order": None, "depth_um": None, "minutes": None,
-               "pad_mm": None},
+               "pad_mm": None, "witness": True},
     "machine": {
         "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
@@ -100,6 +100,7 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "finish.process": ({"finish": FELT}, {"finish": {**FELT, "process": "sanding"}}),
     **{f"finish.{key}": ({"finish": FELT}, {"finish": {**FELT, key: 2.5}}) for key in FELT if key != "process"},
+    "finish.witness": ({"finish": FELT}, {"finish": {**FELT, "witness": False}}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "passes.0.corner_radius_mm": ({}, {"passes.0.corner_radius_mm": 0.5}),
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
