@@ -54,8 +54,7 @@ def wishes_where_untold(*, file: Path | None, preset: str | None, overrides: Seq
     sections = {key.partition(".")[0] for key in told}
     if file is not None or preset is not None or sections & {"preset", "passes"}:
         return {}
-    polished = "optics.polish" in told  # which a finish takes off again
-    return {"preset": "recommended", **({} if polished or "finish" in sections else {"finish": {"process": BEST}})}
+    return {"preset": "recommended", **({} if "finish" in sections else {"finish": {"process": BEST}})}
 
 
 def resolve_spec(**given: Any) -> JobSpec:

@@ -57,13 +57,6 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
             problems += [*_beyond_the_mill(tool, machine, f"stock.{name}"), *_unheld(tool, machine, f"stock.{name}")]
     beyond = list(find_beyond_travel(spec, machine, _radii_mm(job)))
     problems += [problem for problem, _ in beyond]
-    if spec.finish.finishes and spec.optics.polish:
-        problems.append(
-            (
-                "optics.polish",
-                Phrase("true is not allowed with a finish, which takes off what it adds; allowed: false"),
-            )
-        )
     if problems:
         raise SpecError(problems, {key: use for (key, _), use in beyond if use is not None})
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm

@@ -181,7 +181,7 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
     lengths = {"transport map": 1.0, "corrections": 0.8 * spec.optics.corrections, "polish": POLISH_SHARE}
     if spec.optics.method == "paper":
         lengths = {"flow": 0.9, "surface": 0.1}
-    elif not spec.optics.polish:
+    elif not (spec.optics.polish or spec.finish.finishes):
         del lengths["polish"]
     ends = dict(zip(lengths, accumulate(lengths.values()), strict=True))
     whole = sum(lengths.values())

@@ -269,7 +269,8 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
     pixels = spec.image.pixels * spec.pixel_rows / 512**2
     light = spec.optics.light
     beams = 4.0 if light.size_deg or light.size_mm else 1.0  # most of the time goes to simulated light
-    method_s = (1.0 + 0.8 * spec.optics.corrections + (POLISH_S if spec.optics.polish else 0.0)) * beams
+    descent_s = POLISH_S if spec.optics.polish or spec.finish.finishes else 0.0
+    method_s = (1.0 + 0.8 * spec.optics.corrections + descent_s) * beams
     method_s = method_s if spec.optics.method == "transport" else 30.0
     seconds = {
         "image": 0.1 + 0.1 * pixels,

@@ -111,7 +111,6 @@ def test_the_job_gets_the_finish_of_its_plan(best_on_a_rough_mill: Planned) -> N
         (["finish.process=sandpaper"], "finish.process"),
         (["finish.k0_rad_per_mm=3"], "finish.order"),
         (["finish.minutes=3"], "finish.minutes"),
-        (["finish.process=felt", "optics.polish=true"], "optics.polish"),
     ],
 )
 def test_a_finish_that_says_too_little_or_too_much_is_refused(overrides: list[str], key: str) -> None:

@@ -224,7 +224,7 @@ def test_a_slower_spindle_takes_the_feed_down_with_it() -> None:
         (["optics.width_mm=40", "plan.hours=3"], "recommended", "best"),
         (["finish.process=felt"], "recommended", "felt"),
         (["finish.process=none"], "recommended", "none"),
-        (["optics.polish=true"], "recommended", "none"),
+        (["optics.polish=true"], "recommended", "best"),
         (["preset=draft"], "draft", "none"),
         (["passes.2.pitch_mm=0.1"], "paper", "none"),
     ],
