@@ -22,9 +22,12 @@ from service.job.spec.resolved import ResolvedJob
 _NEAR = 6  # of such steps, within which a lens is as good a sample
 _FINER = 1.12  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
-_FINER_LACKS = 1.6  # times as much as a lens of 96 pixels, of the light of one as fine as the picture
+_FINER_LACKS = (
+    1.9  # times as much as a lens of 96 pixels, of the light of one as fine as the picture: films, 2.1 and 1.7
+)
+_FINER_LACKS_TOUCH = 2.4  # the same of tools, which do not reach everywhere: 2.85 and 2.0 on the same two pictures
 _WORTH_DB = 0.1
-_MOST_CHECKED = 3  # finishes, by a lens as fine as the picture each
+_MOST_CHECKED = 2  # finishes, by a lens as fine as the picture each
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -105,9 +108,11 @@ def plan_finish(
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
     films = [way for way in ways if way[0].finish.depth_mm is None]
     tools = [way for way in ways if way[0].finish.depth_mm is not None]
-    for alike in filter(None, (films, tools)):
+    for alike, finer_lacks in ((films, _FINER_LACKS), (tools, _FINER_LACKS_TOUCH)):
+        if not alike:
+            continue
         first = best_of(_plan_all(rows, left_out, alike[::_NEAR], goal), goal)
-        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
+        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else finer_lacks)
         _trust(first.light, (light for _, light in alike))
     if not exactly:
         best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)

@@ -263,7 +263,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         "caustic": 1.0 + 4.0 * beams * pixels,
         "check": 0.7,
         "as-milled": 1.0,
-        "as-finished": 2.0 + 4.0 * pixels,
+        "as-finished": 2.0 + 8.0 * pixels,
         "report": 0.1,
     }
     block = spec.optics.width_mm * spec.optics.height_mm / 100**2
