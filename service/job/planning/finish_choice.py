@@ -113,7 +113,7 @@ def plan_finish(
             continue
         first = best_of(_plan_all(rows, left_out, alike[::_NEAR], goal), goal)
         first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else finer_lacks)
-        _trust(first.light, (light for _, light in alike))
+        share_calibration(first.light, (light for _, light in alike))
     if not exactly:
         best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
@@ -125,11 +125,11 @@ def plan_finish(
             break
         best.light.calibrate(best.plan.chosen.marks, design, fine=True)
         checked.append(best.light)
-        _trust(best.light, [light for _, light in ways if light not in checked])
+        share_calibration(best.light, [light for _, light in ways if light not in checked])
     return find_best(_plan_all(rows, left_out, [way for way in ways if way[1] in checked], goal), goal)
 
 
-def _trust(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
+def share_calibration(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
     """Take over how far guesses were off for finishes of the same kind: lost contact says nothing of a film."""
     for light in others:
         if light is not calibrated and (light.finish.depth_mm is None) == (calibrated.finish.depth_mm is None):
