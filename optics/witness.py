@@ -189,6 +189,8 @@ def _choose_mark(finish: Finish, depth_mm: float, mill: Mill, share: float) -> M
     k_rad_per_mm = _solve_wave(tips, finish, mill, share, near=float(k[begin]))
     period_mm = 2 * math.pi / k_rad_per_mm
     amplitude_mm = _first_harmonic_mm(tips, period_mm, mill.radius_mm)
+    if amplitude_mm > _MOST_OF_CONTACT * depth_mm * (finish.k0_rad_per_mm / k_rad_per_mm) ** finish.order:
+        raise NoMarksError("steps")  # in whole ones it is too high for the pad
     against_noise = 2 / _ROWS * (mill.noise_mm / (_MOST_NOISE * amplitude_mm)) ** 2  # the mean of so many periods
     periods = max(_LEAST_PERIODS, math.ceil(_LEAST_FIELD_MM / period_mm), math.ceil(against_noise))
     if periods > _MOST_PERIODS:

@@ -22,9 +22,12 @@ from service.job.spec.resolved import ResolvedJob
 _NEAR = 6  # of such steps, within which a lens is as good a sample
 _FINER = 1.12  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
-_FINER_LACKS = 1.6  # times as much as a lens of 96 pixels, of the light of one as fine as the picture
+_FINER_LACKS = (
+    1.9  # times as much as a lens of 96 pixels, of the light of one as fine as the picture: films, 2.1 and 1.7
+)
+_FINER_LACKS_TOUCH = 2.4  # the same of tools, which do not reach everywhere: 2.85 and 2.0 on the same two pictures
 _WORTH_DB = 0.1
-_MOST_CHECKED = 3  # finishes, by a lens as fine as the picture each
+_MOST_CHECKED = 2  # finishes, by a lens as fine as the picture each
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -105,10 +108,12 @@ def plan_finish(
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
     films = [way for way in ways if way[0].finish.depth_mm is None]
     tools = [way for way in ways if way[0].finish.depth_mm is not None]
-    for alike in filter(None, (films, tools)):
+    for alike, finer_lacks in ((films, _FINER_LACKS), (tools, _FINER_LACKS_TOUCH)):
+        if not alike:
+            continue
         first = best_of(_plan_all(rows, left_out, alike[::_NEAR], goal), goal)
-        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else _FINER_LACKS)
-        _trust(first.light, (light for _, light in alike))
+        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else finer_lacks)
+        share_calibration(first.light, (light for _, light in alike))
     if not exactly:
         best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
@@ -120,11 +125,11 @@ def plan_finish(
             break
         best.light.calibrate(best.plan.chosen.marks, design, fine=True)
         checked.append(best.light)
-        _trust(best.light, [light for _, light in ways if light not in checked])
+        share_calibration(best.light, [light for _, light in ways if light not in checked])
     return find_best(_plan_all(rows, left_out, [way for way in ways if way[1] in checked], goal), goal)
 
 
-def _trust(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
+def share_calibration(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
     """Take over how far guesses were off for finishes of the same kind: lost contact says nothing of a film."""
     for light in others:
         if light is not calibrated and (light.finish.depth_mm is None) == (calibrated.finish.depth_mm is None):

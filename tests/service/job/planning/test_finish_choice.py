@@ -10,7 +10,7 @@ from optics.finish import Finish
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from service.errors import SpecError
-from service.job.planning.finish_choice import FinishedPlan, find_best
+from service.job.planning.finish_choice import FinishedPlan, find_best, share_calibration
 from service.job.planning.finished_light import FinishedLight
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
@@ -84,6 +84,17 @@ def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
     assert plan.finishing is not None
     assert plan.finishing.finish.k0_rad_per_mm == 2.0
     assert 0.5 < plan_figures(plan)["contact_share"] < 1.0
+
+
+def test_what_a_pad_loses_is_no_guess_for_a_film(best_on_a_rough_mill: Planned) -> None:
+    milled = PictureLight(target_of(64), best_on_a_rough_mill.light.bench)
+    pad, other, film = (
+        FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0, depth_mm=depth_mm))
+        for k0, depth_mm in ((2.0, 0.02), (3.0, 0.01), (2.0, None))
+    )
+    pad.contact_share = 0.5
+    share_calibration(pad, [pad, other, film])
+    assert (other.contact_share, film.contact_share) == (0.5, None)
 
 
 @pytest.mark.thorough
