@@ -158,6 +158,7 @@ def polish_lens(
     ball_mm: float = 0.0,
     finish: Finish | None = None,
     as_planned: bool = False,
+    whole: bool = True,
     on_progress: Callable[[float], None] | None = None,
 ) -> tuple[Heightfield, PolishRecord]:
     """Return the lens (its top where it was) after at most that many steps of descent, and a record of them.
@@ -166,6 +167,7 @@ def polish_lens(
     ball_mm    : radius of the ball that must fit afterwards as well; 0 where none has to
     finish     : after milling: the pictures are those behind it
     as_planned : for the one finish that is planned, whatever may come of it: a quick look
+    whole      : False leaves the steps on all vertices out, where some are taken on every second one
 
     The lens comes back as it was where its finer tubes see no gain.
     """
@@ -185,7 +187,7 @@ def polish_lens(
     last = _error_of(lens, target, bench, likely, _FINE_TUBES_PER_PIXEL if finish is None else _TUBES_PER_PIXEL)
     last.touch(lens.z_mm)
     before, before_db = last.of(lens.z_mm), last.psnr_db()
-    few = math.ceil((_FINE_SHARE if finish is None else _WHOLE_SHARE) * steps)
+    few = math.ceil((_FINE_SHARE if finish is None else _WHOLE_SHARE * whole) * steps)
     z = np.array(lens.z_mm)
     if finish is None:
         z = _descend(_error_of(lens, target, bench, likely, _TUBES_PER_PIXEL), lens, z, bench, steps - few, count_step)
@@ -249,8 +251,8 @@ def _descend(
     Behind a finish in rounds, before each of which the contact is found anew: the last that was a gain counts.
     """
     finish = error.outcomes[0].finish
-    best, before = math.inf, z
-    for begun in range(0, steps, steps if finish is None else _ROUND):
+    best, before, together = math.inf, z, steps if finish is None else _ROUND
+    for begun in range(0, steps, max(1, together)):
         hangs = error.touch(z)
         point = _Point(z, error.of(z), error.gradient())
         if point.error > best:
@@ -260,14 +262,14 @@ def _descend(
         free = _mark_free(hangs, beside_mm / min(lens.dx_mm, lens.dy_mm))
         inverse = _Preconditioner(lens, error.target, bench, error, free)
         memory = Memory(_DEPTH)
-        for _ in range(min(steps - begun, steps if finish is None else _ROUND)):
+        for _ in range(min(steps - begun, together)):
             moved = _step(error, point, memory, inverse)
             if moved is None:
                 break
             point = moved
             on_step()
         z = point.z
-    if finish is not None:
+    if finish is not None and steps:
         error.touch(z)
         if error.of(z) > best:
             return before

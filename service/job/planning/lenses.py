@@ -37,7 +37,7 @@ from service.job.planning.predicted_light import PictureLight, Valleys
 COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
 _SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
-_COARSE_STEPS = 8  # of the descent, of which the job takes four times as many
+_STEPS = 8  # of the descent behind a finish, where the job takes 20
 
 _solving = Lock()
 
@@ -115,8 +115,8 @@ def simplify(settings: LensSettings) -> LensSettings:
 
 
 def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Return a maker of lenses for finishes: coarse ones, descended on in a few steps for the one finish, or as fine as
-    the target, like the job's.
+    """Return a maker of lenses for finishes, descended on in a few steps: coarse ones for the one finish, or as fine as
+    the target for what may come of it.
     """
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
@@ -125,9 +125,15 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
         aim, wanted = (target, whole) if fine else (_coarser(target), quick)
         wanted = replace(wanted, finish=finish, min_radius_mm=radius_mm)
         start, ball_mm = compute_passes(aim, wanted).best.lens, wanted.closing_radius_mm
-        steps = wanted.descent_steps if fine else _COARSE_STEPS
         lens, _ = polish_lens(
-            start, aim, settings.bench, steps=steps, ball_mm=ball_mm, finish=finish, as_planned=not fine
+            start,
+            aim,
+            settings.bench,
+            steps=_STEPS,
+            ball_mm=ball_mm,
+            finish=finish,
+            as_planned=not fine,
+            whole=False,
         )
         return lens, aim
 
