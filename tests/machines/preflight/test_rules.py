@@ -221,10 +221,10 @@ def write(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], 
         yield written
 
 
-CHECKED = [  # by the same table as above: one dialect of each kind is enough
-    (name, dialect)
+CHECKED = [
+    pytest.param(name, dialect, marks=() if dialect in ("grbl", "rml-1") else pytest.mark.thorough)
     for name, dialect in PLANTED
-    if dialect in ("grbl", "rml-1") and not name.startswith("too wide")  # which moves of X4 it has, the pass decides
+    if not name.startswith("too wide")  # which moves of X4 it has, the pass decides
 ]
 
 

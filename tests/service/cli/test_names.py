@@ -23,8 +23,9 @@ def causticmill(*words: str | bytes, locale: str = "C.UTF-8") -> subprocess.Comp
 @pytest.mark.parametrize(
     ("name", "shown", "locale"),
     [
+        (b"caf\xe9.png", "caf?.png", "C.UTF-8"),
         ('猫 кот ümläut "q" \'s.png'.encode(), '猫 кот ümläut "q" \'s.png', "C"),
-        (b"two\ncaf\xe9.png", "two?caf?.png", "C.UTF-8"),
+        (b"two\nlines.png", "two?lines.png", "C.UTF-8"),
     ],
 )
 def test_a_lens_of_a_picture_of_any_name_in_a_folder_of_any_name(
@@ -44,9 +45,11 @@ def test_a_lens_of_a_picture_of_any_name_in_a_folder_of_any_name(
 @pytest.mark.parametrize(
     "words",
     [
-        ("design", b"\xff.png", "-o", b"out\xff"), (b"\xff",),
-        ("check", b"\xff.nc", "--heightfield", b"\xff.npz"), ("stream", b"\xff.nc", "--port", b"\xff"),
-        ("design", "a.png", "-o", "out", "--set", b"\xff=1"), ("submit", b"\xff.png", "--server", "http://127.0.0.1:9"),
+        ("design", b"\xff.png", "-o", b"out\xff"), ("cam", b"\xff"), ("caustic", b"\xff"), (b"\xff",),
+        ("look", b"\xff", "--job", b"\xff"), ("check", b"\xff.nc", "--heightfield", b"\xff.npz"),
+        ("plan", b"\xff.png"), ("stream", b"\xff.nc", "--port", b"\xff"), ("mill", "--data", b"\xff"),
+        ("design", "a.png", "--spec", b"\xff.toml", "-o", "out"), ("design", "a.png", "-o", "out", "--set", b"\xff=1"),
+        ("submit", b"\xff.png", "--server", "http://127.0.0.1:9"),
     ],
     ids=lambda words: words[0],
 )  # fmt: skip

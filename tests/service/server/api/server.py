@@ -93,9 +93,7 @@ def api_server(data: Path, *, admission: Admission | None = None, **settings: An
     migrate(given)
     with contextlib.closing(bind_address(given.host, given.port)) as listener, open_services(given) as services:
         admission = admission or Admission(most=1000, strangers=200)
-        serves = threading.Event()
-        server = server_of(services, serves.set, admission=admission)
-        with _serving(server, listener, serves):
+        with _serve(services, listener, admission) as server:
             running = ApiServer(services, url_of(listener), server, admission)
             with running.client:
                 yield running
@@ -112,13 +110,15 @@ def migrate(settings: ServerSettings) -> None:
 
 
 @contextlib.contextmanager
-def _serving(server: uvicorn.Server, listener: socket.socket, serves: threading.Event) -> Iterator[None]:
+def _serve(services: Services, listener: socket.socket, admission: Admission) -> Iterator[uvicorn.Server]:
+    accepts = threading.Event()  # uvicorn's own `started` comes before our acceptor listens
+    server = server_of(services, accepts.set, admission=admission)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
     thread.start()
-    until(lambda: serves.is_set() or not thread.is_alive())
-    assert serves.is_set()
+    until(lambda: accepts.is_set() or not thread.is_alive())
+    assert accepts.is_set()
     try:
-        yield
+        yield server
     finally:
         server.should_exit = True
         thread.join(PATIENCE_S)
