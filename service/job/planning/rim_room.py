@@ -1,0 +1,148 @@
+"""Whether the tool of a finish gets to the rims of a lens: they lie in a pit, and beside them stands the wall that the
+cutters leave.
+
+Rows go one radius R beyond the rim. From there the wall rises as the cutter's flank, and stands up at 2 R: a rim that
+lies deeper than R has its wall there, however deep it is. A finish has to go on for its reach x beyond the rim, or it
+rounds the rim. A round tool of radius r that stands there meets the wall at the block's top first, at the height d of
+the wall and the distance w from the rim: it has room while x + sqrt(r^2 - (r - d)^2) <= w, for d < r, else x + r <= w.
+So tools are limited by (a^2 + d^2) / 2d, a = w - x, where a > d, else by a; beside a low wall any tool has room. Beyond
+the floor, x > R, it stands on the flank, and none has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.passes import PassSpec
+from optics.finish import Finish
+from optics.heightfield import Array, Heightfield
+from phrases.phrase import Phrase
+
+LEAST_TOOL_MM = 3.0
+"""Narrower ones are no tool for work by hand that is to be even."""
+
+_MARGIN_MM = 1.0  # of the block, that stays around the wall
+_SEEN_MM = 0.1  # of a rim
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RimRoom:
+    """What there is to finish the rims of a lens in its block.
+
+    depth_mm   : of the rims under the block's top, least and most
+    wall_mm    : from the rims to the wall at the block's top, least and most; inf where the block ends before it
+    beyond_mm  : how far beyond the rim the finish has to go
+    pad_mm     : size of the usual tool
+    largest_mm : of round tools that get there everywhere; inf where any does
+    band_mm    : width of the band along the rims, inside them, that wants a smaller tool: the usual one covers a place
+                 with all of its width only where the wall is as far away
+    """
+
+    depth_mm: tuple[float, float]
+    wall_mm: tuple[float, float]
+    beyond_mm: float
+    pad_mm: float
+    largest_mm: float
+    band_mm: float
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether a tool that a hand can hold gets to the rims."""
+        return self.largest_mm >= min(self.pad_mm, LEAST_TOOL_MM)
+
+    @property
+    def tool_mm(self) -> float:
+        """Size of the tool that gets to the rims."""
+        return min(self.pad_mm, self.largest_mm)
+
+
+def measure_rim_room(
+    lens: Heightfield, passes: Sequence[PassSpec], finish: Finish, *, margin_mm: float
+) -> RimRoom | None:
+    """Return the room that passes leave around the rims of a lens in its block; None of a film, which needs none.
+
+    margin_mm : of the block around the lens, whose top is Z0
+    """
+    everywhere = [spec for spec in passes if spec.where == "everywhere"]
+    finishing = [spec.radius_mm for spec in everywhere if spec.finishes]
+    if finish.depth_mm is None or not finishing:
+        return None
+    z = lens.z_mm
+    depths = -np.concatenate([z[0], z[-1], z[:, 0], z[:, -1]])
+    walls = np.max([_wall_mm(spec, depths) for spec in everywhere], axis=0)
+    if margin_mm <= max(spec.radius_mm for spec in everywhere):  # the cut goes on to the block's edge
+        walls = np.full_like(walls, math.inf)
+    room = np.maximum(walls - finish.reach_mm, 0.0)
+    low = room > depths
+    largest = 2.0 * np.where(low, (room**2 + depths**2) / (2.0 * depths), room)
+    if finish.reach_mm > min(max(finishing), margin_mm) + _SEEN_MM:
+        largest = np.zeros_like(largest)
+    tight = largest < finish.pad_mm
+    return RimRoom(
+        depth_mm=(float(depths.min()), float(depths.max())),
+        wall_mm=(float(walls.min()), float(walls.max())),
+        beyond_mm=finish.reach_mm,
+        pad_mm=finish.pad_mm,
+        largest_mm=float(largest.min()),
+        band_mm=max(0.0, finish.pad_mm - float(walls[tight].min())) if tight.any() else 0.0,
+    )
+
+
+def _wall_mm(spec: PassSpec, depths_mm: Array) -> Array:
+    """Return how far from a rim (n,) of those depths a pass leaves the wall, at the block's top."""
+    corner_mm = spec.shape.corner_mm(spec.radius_mm)
+    deep = np.clip(depths_mm - spec.stock_to_leave_mm, 0.0, corner_mm)
+    flank = np.sqrt(corner_mm**2 - (corner_mm - deep) ** 2)
+    return np.asarray(spec.radius_mm + spec.shape.flat_mm(spec.radius_mm) + flank)
+
+
+def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
+    """Warn where no tool that a hand can hold gets to the rims, with what would make room."""
+    if room is None or room.is_reached:
+        return None
+    radius_mm = max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)
+    return Phrase(
+        "the tool of the finish does not get to the rims: they lie {least_mm:.1f} to {most_mm:.1f} mm under the "
+        "block's top, the cutters leave a wall {wall_mm:.1f} mm beside them, and the finish has to go {beyond_mm:.1f} "
+        "mm beyond them. A round tool of {largest_mm:.1f} mm would fit there, the usual one has {pad_mm:g} mm, and "
+        "under {hand_mm:g} mm none works evenly: the outermost {band_mm:.1f} mm will keep marks of the mill. What "
+        "helps: a ball of R {radius_mm:.1f} or more to finish with, and stock.margin_mm = {margin_mm:.0f} or more for "
+        "it; less of this finish; a coat of lacquer, which needs no room. A thinner block or a wall farther away does "
+        "not: the ball decides where the wall stands",
+        least_mm=room.depth_mm[0],
+        most_mm=room.depth_mm[1],
+        wall_mm=room.wall_mm[0],
+        beyond_mm=room.beyond_mm,
+        largest_mm=room.largest_mm,
+        pad_mm=room.pad_mm,
+        hand_mm=LEAST_TOOL_MM,
+        band_mm=room.band_mm,
+        radius_mm=radius_mm,
+        margin_mm=math.ceil(2 * radius_mm + _MARGIN_MM),
+    )
+
+
+def advise_on_rims(room: RimRoom | None) -> Phrase | None:
+    """Return which smaller tool the rims want, and how it is used; None where the usual one does, or none."""
+    if room is None or not room.is_reached or room.tool_mm >= room.pad_mm:
+        return None
+    smaller = room.tool_mm / room.pad_mm
+    return Phrase(
+        "The rims lie {least_mm:.1f} to {most_mm:.1f} mm under the block's top, beside a wall {wall_mm:.1f} mm away: "
+        "on the outermost {band_mm:.1f} mm, and {beyond_mm:.1f} mm beyond, work with a round tool of at most "
+        "{tool_mm:.1f} mm instead of {pad_mm:g} mm, with {percent:.0f} % of the force and {times:.1f} times the "
+        "minutes on the same area.",
+        least_mm=room.depth_mm[0],
+        most_mm=room.depth_mm[1],
+        wall_mm=room.wall_mm[0],
+        band_mm=room.band_mm,
+        beyond_mm=room.beyond_mm,
+        tool_mm=room.tool_mm,
+        pad_mm=room.pad_mm,
+        percent=100 * smaller**2,
+        times=smaller**-2,
+    )
