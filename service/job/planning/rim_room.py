@@ -92,6 +92,13 @@ def measure_rim_room(
     )
 
 
+def weigh_removal(lens: Heightfield, finish: Finish, density_g_per_cm3: float) -> float:
+    """Return how many grams a tool takes off a lens, and off what lies around it as far as the finish goes."""
+    assert finish.depth_mm is not None
+    width_mm, height_mm = lens.width_mm + 2 * finish.reach_mm, lens.height_mm + 2 * finish.reach_mm
+    return finish.depth_mm * width_mm * height_mm * density_g_per_cm3 / 1000
+
+
 def _wall_mm(spec: PassSpec, depths_mm: Array) -> Array:
     """Return how far from a rim (n,) of those depths a pass leaves the wall, at the block's top."""
     corner_mm = spec.shape.corner_mm(spec.radius_mm)

@@ -16,7 +16,8 @@ _SENTENCES = ("needs", "steps", "donts")
 
 
 def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return title, rows (what, figure), warnings and the sentences of the process; None where a job has no finish.
+    """Return title, rows (what, figure), warnings and the sentences of the process and on the rims; None where a job
+    has no finish.
 
     report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
              `finish_tolerance`, `witness`, `rim_room`
@@ -27,8 +28,9 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     return {
         "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
         "tolerance": list(tolerance_sentences(report)),
+        "rims": [advice] if (advice := table(report.get("rim_room")).get("advice")) else [],
         "witness": describe_witness(report),
-        "rows": [*_work_rows(told), *_rim_rows(report), *_light_rows(report)],
+        "rows": [*_work_rows(told), *_check_rows(report), *_light_rows(report)],
         "warnings": list(_warnings(report, told)),
         **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},
         **{key: str(told.get(key) or "") for key in ("when_to_stop", "law")},
@@ -40,15 +42,6 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
         yield Phrase("Time, the whole lens"), duration(60 * told["minutes"])
     if depth_um := told.get("depth_um"):
         yield Phrase("Comes off") if depth_um > 0 else Phrase("Is added"), f"{number(abs(depth_um), 1)} µm"
-    if removed_g := told.get("removed_g"):
-        yield (
-            Phrase("To check it"),
-            Phrase(
-                "weigh the block, washed and dry, before and after: {removed_g} g come off, on a scale that shows a "
-                "tenth of that. No flat beside the lens is worked with it, on which a dial gauge could tell.",
-                removed_g=f"{removed_g:.2g}",
-            ),
-        )
     if told.get("removal"):
         yield Phrase("What comes off"), str(told["removal"])
     levelled_mm, kept_mm, pad_mm = (told.get(key) for key in ("levelled_mm", "kept_mm", "pad_mm"))
@@ -70,9 +63,14 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
         yield Phrase("Rims"), mask
 
 
-def _rim_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
-    if advice := table(report.get("rim_room")).get("advice"):
-        yield Phrase("Tool at the rims"), advice
+def _check_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
+    if removed_g := table(report.get("rim_room")).get("removed_g"):
+        words = Phrase(
+            "weigh the block, washed and dry, before and after: {removed_g} g come off, on a scale that shows a tenth "
+            "of that. No flat beside the lens is worked with it, on which a dial gauge could tell.",
+            removed_g=f"{removed_g:.2g}",
+        )
+        yield Phrase("To check it"), words
 
 
 def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:

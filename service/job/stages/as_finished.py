@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 
 from cam.as_milled.height_map import DepartureMap, map_departure
+from cam.materials import MATERIALS
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
 from optics.finish import Finish, Finished, finish_lens
@@ -24,7 +25,7 @@ from service.job.files import (
 )
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
-from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room
+from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.spec.resolve import cam_passes_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
@@ -151,7 +152,8 @@ def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> N
     room = measure_rim_room(lens, cam_passes_of(spec), finish, margin_mm=spec.stock.margin_mm)
     if room is None:
         return
-    context.report["rim_room"] = plain({**asdict(room), "advice": advise_on_rims(room)})
+    removed_g = weigh_removal(lens, finish, MATERIALS[spec.stock.material].density_g_per_cm3)
+    context.report["rim_room"] = plain({**asdict(room), "advice": advise_on_rims(room), "removed_g": removed_g})
     if sentence := warn_of_rim_room(room):
         context.note("passes", sentence)
 

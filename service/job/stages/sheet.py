@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from cam.materials import MATERIALS
 from service.job import files as job_files
 from service.job.report.setup_pdf import SHOWN, render_setup_pdf
 from service.job.report.setup_sheet import LANGUAGES, describe_setup, render_page
 from service.job.spec.finish_library import instruct_finishing
-from service.job.spec.model import JobSpec
 from service.job.stages.context import THE_PICTURE, StageContext, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
 
@@ -39,7 +36,7 @@ def run_report(context: StageContext) -> None:
     spec = context.spec.plain()
     area_mm2 = context.spec.optics.width_mm * context.spec.optics.height_mm
     if told := instruct_finishing(spec.get("finish", {}), context.job.figures.processes, area_mm2=area_mm2):
-        context.report["finishing"] = {**told, "removed_g": _weigh_removal(context.spec, told)}
+        context.report["finishing"] = told
     report = merge_reports((context.so_far, context.finish_report()))
     job_files.write_json(context.folder / job_files.SPEC, spec)
     spec["machine"] = {**asdict(context.machine), **spec["machine"]}
@@ -52,14 +49,6 @@ def run_report(context: StageContext) -> None:
     picture = None if name is None else (context.folder / name).read_bytes()
     context.save(job_files.SETUP_PDF, render_setup_pdf(setup, picture, beside=1 if name is None else SHOWN[name]))
     job_files.write_json(context.folder / job_files.REPORT, report)
-
-
-def _weigh_removal(spec: JobSpec, told: Mapping[str, Any]) -> float | None:
-    """Return what comes off the lens, and around it as far as the finish goes, in grams; None of a film."""
-    if spec.finish.contact_depth_mm is None or told.get("run_out_mm") is None:
-        return None
-    area_mm2 = math.prod(side_mm + 2 * told["run_out_mm"] for side_mm in (spec.optics.width_mm, spec.optics.height_mm))
-    return spec.finish.contact_depth_mm * area_mm2 * MATERIALS[spec.stock.material].density_g_per_cm3 / 1000
 
 
 def _with_name(phrases: Mapping[str, Mapping[str, Any]], picture_name: str) -> dict[str, Any]:

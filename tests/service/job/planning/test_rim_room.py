@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from cam.passes import PassSpec, ball_pass
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
-from service.job.planning.rim_room import LEAST_TOOL_MM, RimRoom, advise_on_rims, measure_rim_room, warn_of_rim_room
+from service.job.planning.rim_room import (
+    LEAST_TOOL_MM,
+    RimRoom,
+    advise_on_rims,
+    measure_rim_room,
+    warn_of_rim_room,
+    weigh_removal,
+)
+from service.job.report.finishing import make_finishing_card
 
 WIDE_MM = 100.0  # a margin that no cut leaves
 FELT = Finish(k0_rad_per_mm=1.4588, order=1.0, pad_mm=10.0, depth_mm=0.0276)  # 85 minutes on 100 cm2
@@ -122,3 +130,20 @@ def test_films_need_no_room_and_a_block_without_a_wall_leaves_any() -> None:
     assert math.isinf(room_of(5.0, ball(3.0), margin_mm=3.0).largest_mm)
     assert not room_of(5.0, ball(3.0), margin_mm=2.0).is_reached  # the block itself ends before
     assert measure_rim_room(lens_at(5.0), [ball(3.0, leave_mm=0.1)], FELT, margin_mm=WIDE_MM) is None
+
+
+def test_what_comes_off_is_weighed_with_the_run_out() -> None:
+    """27.6 um off a lens of 100 mm, and 2.9 mm around it, of acrylic."""
+    lens = Heightfield.on_aperture(np.zeros((5, 5)) - 1.0, width_mm=100.0, height_mm=100.0)
+    assert weigh_removal(lens, FELT, 1.19) == pytest.approx(0.0276 * 105.8**2 * 1.19e-3, rel=1e-3)
+
+
+def test_the_sheet_says_which_tool_and_what_a_scale_shows() -> None:
+    room = room_of(8.0, ball(3.0))
+    report = {"finishing": {"process": "felt"}, "rim_room": {"advice": advise_on_rims(room), "removed_g": 0.3677}}
+    card = make_finishing_card(report)
+    assert card is not None
+    assert card["rims"] == [advise_on_rims(room)]
+    assert any("0.37 g come off" in figure for _, figure in card["rows"])
+    bare = make_finishing_card({"finishing": {"process": "lacquer"}})
+    assert bare is not None and bare["rims"] == [] and not any("come off" in figure for _, figure in bare["rows"])

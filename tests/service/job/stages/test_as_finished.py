@@ -73,6 +73,15 @@ def test_the_job_tells_of_its_rim(finished: StagedJob) -> None:
 
 
 @pytest.mark.thorough
+def test_the_job_tells_that_no_tool_gets_to_its_rims(finished: StagedJob) -> None:
+    """Balls of 1 and 0.5 mm."""
+    made = finished.results["as-finished"]
+    assert "the tool of the finish does not get to the rims" in " ".join(made.notes["passes"])
+    assert made.report["rim_room"]["largest_mm"] == 0.0
+    assert made.report["rim_room"]["removed_g"] == pytest.approx(0.02 * (12 + 6 * 2**0.5 / 5) ** 2 * 1.19e-3, rel=1e-3)
+
+
+@pytest.mark.thorough
 def test_its_pictures_are_files_of_the_job(finished: StagedJob) -> None:
     assert {AS_FINISHED, COMPARED_FINISHED} <= set(finished.results["as-finished"].outputs)
 
