@@ -7,6 +7,9 @@ rounds the rim. A round tool of radius r that stands there meets the wall at the
 the wall and the distance w from the rim: it has room while x + sqrt(r^2 - (r - d)^2) <= w, for d < r, else x + r <= w.
 So tools are limited by (a^2 + d^2) / 2d, a = w - x, where a > d, else by a; beside a low wall any tool has room. Beyond
 the floor, x > R, it stands on the flank, and none has.
+
+It is worth a ball: `camera`, 100 mm, 200 mm to the wall, 85 minutes of felt, rows off by 1.2 um: 21.1 dB; with the
+outermost 1 / 2 / 4 mm left as milled 19.1 / 18.7 / 18.6.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cam.passes import PassSpec
+from cam.planning.shop import CLEAR_MM
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
@@ -25,7 +29,6 @@ from phrases.phrase import Phrase
 LEAST_TOOL_MM = 3.0
 """Narrower ones are no tool for work by hand that is to be even."""
 
-_MARGIN_MM = 1.0  # of the block, that stays around the wall
 _SEEN_MM = 0.1  # of a rim
 
 
@@ -74,12 +77,13 @@ def measure_rim_room(
     z = lens.z_mm
     depths = -np.concatenate([z[0], z[-1], z[:, 0], z[:, -1]])
     walls = np.max([_wall_mm(spec, depths) for spec in everywhere], axis=0)
-    if margin_mm <= max(spec.radius_mm for spec in everywhere):  # the cut goes on to the block's edge
-        walls = np.full_like(walls, math.inf)
+    is_walled = margin_mm > max(spec.radius_mm for spec in everywhere)  # else the cut goes on to the block's edge
     room = np.maximum(walls - finish.reach_mm, 0.0)
     low = room > depths
     largest = 2.0 * np.where(low, (room**2 + depths**2) / (2.0 * depths), room)
-    if finish.reach_mm > min(max(finishing), margin_mm) + _SEEN_MM:
+    if not is_walled:
+        walls, largest = np.full_like(walls, math.inf), np.full_like(walls, math.inf)
+    elif finish.reach_mm > max(finishing) + _SEEN_MM:
         largest = np.zeros_like(largest)
     tight = largest < finish.pad_mm
     return RimRoom(
@@ -111,7 +115,7 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
     """Warn where no tool that a hand can hold gets to the rims, with what would make room."""
     if room is None or room.is_reached:
         return None
-    radius_mm = max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)
+    radius_mm = math.ceil(10.0 * max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)) / 10.0
     return Phrase(
         "the tool of the finish does not get to the rims: they lie {least_mm:.1f} to {most_mm:.1f} mm under the "
         "block's top, the cutters leave a wall {wall_mm:.1f} mm beside them, and the finish has to go {beyond_mm:.1f} "
@@ -129,7 +133,7 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
         hand_mm=LEAST_TOOL_MM,
         band_mm=room.band_mm,
         radius_mm=radius_mm,
-        margin_mm=math.ceil(2 * radius_mm + _MARGIN_MM),
+        margin_mm=math.ceil(2 * radius_mm + CLEAR_MM),
     )
 
 

@@ -71,7 +71,8 @@ def run_as_finished(context: StageContext) -> None:
     _tell_of_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
-    if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
+    milled_mm = min(max(spec.radius_mm for _, spec in passes), context.spec.stock.margin_mm)
+    if sentence := warn_of_rounded_rim(finish, milled_mm):
         context.note("passes", sentence)
     _draw(context, target, seen.irradiance)
     with context.watch.stage("as finished: tolerance"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from cam.passes import PassSpec, ball_pass
+from cam.planning.shop import CLEAR_MM
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from service.job.planning.rim_room import (
@@ -117,18 +119,44 @@ def test_there_is_advice_a_warning_or_nothing_to_say(
     assert (advice is not None) == (LEAST_TOOL_MM <= room.largest_mm < FELT.pad_mm)
     if finish.reach_mm > finishing_mm + 0.2:
         assert warning is not None  # beyond the floor that is as smooth as the lens
-    if warning is not None:  # what it says would help does
-        radius_mm = math.ceil(10 * max(finish.reach_mm, (finish.reach_mm + LEAST_TOOL_MM / 2) / 2)) / 10
-        assert room_of(max(depth, 8.0), ball(radius_mm), finish=finish).is_reached
-        assert f"{finish.reach_mm:.1f} mm beyond" in warning.replace("\n", " ")
+    if warning is not None:
+        assert f"{finish.reach_mm:.1f} mm beyond" in warning
+        told = re.search(r"a ball of R ([\d.]+) .* stock.margin_mm = (\d+)", warning)
+        assert told is not None
+        radius_mm, margin_mm = map(float, told.groups())
+        assert room_of(40.0, ball(radius_mm), finish=finish, margin_mm=margin_mm).is_reached
+        assert margin_mm >= 2 * radius_mm + CLEAR_MM  # or the planner leaves the ball out
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_all_four_rims_count(turns: int) -> None:
+    """One that lies deep in the pit and leaves less room than the others."""
+    one = lens_at(0.5)
+    z = np.array(one.z_mm)
+    z[1:-1, -1] = -9.0
+    turned = replace(one, z_mm=np.rot90(z, turns))
+    room = measure_rim_room(turned, [ball(3.0)], FELT, margin_mm=WIDE_MM)
+    assert room is not None and room.depth_mm == (0.5, 9.0)
+    assert room.largest_mm == room_of(9.0, ball(3.0)).largest_mm < room_of(0.5, ball(3.0)).largest_mm
+
+
+def test_the_wall_is_that_of_the_pass_that_cuts_farthest_and_of_none_that_cuts_in_places() -> None:
+    """A rough pass leaves its floor higher by what it is to leave, and so meets the block's top nearer."""
+    finish, rough, flat = ball(1.0), ball(3.0, leave_mm=0.2), replace(ball(3.0, leave_mm=0.2), corner_radius_mm=0.0)
+    rest = replace(ball(6.0), where="rest")
+    walls = [
+        room_of(1.0, *passes).wall_mm[0] for passes in ((finish,), (rough, finish), (flat, finish), (finish, rest))
+    ]
+    assert walls == pytest.approx([2.0, 3.0 + math.sqrt(2 * 3.0 * 0.8 - 0.8**2), 6.0, 2.0])
 
 
 def test_films_need_no_room_and_a_block_without_a_wall_leaves_any() -> None:
     film = replace(FELT, depth_mm=None)
     assert measure_rim_room(lens_at(5.0), [ball(0.5)], film, margin_mm=WIDE_MM) is None
     assert warn_of_rim_room(None) is None and advise_on_rims(None) is None
-    assert math.isinf(room_of(5.0, ball(3.0), margin_mm=3.0).largest_mm)
-    assert not room_of(5.0, ball(3.0), margin_mm=2.0).is_reached  # the block itself ends before
+    unwalled = room_of(5.0, ball(3.0), margin_mm=3.0)
+    assert math.isinf(unwalled.largest_mm) and math.isinf(unwalled.wall_mm[0]) and unwalled.is_reached
+    assert advise_on_rims(unwalled) is None and warn_of_rim_room(unwalled) is None
     assert measure_rim_room(lens_at(5.0), [ball(3.0, leave_mm=0.1)], FELT, margin_mm=WIDE_MM) is None
 
 
