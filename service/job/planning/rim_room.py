@@ -30,6 +30,7 @@ LEAST_TOOL_MM = 3.0
 """Narrower ones are no tool for work by hand that is to be even."""
 
 _SEEN_MM = 0.1  # of a rim
+_ALIKE = 0.9  # of the usual tool: nobody measures nearer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,20 +38,18 @@ class RimRoom:
     """What there is to finish the rims of a lens in its block.
 
     depth_mm   : of the rims under the block's top, least and most
-    wall_mm    : from the rims to the wall at the block's top, least and most; inf where the block ends before it
+    wall_mm    : from the rims to the wall at the block's top, where it leaves the least room; inf where the block
+                 ends before it
     beyond_mm  : how far beyond the rim the finish has to go
     pad_mm     : size of the usual tool
     largest_mm : of round tools that get there everywhere; inf where any does
-    band_mm    : width of the band along the rims, inside them, that wants a smaller tool: the usual one covers a place
-                 with all of its width only where the wall is as far away
     """
 
     depth_mm: tuple[float, float]
-    wall_mm: tuple[float, float]
+    wall_mm: float
     beyond_mm: float
     pad_mm: float
     largest_mm: float
-    band_mm: float
 
     @property
     def is_reached(self) -> bool:
@@ -61,6 +60,13 @@ class RimRoom:
     def tool_mm(self) -> float:
         """Size of the tool that gets to the rims."""
         return min(self.pad_mm, self.largest_mm)
+
+    @property
+    def band_mm(self) -> float:
+        """Width of the band along the rims, inside them, that the usual tool does not do: it covers a place with all of
+        its width only where the wall is as far away.
+        """
+        return max(0.0, self.pad_mm - self.wall_mm)
 
 
 def measure_rim_room(
@@ -85,14 +91,13 @@ def measure_rim_room(
         walls, largest = np.full_like(walls, math.inf), np.full_like(walls, math.inf)
     elif finish.reach_mm > max(finishing) + _SEEN_MM:
         largest = np.zeros_like(largest)
-    tight = largest < finish.pad_mm
+    tightest = int(np.argmin(largest))
     return RimRoom(
         depth_mm=(float(depths.min()), float(depths.max())),
-        wall_mm=(float(walls.min()), float(walls.max())),
+        wall_mm=float(walls[tightest]),
         beyond_mm=finish.reach_mm,
         pad_mm=finish.pad_mm,
-        largest_mm=float(largest.min()),
-        band_mm=max(0.0, finish.pad_mm - float(walls[tight].min())) if tight.any() else 0.0,
+        largest_mm=float(largest[tightest]),
     )
 
 
@@ -126,7 +131,7 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
         "not: the ball decides where the wall stands",
         least_mm=room.depth_mm[0],
         most_mm=room.depth_mm[1],
-        wall_mm=room.wall_mm[0],
+        wall_mm=room.wall_mm,
         beyond_mm=room.beyond_mm,
         largest_mm=room.largest_mm,
         pad_mm=room.pad_mm,
@@ -139,7 +144,7 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
 
 def advise_on_rims(room: RimRoom | None) -> Phrase | None:
     """Return which smaller tool the rims want, and how it is used; None where the usual one does, or none."""
-    if room is None or not room.is_reached or room.tool_mm >= room.pad_mm:
+    if room is None or not room.is_reached or room.tool_mm > _ALIKE * room.pad_mm:
         return None
     smaller = room.tool_mm / room.pad_mm
     return Phrase(
@@ -149,7 +154,7 @@ def advise_on_rims(room: RimRoom | None) -> Phrase | None:
         "minutes on the same area.",
         least_mm=room.depth_mm[0],
         most_mm=room.depth_mm[1],
-        wall_mm=room.wall_mm[0],
+        wall_mm=room.wall_mm,
         band_mm=room.band_mm,
         beyond_mm=room.beyond_mm,
         tool_mm=room.tool_mm,
