@@ -48,6 +48,7 @@ class Material:
     label : as a person reads it
     block : what to buy, as the set-up sheet says it
     refractive_index  : of visible light; a job may give one of its own
+    density_g_per_cm3 : by which a scale tells what a finish has taken off
     cutting_j_per_mm3 : what taking it off asks of the spindle
     """
 
@@ -55,6 +56,7 @@ class Material:
     label: str
     block: Phrase
     refractive_index: float
+    density_g_per_cm3: float
     advice: str
     sources: tuple[str, ...]
     cutting: tuple[CuttingData, ...]
@@ -108,6 +110,7 @@ PMMA = Material(
     label="acrylic (PMMA)",
     block=Phrase("clear cast acrylic (PMMA), annealed"),
     refractive_index=1.49,
+    density_g_per_cm3=1.19,
     advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
     sources=(
         "Acrylite, tech brief 'Routing': routers turn at 20 000 rpm or more",
