@@ -17,7 +17,7 @@ from PIL import Image
 
 from optics.heightfield import Heightfield
 from service.job.page_data.surface import light_bytes, surface_bytes
-from service.job.report.figures.wall import picture_png, thumbnail_png
+from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.spec.lens_task import bench_of
 from service.job.spec.model import JobSpec
 from tests.page.paths import SIDE_MM, Thinned, write_path

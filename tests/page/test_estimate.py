@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Route, expect
 
 from cam.materials import MATERIALS
-from service.job.picture.limits import OWN_PICTURE
-from service.job.planning.estimate import estimate
-from service.job.spec.loading import resolve_job, resolve_spec
+from service.job.picture.light_png import picture_png
+from service.job.picture.linear_light import linear_to_srgb
+from service.job.spec.loading import resolve_spec
 from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page import canned_job
@@ -94,68 +94,62 @@ def test_the_estimate_says_what_must_be_at_hand(opened: Opened) -> None:
     expect(told).to_contain_text(f"Distance to the wall{usual.optics.throw_mm:g} mm")
 
 
-SPREAD = """(name) => {
+GREY = """(name) => {
     const canvas = document.querySelector(name), { width, height } = canvas, box = [0, 0, width, height];
-    const grey = canvas.getContext("2d").getImageData(...box).data.filter((_, k) => k % 4 === 0);
-    const steps = grey.map((level, k) => (k % width ? Math.abs(level - grey[k - 1]) : 0));
-    return steps.reduce((most, one) => Math.max(most, one), 0);
+    return [...canvas.getContext("2d").getImageData(...box).data].filter((_, k) => k % 4 === 0);
 }"""
+NOT_YET = "the picture as asked for: its light is not worked out yet"
 
 
-def test_the_wall_follows_every_change_at_once_and_figures_that_are_out_of_date_are_dimmed(opened: Opened) -> None:
-    """Beside the picture as it is: a wall farther away is blurred more before the server has said a word. The first
-    answer is not there yet, and nobody takes the sharp picture for it.
-    """
-    page = open_blank(opened, "new")
+def even(level: float) -> dict[str, str]:
+    """Of an estimate: light that no picture has."""
+    packed = picture_png(np.full((8, 8), level), white=1.0)
+    return {"wall": f"data:image/png;base64,{base64.b64encode(packed).decode()}"}
+
+
+def test_the_wall_shows_the_light_of_the_estimate_and_until_it_is_there_the_picture_and_says_so(opened: Opened) -> None:
+    """Of what is set now: nobody takes the picture, or the light of what was set before, for what will be there."""
+    page = open_blank(opened, "new", errors=("status of 422",))
     asked: list[Route] = []
     page.route("**/v1/estimates", lambda route: asked.append(route))
+    page.route("**/v1/estimates?exactly=true", lambda route: asked.append(route))
     page.evaluate("location.hash = '#/new'")
     choose(page, edge())
+    told = page.locator(".told")
+
+    def shows_picture() -> None:
+        expect(told).to_have_text(NOT_YET)
+        expect(wall(page)).to_have_css("opacity", "0.4")
+        same = "(one, other) => one.every((grey, k) => Math.abs(grey - other[k]) <= 1)"
+        page.wait_for_function(f"() => ({same})(({GREY})('canvas.sharp'), ({GREY})('canvas.wall'))")
+
+    def shows_light(level: float) -> None:
+        expect(wall(page)).to_have_css("opacity", "1")
+        grey = round(255 * float(linear_to_srgb(np.array(level))))
+        page.wait_for_function(f"() => ({GREY})('canvas.wall').every((one) => Math.abs(one - {grey}) <= 1)")
+
     after(asked, 1, page)
-    expect(page.locator(".told")).to_have_text("not worked out yet")
-    expect(wall(page)).to_have_css("opacity", "0.4")
-    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
-    expect(page.locator(".told")).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
-    expect(wall(page)).to_have_css("opacity", "1")
-    expect(page.locator(".stale")).to_have_count(0)
-    page.evaluate("() => new Promise(requestAnimationFrame)")  # in which the wall is drawn
-    sharp, near = (page.evaluate(SPREAD, name) for name in ("canvas.sharp", "canvas.wall"))
-    assert near < sharp / 2
-    fill(page, Distance_to_the_wall="200")
-    expect(page.locator(".stale")).to_have_count(1)
-    page.wait_for_function(f"before => ({SPREAD})('canvas.wall') < 0.7 * before", arg=near)
+    shows_picture()
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE | even(0.5) | {"exact": False})
+    shows_light(0.5)
+    expect(told).to_have_text("A first look: exact figures follow.")
     after(asked, 2, page)
-    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE | even(0.25))
+    shows_light(0.25)
+    expect(told).to_have_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
     expect(page.locator(".stale")).to_have_count(0)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        pytest.param({"throw_mm": 150.0}, marks=pytest.mark.thorough, id="wall farther"),
-        pytest.param({"light": {"kind": "sun", "size_deg": 3.0}}, id="sun"),
-        pytest.param(
-            {"light": {"kind": "point", "distance_mm": 500.0, "size_mm": 25.0}}, marks=pytest.mark.thorough, id="lamp"
-        ),
-    ],
-)
-def test_the_first_guess_of_a_blur_is_near_the_servers(modules: Page, tmp_path: Path, change: dict[str, Any]) -> None:
-    """Of the light's own size within a tenth; other passes that a plan would choose are not known to the page."""
-    path = tmp_path / "edge.png"
-    path.write_bytes(edge(64))
-    known, wanted = (
-        estimate(
-            resolve_job(base={"preset": "draft", "optics": {"width_mm": 30.0, "height_mm": 30.0} | more}),
-            path,
-            limits=OWN_PICTURE,
-            name="edge",
-        )
-        for more in ({}, change)
-    )
-    script = "([known, spec]) => import('/page/new/screen.js').then(({ coarseBlur }) => coarseBlur(known, spec))"
-    told = modules.evaluate(script, [known, {"optics": change}])
-    assert told == pytest.approx(wanted["blur_mm"], rel=0.1)
-    assert told > 1.2 * known["blur_mm"]
+    fill(page, Distance_to_the_wall="200")
+    shows_picture()
+    expect(page.locator(".stale")).to_have_count(1)
+    after(asked, 3, page)
+    asked[-1].fulfill(**problem(422, detail="see there", problems=[WRONG]))
+    expect(page.get_by_label("Distance to the wall")).to_have_attribute("aria-invalid", "true")
+    shows_picture()
+    fill(page, Distance_to_the_wall="150")
+    after(asked, 4, page)
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE | {"psnr_db": None, "wall": None})
+    expect(told).to_have_text("no pass finishes the lens: the wall shows no picture")
+    expect(wall(page)).to_have_css("opacity", "0.4")
 
 
 def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_pressed(opened: Opened) -> None:
@@ -246,11 +240,11 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
         spec = parts(route)[0]
         seen = {"psnr_db": 18.0, "changes": CHANGES}
         if spec.get("optics", {}).get("width_mm") == 150:
-            seen["psnr_db"] = 22.0
+            seen |= {"psnr_db": 22.0, **even(0.5)}
         elif "throw_mm" in spec.get("optics", {}):
             seen |= {"psnr_db": 30.0, "refusals": [{"field": "spec.optics.throw_mm", "detail": "too near"}]}
         elif spec.get("image", {}).get("prepare") == "detail":
-            seen["psnr_db"] = 24.0
+            seen |= {"psnr_db": 24.0, **even(0.25)}
         route.fulfill(json=ESTIMATE_EXAMPLE | seen)
 
     page.route("**/v1/estimates", foretell)
@@ -261,6 +255,8 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
         ["A picture that is prepared for what shows", "A lens of 150 x 150 mm"]
     )
     expect(shown.get_by_role("listitem").nth(1)).to_contain_text(psnr_in_words(22.0))
+    for number, level in enumerate((0.25, 0.5)):  # what the wall shows of each is of its own estimate
+        expect(shown.get_by_role("listitem").nth(number).locator("img")).to_have_attribute("src", even(level)["wall"])
     shown.get_by_role("button", name="A lens of").click()
     expect(page.get_by_label("Width", exact=True)).to_have_value("150")
     expect(shown.get_by_role("button", name="What would show more?")).to_be_visible()  # it is not hard any more

@@ -17,7 +17,7 @@ from optics.irradiance import ViewedFrom, picture_from_irradiance, target_irradi
 from optics.lens_settings import LensSettings
 from optics.light import Light
 from service.job.page_data.surface import light_bytes
-from service.job.report.figures.wall import srgb_levels
+from service.job.picture.light_png import srgb_levels
 from tests.page import canned_job
 from tests.page.conftest import Opened
 from tests.page.jobs import canned, like, shown, with_plan

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
+from service.job.picture.light_png import thumbnail_png
 from service.job.picture.linear_light import srgb_to_linear
-from service.job.report.figures.wall import thumbnail_png
 from tests.page import form
 from tests.page.browser import NOWHERE, Watched
 from tests.page.conftest import Opened

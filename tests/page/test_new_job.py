@@ -145,21 +145,6 @@ def test_tones_are_those_of_the_server(modules: Page) -> None:
             assert np.abs(np.array(grey) - 255 * linear_to_srgb(wanted)).max() < 1.0
 
 
-def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(modules: Page) -> None:
-    script = """async ([nx, ny, sigma]) => {
-        const {blurred} = await import("/page/new/tones.js");
-        const light = new Float32Array(nx * ny);
-        light[Math.floor(ny / 2) * nx + Math.floor(nx / 2)] = 1;
-        return [...blurred(light, nx, ny, sigma)];
-    }"""
-    nx, ny = 121, 91
-    for sigma in (0.2, 3.0, 8.0):
-        spot = np.array(modules.evaluate(script, [nx, ny, sigma])).reshape(ny, nx)
-        assert spot.sum() == pytest.approx(1.0, abs=1e-5)
-        across = ((np.arange(nx) - nx // 2) ** 2 * spot.sum(axis=0)).sum()
-        assert np.sqrt(across) == pytest.approx(sigma if sigma > 1 else 0, abs=0.2)  # boxes have whole widths
-
-
 def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: list[Any]) -> None:
     _, content, _ = pressed(new_job, sent)
     assert content == picture()

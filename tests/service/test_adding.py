@@ -75,7 +75,7 @@ _DRAWING = '''
 import numpy as np
 
 from service.job.report.figures.base import Array
-from service.job.report.figures.wall import picture_png
+from service.job.picture.light_png import picture_png
 
 
 def tones_png(picture: Array) -> bytes:

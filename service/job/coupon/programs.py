@@ -41,6 +41,7 @@ from service.job.coupon.piece import (
     list_finish_programs,
     sheet_lines,
 )
+from service.job.picture.light_png import picture_png
 from service.job.pipeline import FolderJob
 from service.job.spec.finish import FinishSpec
 from service.job.spec.lens_task import finish_of
@@ -237,8 +238,6 @@ def _pixels(per_mm: float) -> tuple[int, int]:
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
-    from service.job.report.figures.wall import picture_png  # what it stands on is slow to import
-
     seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
     job_files.write_bytes(path, picture_png(seen, white=3.0))
 

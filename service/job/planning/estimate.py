@@ -7,11 +7,12 @@ asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine 
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import ceil, hypot, sqrt
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
+from optics.irradiance import picture_from_irradiance
 from optics.lens_settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from phrases.phrase import Phrase, phrases_in
@@ -35,6 +37,7 @@ from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import AFTER_PASSES, FACE
 from service.job.picture.decoding import decode_picture
+from service.job.picture.light_png import picture_png
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
@@ -65,6 +68,8 @@ from service.job.spec.resolved import ResolvedJob
 from service.job.spec.stock import MIN_FLOOR_MM
 from service.wording import ball, cutter
 
+WALL_PIXELS = 256
+"""Along the longer side of the picture of the wall, at most."""
 PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
 
@@ -140,6 +145,7 @@ def estimate(
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
+        "wall": None if seen is None else _draw_wall(seen, spec.optics.viewed_from),
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*warnings, *_warnings(quick), *blur.words(own_px_mm)])),
@@ -332,7 +338,7 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
     if finish is None or slopes is None:
         return None
     if planned is not None and (exactly or planned.finishing is not None):
-        return describe_light(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
+        return describe_light(planned.light, planned.chosen.marks)
     return foretell(
         target,
         quick.bench,
@@ -344,6 +350,13 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
         design=design_for_finishes(target if exactly else quick.aim, quick.settings),
         fine=exactly,
     )
+
+
+def _draw_wall(seen: ForetoldPicture, viewed_from: Literal["lens", "behind"]) -> str:
+    """Return a PNG of the wall, as the viewer sees it, exposed as a job's pictures are, as a data URL."""
+    picture = picture_from_irradiance(seen.light, viewed_from=viewed_from)
+    packed = picture_png(picture, white=float(seen.target.max()), side=WALL_PIXELS)
+    return f"data:image/png;base64,{b64encode(packed).decode()}"
 
 
 def _find_finish(quick: QuickLens) -> PassSpec | None:

@@ -1,4 +1,4 @@
-"""How much of the picture one will recognise, and what detail, predicted for an estimate as the planner predicts it."""
+"""What the wall will show of a job, predicted for an estimate as the planner predicts it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cam.planning.planner import Marks
 from optics.bench import Bench
 from optics.finish import Finish
 from optics.heightfield import Array
-from optics.metrics import smallest_detail_mm
+from optics.metrics import psnr_db, smallest_detail_mm
 from service.job.planning.finished_light import Design, FinishedLight
 from service.job.planning.predicted_light import PictureLight
 
@@ -17,10 +17,14 @@ MOST_PIXELS = 512
 """Along the longer side of the picture that is compared: finer detail changes what one recognises little."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForetoldPicture:
-    """PSNR of the milled lens; smallest detail on the screen, by the marks alone."""
+    """What the wall will show, and what it is to show: (ny, nx) irradiance, work frame. Its figures are of that light;
+    the smallest detail counts the marks alone.
+    """
 
+    light: Array
+    target: Array
     psnr_db: float
     detail_mm: float
 
@@ -48,12 +52,15 @@ def foretell(
         return describe_light(light, marks)
     finished = FinishedLight(light, by_hand)
     finished.calibrate(marks, design, fine=fine)
-    return describe_light(finished, marks, finished.psnr_db(marks))
+    return describe_light(finished, marks)
 
 
-def describe_light(light: PictureLight, marks: Marks, psnr_db: float | None = None) -> ForetoldPicture:
-    """Return what a plan's light tells of its marks; psnr_db: where it is not that of this light's picture."""
-    seen = light.smooth_picture(marks)
-    psnr_db = light.psnr_of(seen, light.grain(marks)) if psnr_db is None else psnr_db
-    detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
-    return ForetoldPicture(psnr_db=psnr_db, detail_mm=detail_mm)
+def describe_light(light: PictureLight, marks: Marks) -> ForetoldPicture:
+    """Return the picture that a plan's light shows of its marks."""
+    seen = light.picture(marks)
+    return ForetoldPicture(
+        light=seen,
+        target=light.target,
+        psnr_db=psnr_db(seen, light.target),
+        detail_mm=smallest_detail_mm(seen, light.target, light.pixel_mm[1]),
+    )

@@ -24,6 +24,7 @@ from service.job.files import (
     THUMBNAIL_AS_FINISHED,
 )
 from service.job.finite_json import plain
+from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
 from service.job.spec.lens_task import bench_of, finish_of
@@ -160,8 +161,7 @@ def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> N
 
 
 def _draw(context: StageContext, target: Array, finished: Array) -> None:
-    # What they stand on is slow to import
-    from service.job.report.figures.wall import comparison_png, picture_png, thumbnail_png
+    from service.job.report.figures.wall import comparison_png  # what it stands on is slow to import
 
     viewed_from, white = context.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))

@@ -27,6 +27,7 @@ from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, read_chunks
 from service.job.finite_json import plain
+from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
 from service.job.spec.lens_task import bench_of, finish_of
@@ -190,8 +191,7 @@ def _tell(
 
 
 def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
-    # What they stand on is slow to import
-    from service.job.report.figures.wall import as_milled_png, picture_png, thumbnail_png
+    from service.job.report.figures.wall import as_milled_png  # what it stands on is slow to import
 
     viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]

@@ -13,6 +13,7 @@ from optics.heightfield import Array
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic
 from service.job.files import FINISH_TOLERANCE
+from service.job.picture.light_png import row_png
 from service.job.spec.resolved import ResolvedJob
 from service.job.stages.context import StageContext
 
@@ -29,8 +30,6 @@ def report_tolerance(
 
     planned  : irradiance (ny, nx) as finished; light_of: the same behind another finish
     """
-    from service.job.report.figures.wall import row_png  # what it stands on is slow to import
-
     ratios = [minutes_ratio(context.job, finish, times) for times in K0_TIMES]
     lights = [light_of(work_longer(finish, times, ratio)) for times, ratio in zip(K0_TIMES, ratios, strict=True)]
     little, much = (float(score_caustic(light, target).psnr_db) for light in lights)

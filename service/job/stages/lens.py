@@ -21,6 +21,7 @@ from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
 from service.job.finite_json import plain
 from service.job.page_data.surface import surface_bytes
+from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.picture.reading import read_picture
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
@@ -62,9 +63,9 @@ def run_irradiance(context: StageContext) -> None:
         target, original, detail_mm = aimed.target, aimed.original, aimed.detail_mm
         context.hand_over(TARGET, target, arrays.target_bytes)
         seen, white = picture_from_irradiance(target, viewed_from=viewed_from), float(target.max())
-        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))
+        context.draw(TARGET_PICTURE, lambda: picture_png(seen, white=white))
         if context.is_shown:
-            context.draw(THUMBNAIL, lambda: _thumbnail_png(seen, white))
+            context.draw(THUMBNAIL, lambda: thumbnail_png(seen, white=white))
         if original is not None:
             context.hand_over(ORIGINAL, original, arrays.target_bytes)
             given = picture_from_irradiance(original, viewed_from=viewed_from)
@@ -73,22 +74,10 @@ def run_irradiance(context: StageContext) -> None:
         context.report["image"] = plain(told)
 
 
-def _target_png(seen: Array, white: float) -> bytes:
-    from service.job.report.figures.wall import picture_png
-
-    return picture_png(seen, white=white)
-
-
 def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
     from service.job.report.figures.wall import preparation_png
 
     return preparation_png(given, prepared, detail_mm=detail_mm)
-
-
-def _thumbnail_png(seen: Array, white: float) -> bytes:
-    from service.job.report.figures.wall import thumbnail_png
-
-    return thumbnail_png(seen, white=white)
 
 
 def run_transport_map(context: StageContext) -> None:

@@ -24,6 +24,7 @@ from optics.tolerance import (
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, LIGHT, MAP
 from service.job.finite_json import plain
+from service.job.picture.light_png import picture_png
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of, warn_of_reflection
 from service.job.stages.context import StageContext
@@ -83,7 +84,7 @@ def _shape(target: Array) -> tuple[int, int]:
 
 def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
     # what it stands on is slow to import
-    from service.job.report.figures.wall import comparison_png, picture_png, through_focus_png
+    from service.job.report.figures.wall import comparison_png, through_focus_png
 
     white = float(target.max())
     pictures = [_as_seen(context, one.irradiance) for one in seen]

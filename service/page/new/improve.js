@@ -22,11 +22,11 @@ export function withChange(spec, values) {
 
 /**
  * {element, show(estimate), focus(), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
- * wants it; draw(values, blurMm): what the wall then shows, small, or nothing. A picture that is hard to recognise asks by
+ * wants it. Each comes with what the wall then shows. A picture that is hard to recognise asks by
  * itself, any other where a person does. First looks at changes are held against the first look at the job itself: what
  * they gain is added to what a more exact one tells.
  */
-export function improvements({ make, take, draw }) {
+export function improvements({ make, take }) {
   const list = h("ul", { class: "changes" });
   const state = h("p", { class: "dim", role: "status" });
   const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, t("What would show more?"));
@@ -98,7 +98,7 @@ export function improvements({ make, take, draw }) {
     h(
       "li",
       {},
-      h("button", { type: "button", onclick: () => take(change) }, draw(change.values, seen.blur_mm), h("span", {}, sentence(change.what).replace(/[.。]$/, ""))),
+      h("button", { type: "button", onclick: () => take(change) }, h("img", { class: "outcome", src: seen.wall, alt: "" }), h("span", {}, sentence(change.what).replace(/[.。]$/, ""))),
       h("small", {}, [eyeWords(now.exact.psnr_db + seen.psnr_db - now.estimate.psnr_db), hours(3600 * seen.hours)].join(", ")),
     );
 

@@ -6,22 +6,22 @@ import { eyeWords } from "../job/eye_words.js";
 import { putAway } from "./draft.js";
 import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
-import { coarseBlur, screenOf } from "./screen.js";
+import { screenOf } from "./screen.js";
 import { pictureTools } from "./tools.js";
 import { gallery } from "./gallery.js";
-import { drawWall, wall } from "./wall.js";
+import { wall } from "./wall.js";
 
-const SPREAD = Math.SQRT2; // the blur of an estimate is over both axes
-const SMALL = 160; // pixels of an outcome drawn small
+const NOT_YET = t("the picture as asked for: its light is not worked out yet");
+const NO_LIGHT = t("no pass finishes the lens: the wall shows no picture");
 const HOW = t("drag to choose the part, pinch or + and − to zoom");
 
 /**
- * {element, tools, begin({picture, edits, name, file}), has(), draw(), show(estimate, first), small(spec, blurMm), blame(words), fault(),
- * focus(), sent(), draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent;
+ * {element, tools, begin({picture, edits, name, file}), has(), forget(), show(estimate, first), blame(words), fault(), focus(), sent(),
+ * draft()}: the two pictures, and what can be done to them. spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent;
  * onOpening(name): a picture is being read, which may take a moment.
  */
 export function pictureSide({ spec, values, onChange, onOpening }) {
-  const now = { picture: null, edits: { ...UNTOUCHED }, estimate: null };
+  const now = { picture: null, edits: { ...UNTOUCHED }, estimate: null, light: null };
   const seen = wall({ state: readDrawing, onEdit: edit });
   const tools = pictureTools({ state: readDrawing, onEdit: edit });
   const name = h("input", { type: "text", maxLength: 80, autocomplete: "off", oninput: onChange });
@@ -29,24 +29,10 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   const all = h("div", { class: "stack tight", hidden: true }, tools.element, values, title);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });
-  const told = h("small", { class: "told" }, t("not worked out yet"));
+  const told = h("small", { class: "told" }, NOT_YET);
 
-  /** All that the wall shows: at once, as the last estimate foretells it of what is set now. */
   function readDrawing() {
-    return drawingOf(spec(), now.estimate ? coarseBlur(now.estimate, spec()) : 0);
-  }
-
-  function drawingOf(asked, blurMm) {
-    const screen = screenOf(asked), share = blurMm / SPREAD / screen.width_mm;
-    return { ...now, screen, blurShare: share > 0 && share < 1 ? share : 0 };
-  }
-
-  /** What the wall would show of another spec, drawn small; null where this browser cannot show the picture. */
-  function small(asked, blurMm) {
-    if (!now.picture?.shown) return null;
-    const canvas = h("canvas", { class: "outcome", "aria-hidden": "true" });
-    drawWall(canvas, new OffscreenCanvas(1, 1), drawingOf(asked, blurMm), SMALL);
-    return canvas;
+    return { ...now, screen: screenOf(spec()) };
   }
 
   function edit(edits) {
@@ -100,10 +86,20 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
-  function show(estimate, first) {
+  /** Something else is set now: the light that is known is not its light. */
+  function forget() {
+    Object.assign(now, { estimate: null, light: null });
+    write(told, NOT_YET);
+    draw();
+  }
+
+  async function show(estimate, first) {
     now.estimate = estimate;
-    seen.wall.classList.add("known");
-    write(told, first ? t("A first look: exact figures follow.") : Number.isFinite(estimate.psnr_db) ? eyeWords(estimate.psnr_db) : "");
+    const light = estimate.wall && Object.assign(new Image(), { src: estimate.wall });
+    await light?.decode();
+    if (now.estimate !== estimate) return; // something was changed meanwhile
+    now.light = light;
+    write(told, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.psnr_db));
     seen.draw();
   }
 
@@ -119,9 +115,8 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     tools: all,
     begin,
     has: () => now.picture !== null,
-    draw,
+    forget,
     show,
-    small,
     blame,
     /** What is wrong with the picture, "" nothing that is known. */
     fault: () => fault.textContent,

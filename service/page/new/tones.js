@@ -60,37 +60,3 @@ export function bend(rgba, table) {
     rgba[at + 2] = table[rgba[at + 2]];
   }
 }
-
-/** A blur of standard deviation `sigma` pixels: three boxes along each axis are a Gaussian for the eye. */
-export function blurred(light, width, height, sigma) {
-  const radii = boxes(sigma);
-  let [from, to] = [Float32Array.from(light), new Float32Array(light.length)];
-  for (const [count, stride, lines, step] of [
-    [width, 1, height, width],
-    [height, width, width, 1],
-  ]) {
-    for (const radius of radii) {
-      for (let line = 0; line < lines; line += 1) box(from, to, line * step, stride, count, radius);
-      [from, to] = [to, from];
-    }
-  }
-  return from;
-}
-
-/** Radii of three boxes whose variances, (r^2 + r) / 3 each, come nearest to sigma^2; those of 0 are left out. */
-function boxes(sigma) {
-  const small = Math.floor((Math.sqrt(4 * sigma * sigma + 1) - 1) / 2);
-  const larger = Math.round((3 * sigma * sigma - 3 * (small * small + small)) / (2 * small + 2));
-  return [0, 1, 2].map((number) => (number < larger ? small + 1 : small)).filter((radius) => radius > 0);
-}
-
-/** A running mean over 2 radius + 1 values; beyond the ends the last value goes on. */
-function box(from, to, start, stride, count, radius) {
-  const at = (index) => from[start + stride * Math.min(count - 1, Math.max(0, index))];
-  let sum = 0;
-  for (let index = -radius; index <= radius; index += 1) sum += at(index);
-  for (let index = 0; index < count; index += 1) {
-    to[start + stride * index] = sum / (2 * radius + 1);
-    sum += at(index + radius + 1) - at(index - radius);
-  }
-}

@@ -96,7 +96,7 @@ function newJob(profiles, app, withMills) {
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: showEstimate });
   const coupon = couponPart({ take: takeChange });
-  const improve = improvements({ make: estimateForm, take: takeChange, draw: (values, blurMm) => side.small(withChange(form.read().spec, values), blurMm) });
+  const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar(submit);
   const sending = sender({ onWait: foot.wait });
 
@@ -123,7 +123,7 @@ function newJob(profiles, app, withMills) {
   function changed() {
     now.refused = []; // what was sent is not what is here any more
     now.forMore = false;
-    side.draw();
+    side.forget();
     element.classList.toggle("stale", now.estimate !== null);
     asks.ask();
     ready();

@@ -1,12 +1,12 @@
 /**
- * The picture and what light will paint of it on the wall, side by side. Either is where the part of the picture is
+ * The picture and the light that the wall will show of it, side by side; until that light is known, the picture. Either is where the part of the picture is
  * chosen, too: drag it, pinch it, use the wheel, or the arrow keys with + and -.
  */
 
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { MOST_ZOOM, paint, partOf, clampEdits, sizeOf } from "./picture.js";
-import { bend, blurred, curve, greyOf, lightOf } from "./tones.js";
+import { bend, curve, greyOf, lightOf } from "./tones.js";
 
 const SIDE = 448; // pixels of the longer side
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -14,8 +14,8 @@ const KEY_STEP = 0.05; // of the part
 const ZOOM_STEP = 1.15;
 
 /**
- * {picture, wall: elements, draw()}. state() -> {picture, edits, screen: {aspect, fit, tone, invert}, blurShare}: all that is drawn,
- * blurShare the standard deviation of the blur as a share of the screen's width. onEdit(edits): a person changed it.
+ * {picture, wall: elements, draw()}. state() -> {picture, edits, screen: {aspect, fit, tone, invert}, light}: all that is drawn,
+ * light an image of the light on the wall, null while it is not known. onEdit(edits): a person changed it.
  */
 export function wall({ state, onEdit }) {
   const canvas = h("canvas", {
@@ -33,7 +33,7 @@ export function wall({ state, onEdit }) {
     asked ||= requestAnimationFrame(() => {
       asked = 0;
       if (!canvas.isConnected || !state().picture?.shown) return;
-      drawWall(canvas, sharp, state(), SIDE);
+      drawWall(canvas, sharp, state());
       for (const one of [canvas, sharp]) one.classList.toggle("movable", state().screen.fit === "crop");
     });
   }
@@ -77,9 +77,9 @@ export function wall({ state, onEdit }) {
   return { picture: sharp, wall: canvas, draw };
 }
 
-/** Draws on `sharp` the part of the picture, on `canvas` what the wall shows of it, `side` pixels along the longer side. */
-export function drawWall(canvas, sharp, { picture, edits, screen, blurShare }, side) {
-  const [width, height] = [Math.min(1, screen.aspect), Math.min(1, 1 / screen.aspect)].map((share) => Math.max(1, Math.round(side * share)));
+/** Draws on `sharp` the part of the picture, on `canvas` the light on the wall or, not known, what it is to be. */
+function drawWall(canvas, sharp, { picture, edits, screen, light }) {
+  const [width, height] = [Math.min(1, screen.aspect), Math.min(1, 1 / screen.aspect)].map((share) => Math.max(1, Math.round(SIDE * share)));
   const [context, shown] = [sharp, canvas].map((one) => {
     if (one.width !== width || one.height !== height) Object.assign(one, { width, height });
     return one.getContext("2d", { willReadFrequently: true });
@@ -93,9 +93,11 @@ export function drawWall(canvas, sharp, { picture, edits, screen, blurShare }, s
   const pixels = context.getImageData(0, 0, width, height);
   if (edits.brightness || edits.contrast) bend(pixels.data, curve(edits));
   context.putImageData(pixels, 0, 0);
-  const light = lightOf(pixels.data, screen);
-  darken(light, box, width, height);
-  pixels.data.set(greyOf(blurred(light, width, height, blurShare * width)));
+  canvas.classList.toggle("known", light !== null);
+  if (light) return shown.drawImage(light, 0, 0, width, height);
+  const asked = lightOf(pixels.data, screen);
+  darken(asked, box, width, height);
+  pixels.data.set(greyOf(asked));
   shown.putImageData(pixels, 0, 0);
 }
 

@@ -10,6 +10,10 @@ from phrases.phrase import Phrase, phrases_in
 from service.server.schemas.base import Body, Phrases
 from service.server.schemas.jobs import ProblemField
 
+_WALL = (  # 4 x 3 pixels
+    "data:image/png;base64,"
+    "iVBORw0KGgoAAAANSUhEUgAAAAQAAAADCAAAAACRn/EaAAAAF0lEQVR4XmNkCFWUZFwkxM/HeI+bhwsAEdcCY6432NIAAAAASUVORK5CYII="
+)
 _EXAMPLE: dict[str, Any] = {
     "relief_mm": 9.31,
     "max_slope_deg": 27.7,
@@ -25,6 +29,7 @@ _EXAMPLE: dict[str, Any] = {
     "hours": 2.22,
     "blur_mm": 1.2,
     "psnr_db": 24.5,
+    "wall": _WALL,
     "blur_by": {"light_mm": 0.0, "milling_mm": 1.2},
     "refusals": [],
     "warnings": [Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=2.5)],
@@ -72,6 +77,13 @@ class EstimateView(Body):
     hours: float
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
     psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]
+    wall: Annotated[
+        str | None,
+        Field(
+            description="the picture that psnr_db is of, as the viewer sees it, by simulated light: the data URL of a "
+            "grey PNG of at most 256 pixels along its longer side; null as psnr_db is"
+        ),
+    ]
     blur_by: BlurEstimate
     refusals: Annotated[list[ProblemField], Field(description="why the job would fail")]
     warnings: list[str]

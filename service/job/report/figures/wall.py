@@ -1,65 +1,29 @@
-"""PNG pictures of the light on the wall: target, caustic, as milled, out of focus, and small for a list of jobs.
+"""Figures of the light on the wall, PNG: caustic beside target, as milled, out of focus; exposed as `light_png` says.
 
-A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top. All pictures of one job share one
-exposure: white is the brightest pixel of the target, brighter light is clipped, so that files can be compared by eye.
+A picture here is (ny, nx) linear irradiance as the viewer sees it, row 0 at the top.
 Every function returns the bytes of a PNG and writes nothing.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
-from PIL import Image
 from scipy.ndimage import uniform_filter
 
-from service.job.picture.resampling import resize
-from service.job.report.figures.base import COMPRESS_LEVEL, Array, new_figure, panel_height, png_bytes, round_up
+from service.job.picture.light_png import srgb_levels
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up
 
 _LEAST_SCALE_PERCENT = 0.1
 _PART = 4  # a quarter of each side is shown enlarged
 _QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
-THUMBNAIL_BYTES = 18_000
-THUMBNAIL_SIDES = (192, 168, 144, 120)  # pixels of the longer side; the last fits even if nothing can be packed
-
-
-def srgb_levels(picture: Array, *, white: float) -> NDArray[np.uint8]:
-    """Convert linear irradiance (any shape) to 8 bit sRGB; `white` becomes 255, what is brighter is clipped.
-
-    IEC 61966-2-1. Raises ValueError unless white is positive and finite.
-    """
-    if not (np.isfinite(white) and white > 0):
-        raise ValueError(f"white must be a positive irradiance, not {white}")
-    linear = np.clip(np.nan_to_num(np.asarray(picture, dtype=np.float64)) / white, 0.0, 1.0)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255.0 * encoded), dtype=np.uint8)
 
 
 def show_light(axes: Axes, picture: Array, white: float, **look: Any) -> None:
     """Draw a picture (ny, nx) into axes; look: of `imshow`."""
     axes.imshow(srgb_levels(picture, white=white), cmap="gray", vmin=0, vmax=255, **look)
-
-
-def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
-    """Draw the plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
-    levels = srgb_levels(picture, white=white).repeat(scale, axis=0).repeat(scale, axis=1)
-    buffer = io.BytesIO()
-    Image.fromarray(levels).save(buffer, format="PNG", compress_level=COMPRESS_LEVEL)
-    return buffer.getvalue()
-
-
-def row_png(pictures: Sequence[Array], *, white: float, side: int = 300) -> bytes:
-    """Draw pictures (ny, nx) of one shape side by side, small, with a white gap between them and no words."""
-    levels = [srgb_levels(_smaller(picture, side), white=white) for picture in pictures]
-    gap = np.full((levels[0].shape[0], max(2, side // 30)), 255, dtype=np.uint8)
-    row = np.hstack([part for one in levels for part in (gap, one)][1:])
-    buffer = io.BytesIO()
-    Image.fromarray(row).save(buffer, format="PNG", compress_level=COMPRESS_LEVEL)
-    return buffer.getvalue()
 
 
 def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated caustic") -> bytes:
@@ -142,24 +106,3 @@ def _without_ticks(axes: Axes, title: str) -> Axes:
 
 def _show_picture(axes: Axes, title: str, picture: Array, white: float) -> None:
     show_light(_without_ticks(axes, title), picture, white)
-
-
-def thumbnail_png(picture: Array, *, white: float) -> bytes:
-    """Return `picture_png`, small: a list of jobs shows dozens. The same exposure, averages of light, never enlarged.
-
-    picture : (ny, nx) linear irradiance as the viewer sees it, row 0 on top
-    """
-    packed = b""
-    for side in THUMBNAIL_SIDES:
-        packed = picture_png(_smaller(picture, side), white=white)
-        if len(packed) <= THUMBNAIL_BYTES:
-            break
-    return packed
-
-
-def _smaller(picture: Array, side: int) -> Array:
-    scale = side / max(picture.shape)
-    if scale >= 1.0:
-        return picture
-    ny, nx = (max(1, round(scale * length)) for length in picture.shape)
-    return resize(picture, (ny, nx))

@@ -21,9 +21,9 @@ from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.photo.findings import REFUSALS, SENTENCES, PhotoFinding, UselessPhotoError
 from service.job.photo.foretold import foretold_of
 from service.job.photo.looking import _find_tilt, look_at
+from service.job.picture.light_png import picture_png
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import WallPhoto, read_wall_photo
-from service.job.report.figures.wall import picture_png
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
 from tests.optics.photograph.test_wall import PIXELS, RIM, SIDE_MM, THROW_MM, light_on_the_wall, portrait_lens

@@ -10,11 +10,12 @@ from PIL import Image
 
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
+from service.job.picture.light_png import picture_png, srgb_levels
 from service.job.report.figures.base import round_up
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.lens import flow_png, heightfield_png, shade_by_raking_light
 from service.job.report.figures.paths import PathSample, toolpath_png
-from service.job.report.figures.wall import comparison_png, picture_png, srgb_levels, through_focus_png
+from service.job.report.figures.wall import comparison_png, through_focus_png
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -52,12 +53,11 @@ def test_the_saved_picture_is_what_the_viewer_sees(viewed_from):
     assert np.array_equal(pixels(picture_png(seen, white=irradiance.max())), expected)
 
 
-def test_a_scaled_picture_repeats_whole_pixels():
-    picture = np.arange(6.0).reshape(2, 3)
-    shown = pixels(picture_png(picture, white=5.0, scale=4))
-    assert shown.shape == (8, 12)
-    assert np.array_equal(shown[::4, ::4], pixels(picture_png(picture, white=5.0)))
-    assert np.array_equal(shown[3::4, 3::4], shown[::4, ::4])
+def test_a_small_picture_has_the_means_of_light_and_a_smaller_one_stays_as_it_is():
+    light = np.random.default_rng(7).random((6, 8))
+    means = light.reshape(3, 2, 4, 2).mean((1, 3))
+    assert np.array_equal(pixels(picture_png(light, white=1.0, side=4)), srgb_levels(means, white=1.0))
+    assert picture_png(light, white=1.0, side=8) == picture_png(light, white=1.0)
 
 
 @given(st.floats(1e-6, 1e6))

@@ -11,8 +11,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from pypdf import PageObject, PdfReader
 
+from service.job.picture.light_png import picture_png
 from service.job.report.figures.a4_sheet import HEIGHT, WIDTH, known, width_of, words_of, wrap
-from service.job.report.figures.wall import picture_png
 from service.job.report.setup_pdf import render_setup_pdf
 from service.job.report.setup_sheet import describe_setup, render_report
 from tests.service.job.report.test_setup_sheet import PROGRAM, REPORT, SPEC, Page

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from service.job.picture.light_png import THUMBNAIL_BYTES, THUMBNAIL_SIDES, picture_png, srgb_levels, thumbnail_png
 from service.job.picture.linear_light import srgb_to_linear
-from service.job.report.figures.wall import THUMBNAIL_BYTES, THUMBNAIL_SIDES, picture_png, srgb_levels, thumbnail_png
 
 
 def opened(content: bytes) -> Image.Image:
