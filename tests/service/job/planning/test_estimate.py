@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +16,15 @@ from PIL import Image
 from optics.design import design_lens
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
+from optics.metrics import psnr_db
 from service.errors import PictureError, SpecError
 from service.job.picture import decoding, reading
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import read_picture
+from service.job.picture.resampling import resize
 from service.job.planning import estimate as estimating
-from service.job.planning.estimate import PIXELS, coarse_spec, estimate
+from service.job.planning.estimate import PIXELS, WALL_PIXELS, coarse_spec, estimate
 from service.job.planning.lens_facts import measure_lens
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
@@ -29,7 +34,7 @@ from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolved import ResolvedJob, look_up
 from tests.phrases.sentences import untold
-from tests.service.job.stages.jobs import run_job
+from tests.service.job.stages.jobs import StagedJob, run_job
 
 PICTURES = Path(__file__).parents[4] / "examples"
 SMALL = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=30", "image.pixels=128")
@@ -125,8 +130,8 @@ def test_what_is_estimated_is_what_the_job_comes_to(
 ) -> None:
     spec = small("optics.width_mm=14", "optics.height_mm=14", "image.pixels=64", *values, preset=preset)
     found = estimated(spec, picture)
-    unasked = ("caustic", "check", "report")
-    report = run_job(tmp_path, PICTURES / f"{picture}.png", spec, without=unasked).report
+    job = run_job(tmp_path, PICTURES / f"{picture}.png", spec, without=("caustic", "check", "report"))
+    report = job.report
     pixel_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     took_h = [row["time_s"] / 3600 for row in report["passes"]]
     assert found["relief_mm"] == pytest.approx(report["optics"]["relief_mm"], rel=0.05)
@@ -136,6 +141,35 @@ def test_what_is_estimated_is_what_the_job_comes_to(
     assert found["blur_by"]["milling_mm"] == pytest.approx(report["as_milled"]["blur_px"] * pixel_mm, rel=0.3)
     assert found["psnr_db"] == pytest.approx(report["as_milled"]["psnr_db"], abs=2.0)  # words change every 6 dB
     assert (found["thickness_ok"], found["refusals"]) == (True, [])
+    compare_walls(found, job, "caustic-as-milled.png")
+
+
+def compare_walls(found: dict[str, Any], job: StagedJob, name: str) -> None:
+    """The wall of an estimate against the job's own picture of it, both against the target."""
+    wall = light_of(base64.b64decode(found["wall"].partition(",")[2]))
+    made, target = (resize(light_of(job.bytes(one)), wall.shape) for one in (name, "target.png"))
+    assert np.corrcoef(wall.ravel(), made.ravel())[0, 1] >= 0.95
+    assert psnr_db(wall, target) == pytest.approx(psnr_db(made, target), abs=1.0)
+
+
+def light_of(packed: bytes) -> Array:
+    """Of a picture of the wall: linear, white 1."""
+    return srgb_to_linear(np.asarray(Image.open(io.BytesIO(packed))) / 255.0)
+
+
+@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
+def test_the_wall_of_an_estimate_is_small_the_right_way_round_and_of_the_light_that_is_scored(viewed_from: str) -> None:
+    """Of `camera`, which no mirror leaves as it is; exposed by the target, as a job's pictures are."""
+    spec = small("image.pixels=300", f"optics.viewed_from={viewed_from}", "image.tone=linear")
+    found = estimated(spec)
+    wall = light_of(base64.b64decode(found["wall"].partition("data:image/png;base64,")[2]))
+    assert wall.shape == (WALL_PIXELS, WALL_PIXELS)
+    picture = read_picture(PICTURES / "camera.png", spec.image, rows=300, aspect=1.0).linear
+    wanted = resize(picture, wall.shape) / picture.max()
+    likeness = [np.corrcoef(wall.ravel(), one.ravel())[0, 1] for one in (wanted, wanted[:, ::-1], wanted[::-1])]
+    assert likeness[0] > 0.8 > 0.6 > max(likeness[1:])
+    assert wall.mean() == pytest.approx(wanted.mean(), rel=0.05)
+    assert psnr_db(wall, wanted) >= found["psnr_db"] - 0.1  # whose light is finer
 
 
 def test_the_light_s_own_size_is_its_angle_times_the_throw() -> None:
