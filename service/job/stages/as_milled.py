@@ -29,7 +29,7 @@ from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MI
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
-from service.job.spec.lens_task import bench_of, finish_of
+from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
 from service.job.spec.resolve import cam_passes_of
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
@@ -169,6 +169,7 @@ def _tell(
             **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
+            "light": facts_of_light(context.spec),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
             "slope_rms_mrad": found.slope_mrad,

@@ -10,6 +10,7 @@ from PIL import Image
 
 from optics.finish import Finish
 from service.job.files import AS_FINISHED, COMPARED_FINISHED
+from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_spec
 from service.job.stages.as_finished import warn_of_rounded_rim
 from service.job.stages.table import plan
@@ -46,6 +47,7 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     assert seen["psnr_db"] > milled["psnr_db"] + 3.0
     assert seen["smallest_detail_mm"] < 0.6 * milled["smallest_detail_mm"]
     assert seen["finish"]["k0_rad_per_mm"] == 5.0
+    assert seen["light"] == milled["light"] == facts_of_light(finished.spec)
 
 
 @given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))

@@ -84,6 +84,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("optics.screen_shift_x_mm", {"map", "caustic", "as-milled"}),
         ("optics.outline", {"map", "heightfield", "caustic", "check", "as-milled"}),
         ("optics.light.profile", {"map", "caustic", "as-milled"}),
+        ("optics.light.spectrum", {"map", "caustic", "as-milled"}),
         ("optics.viewed_from", {"irradiance", "map", "caustic", "as-milled"}),
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
