@@ -121,8 +121,8 @@ PMMA = Material(
         "for tools of 3 mm and more; 0.13-0.25 mm for 6 mm tools at low speed",
         "Wattsan, 'How to mill plexiglass': at most 4 mm deep when roughing",
         "Curbell Plastics, thermoplastic milling tables: 300-500 m/min",
-        "Sultanova, Kasarova, Nikolov 2009, PMMA: n_d 1.4917, n_F - n_C 0.0085, which makes 1.4933 in white; makers of "
-        "sheet state 1.49",
+        "catalogues of optical polymers, PMMA: n_d 1.4917, Abbe number 57.4 to 57.8, so n_F - n_C 0.0085 and 1.4933 in "
+        "white; makers of sheet state 1.49",
         "for radii of 1 mm and less: 1-1.5 % of the diameter per tooth, a rule of thumb of cutter makers",
     ),
     cutting=(

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.bench import Bench
+from optics.bench import Bench, Screen
 from optics.caustic import BEAMS, simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -20,6 +20,7 @@ from optics.metrics import psnr_db
 from optics.spectrum import Spectrum, luminous_efficiency
 from optics.tolerance import lens_tolerances, wall_for_index_mm
 from tests.benchmarks.pictures import target
+from tests.trials.renderer import split_colours
 
 PMMA = 0.0085  # n_F - n_C
 WHITE, SUN = Spectrum(kind="white"), Spectrum(kind="sun")
@@ -83,6 +84,26 @@ def test_the_picture_in_white_is_the_mean_of_its_colours(lens: Heightfield) -> N
     ]
     np.testing.assert_allclose(picture(lens, BENCH), np.mean(seen, axis=0), atol=1e-9)
     assert np.mean([beam.refractive_index for beam in BENCH.bundle(BEAMS)]) == pytest.approx(1.49, abs=1e-12)
+
+
+def test_white_light_is_that_of_the_eye_s_table_and_of_another_law_of_the_index() -> None:
+    """A lens whose rays cross bends light far and loses 9 dB in white. Sellmeier's law in place of Cauchy's."""
+    bench = replace(BENCH, width_mm=40.0, height_mm=40.0, throw_mm=60.0, branch="inverted")
+    bench = replace(bench, screen=Screen(width_mm=40.0, height_mm=40.0, centre_x_mm=20.0, centre_y_mm=20.0))
+    aim = target("camera", 64)
+    lens = design_lens(aim, LensSettings(bench=under(Spectrum(), bench), skim_mm=0.1)).heightfield
+
+    def score(light: np.ndarray) -> float:
+        return psnr_db(light, aim)
+
+    def seen(bench: Bench) -> np.ndarray:
+        return simulate_caustic(lens, bench, pixels=(64, 64)).irradiance
+
+    lines = sum(
+        share * seen(replace(under(Spectrum(), bench), refractive_index=n)) for n, share in split_colours(bench)
+    )
+    assert score(seen(under(Spectrum(), bench))) > score(np.asarray(lines)) + 6.0
+    assert score(seen(bench)) == pytest.approx(score(np.asarray(lines)), abs=0.1)
 
 
 @pytest.mark.parametrize("spectrum", [WHITE, SUN, GREEN], ids=lambda one: one.kind)
