@@ -212,6 +212,8 @@ def light_sentences(spec: Mapping[str, Any]) -> list[Phrase]:
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
     sentences = [describe_light(light, is_mirror=is_mirror)]
+    if (spectrum := light.get("spectrum")) is not None and not is_mirror:
+        sentences.append(Phrase("The lens is made for {colours}.", colours=name_spectrum(spectrum)))
     if light.get("gaussian_mm") is not None:
         width_mm = number(light["gaussian_mm"])
         sentences.append(

@@ -118,6 +118,7 @@ def test_index_and_wall_are_stated_together() -> None:
         ),
         ({"light": {"kind": "point", "distance_mm": 500.0, "size_mm": 3.0}}, ["lamp of 3 mm"]),
         ({"surface": "mirror", "light": {"kind": "point", "distance_mm": 500.0}}, ["500 mm from the stock top"]),
+        ({"light": {"kind": "collimated", "spectrum": "white"}}, ["The lens is made for a white LED."]),
         ({"light": {"kind": "collimated", "gaussian_mm": 90.0}}, ["90 mm wide"]),
         ({"light": {"kind": "collimated", "profile": [[1, 2], [3, 4]]}}, ["uneven as measured"]),
         ({"outline": "ellipse"}, ["mask"]),
