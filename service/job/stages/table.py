@@ -161,6 +161,8 @@ _MILLED = (
     "machine.dialect",
     "machine.step_mm",
     "machine.z_noise_mm",
+    "machine.screw_error_mm",
+    "machine.screw_lead_mm",
     "finish",
     *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
 )

@@ -46,6 +46,7 @@ _GIVEN: dict[str, Any] = {
     "machine": {
         "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
+        "screw_error_mm": [0.001, 0.0, 0.001], "screw_lead_mm": [2.0, 2.0, 2.0],
         "junction_deviation_mm": 0.01,
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
         "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0, "coolant": "none",
@@ -68,7 +69,9 @@ OTHER: dict[str, Any] = {
     "stock.thickness_mm": 25.0, "stock.margin_mm": 2.5, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
-    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001, "machine.whole_steps": True,
+    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001,
+    "machine.screw_error_mm": [0.002, 0.0, 0.001], "machine.screw_lead_mm": [2.0, 2.0, 1.25],
+    "machine.whole_steps": True,
     "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.coolant": "flood",
     "machine.collet_mm": 8.0, "machine.spindle_w": 400.0, "machine.removal_cm3_per_min": 5.0,
     "machine.work_offset": 2, "machine.warm_up_s": 10.0, "machine.trace_outline": True,
