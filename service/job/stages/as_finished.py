@@ -24,7 +24,7 @@ from service.job.files import (
 )
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
-from service.job.spec.lens_task import bench_of, finish_of
+from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
 from service.job.stages.finish_tolerance import report_tolerance
@@ -135,6 +135,7 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
             **score,
             **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
+            "light": facts_of_light(context.spec),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
             "contact_share": finished.contact_share,

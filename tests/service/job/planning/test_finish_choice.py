@@ -19,7 +19,10 @@ from service.job.planning.predicted_light import PictureLight
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import with_plan
 
-SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64")
+SIZE = (
+    "optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64",
+    "optics.light.spectrum=monochromatic",  # rows and finishes are what is looked at
+)  # fmt: skip
 ROUGH, FINE = ("machine.z_noise_mm=0.002",), ("machine.z_noise_mm=0.0", "machine.step_mm=0.00001")
 
 

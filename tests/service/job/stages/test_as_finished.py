@@ -10,6 +10,7 @@ from PIL import Image
 
 from optics.finish import Finish
 from service.job.files import AS_FINISHED, COMPARED_FINISHED
+from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_spec
 from service.job.stages.as_finished import warn_of_lost_contact, warn_of_rounded_rim
 from service.job.stages.table import plan
@@ -49,6 +50,7 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     assert 0.5 < seen["contact_share"] <= 1.0
     notes = " ".join(finished.results["as-finished"].notes["passes"])
     assert ("touches" in notes) == (seen["contact_share"] < 0.98)
+    assert seen["light"] == milled["light"] == facts_of_light(finished.spec)
 
 
 @given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))
