@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
 from optics.light import Beam, Light, disc_points, meet
+from optics.spectrum import Spectrum
 from optics.spline import Array
 
 Branch = Literal["direct", "inverted"]
@@ -127,17 +128,26 @@ class Bench:
         """Return the light as beams of equal strength: at most that many.
 
         A source with a size has so many places, each with a wavelength of its own: places and colours are drawn evenly
-        together, so that colours cost nothing more. Of one place, colours lie on a line and not on a disc, and the
-        root of that number does: 5 of 19 show the picture of 31 within 0.1 dB. One beam is the middle of all.
+        together, so that colours cost nothing more. Of one place, colours lie on a line and not on a disc, and a fourth
+        of that number does: `camera` 512, which has 45.9 dB in many, has 46.1 in 5 and 46.8 in 2. One beam is the
+        middle of all.
         """
         if not self.light.extended or beams <= 1:
-            return [self.beam(more_index=more) for more in self.split_index(math.ceil(math.sqrt(beams)))]
+            return [self.beam(more_index=more) for more in self.split_index(math.ceil(beams / 4))]
         places, colours = disc_points(beams), self.split_index(beams)
         mixed = _mix_colours(places, np.array(colours)) if len(colours) > 1 else np.zeros(beams)
         return [
             self.beam(aside=(float(x), float(y)), more_index=float(more))
             for (x, y), more in zip(places, mixed, strict=True)
         ]
+
+    def spare_colours(self) -> Bench:
+        """Return the light in its mean colour where each colour is a beam more: where they are not worth their time."""
+        return self if self.light.extended else self.in_mean_colour()
+
+    def in_mean_colour(self) -> Bench:
+        """Return the same light of one wavelength: that of the mean index of its colours."""
+        return replace(self, light=replace(self.light, spectrum=Spectrum()))
 
     def split_index(self, parts: int) -> tuple[float, ...]:
         """Return the index less its mean, of so many equal parts of the light's spectrum; one where all bend alike."""

@@ -21,7 +21,6 @@ from optics.convolution import convolve_same
 from optics.heightfield import Heightfield
 from optics.light import SUN_DEG, Beam, disc_points, leave, meet
 from optics.metrics import psnr_db
-from optics.spectrum import Spectrum
 from optics.spline import Array
 
 FOCUS_SHARES = (-0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02)  # of the throw
@@ -34,7 +33,7 @@ _BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to whe
 _FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
 # Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
 _TUBES, _TUBES_COARSE = 2, 1
-_BEAMS = 2  # colours of the light of a changed set-up; what they miss near focus is added from the middle's
+_BEAMS = 8  # two colours of the light of a changed set-up; what they miss near focus is added from the middle's
 _WALL_STEPS = 4
 _NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and aslant: not yet far out of focus, where the coarse are within 0.35 dB
 
@@ -103,11 +102,6 @@ class Tolerances:
 def without_size(bench: Bench) -> Bench:
     """Return the same light from the middle of its source alone."""
     return replace(bench, light=replace(bench.light, middle_only=True))
-
-
-def of_one_wavelength(bench: Bench) -> Bench:
-    """Return the same light of the mean of its colours alone."""
-    return replace(bench, light=replace(bench.light, spectrum=Spectrum()))
 
 
 def sharp_light(heightfield: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:

@@ -21,7 +21,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.finish import FinishSpec
-from service.job.spec.light import LIGHT_WORDS, spectrum_of
+from service.job.spec.light import LIGHT_WORDS, name_spectrum, spectrum_of
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
@@ -57,10 +57,13 @@ def light_of(optics: OpticsSpec) -> Light:
 
 
 def facts_of_light(spec: JobSpec) -> dict[str, Any]:
-    """Return the light that scores hold under, as plain data; dispersion: n_F - n_C that counts, None: not known."""
+    """Return the light that scores hold under, as plain data, and its colours in words; dispersion: n_F - n_C that
+    counts, None: not known.
+    """
     light = spec.optics.light.model_dump(mode="json", exclude={"profile"}, exclude_none=True)
     dispersion = MATERIALS[spec.stock.material].dispersion
-    return {**light, "dispersion": 0.0 if spec.optics.surface == "mirror" else dispersion}
+    dispersion = 0.0 if spec.optics.surface == "mirror" else dispersion
+    return {**light, "dispersion": dispersion, "words": name_spectrum(light.get("spectrum"))}
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:

@@ -20,7 +20,6 @@ from optics.tolerance import (
     Tolerances,
     in_pixels,
     lens_tolerances,
-    of_one_wavelength,
     sharp_light,
 )
 from service.job import arrays
@@ -51,7 +50,7 @@ def run_caustic(context: StageContext) -> None:
         on_progress(0.4)
         _tell(context, in_focus, score_caustic(in_focus.irradiance, target))
         if len(bench.split_index(2)) > 1:
-            plain_light = simulate_caustic(heightfield, of_one_wavelength(bench), pixels=_shape(target))
+            plain_light = simulate_caustic(heightfield, bench.in_mean_colour(), pixels=_shape(target))
             context.report["optics"]["psnr_db_one_wavelength"] = psnr_db(plain_light.irradiance, target)
         if bench.light.extended:
             _tell_without_size(context, score_caustic(without_size.irradiance, target))

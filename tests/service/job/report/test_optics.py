@@ -187,11 +187,14 @@ def test_the_drawing_shows_where_light_comes_from(is_mirror: bool, lamp_mm: floa
 
 def test_the_summary_says_what_the_set_up_must_keep_to(tmp_path: Any) -> None:
     facts = {"psnr_db": 41.0, "ssim": 0.99, "misplaced_light": 0.01, "relief_mm": 20.0, "max_slope_deg": 20.0}
-    told = optics(**facts, closing=CLOSING, polish=POLISH, dark_leak=0.018, branch="inverted", tolerances=TOLERANCES)
+    light = {"spectrum": "white", "dispersion": 0.0085, "words": "a white LED"}
+    told = optics(
+        **facts, light=light, closing=CLOSING, polish=POLISH, dark_leak=0.018, branch="inverted", tolerances=TOLERANCES
+    )
     lines = list(summary_lines(tmp_path, told))
     assert (
-        "light: shaped for a ball R 0.5 (Ø 1 mm) (-0.6 dB), polished (+4.8 dB), dark leak 1.80 %, "
-        "rays cross before the screen"
+        "light: all figures hold under a white LED, shaped for a ball R 0.5 (Ø 1 mm) (-0.6 dB), polished (+4.8 dB), "
+        "dark leak 1.80 %, rays cross before the screen"
     ) in lines
     assert "set-up: 3 dB are lost with the wall 0.25 mm too near or 0.3 mm too far" in lines
     assert not any(line.startswith(("light:", "set-up:")) for line in summary_lines(tmp_path, optics(**facts)))

@@ -88,5 +88,5 @@ def test_a_material_of_unknown_dispersion_has_one_index(centre_nm: float, width_
 )
 def test_scores_state_their_light(override: tuple[str, ...], facts: dict[str, Any], words: str) -> None:
     found = facts_of_light(resolved(*override))
-    assert found == facts
+    assert found == {**facts, "words": words}
     assert str(name_spectrum(found["spectrum"])) == words

@@ -14,7 +14,7 @@ from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_spec
 from service.job.stages.as_finished import warn_of_lost_contact, warn_of_rounded_rim
 from service.job.stages.table import plan
-from tests.service.job.stages.jobs import StagedJob, run_job
+from tests.service.job.stages.jobs import StagedJob, run_job, without_light
 
 ROWS = [
     {"name": "rough", "radius_mm": 1.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.1},
@@ -51,6 +51,7 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     notes = " ".join(finished.results["as-finished"].notes["passes"])
     assert ("touches" in notes) == (seen["contact_share"] < 0.98)
     assert seen["light"] == milled["light"] == facts_of_light(finished.spec)
+    assert "finish_tolerance" in finished.report and without_light(finished.report) == []
 
 
 @given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))

@@ -16,7 +16,7 @@ from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter
 from tests.phrases.sentences import untold
-from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
+from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec, without_light
 
 CORRECTED = "optics.corrections=2"
 OWN_OF_A_RUN = {"timings_s", "peak_rss_mb"}  # what a run says of itself, not of the job
@@ -72,7 +72,8 @@ def test_the_report_is_that_of_make_but_for_the_clock(job: StagedJob, made: Path
 
 def test_every_score_says_under_which_light_it_holds(job: StagedJob) -> None:
     report = json.loads(job.bytes("report.json"))
-    white = {"kind": "collimated", "spectrum": "white", "dispersion": 0.0085}
+    white = {"kind": "collimated", "spectrum": "white", "dispersion": 0.0085, "words": "a white LED"}
+    assert without_light(report) == []
     assert [report[part]["light"] for part in ("optics", "as_milled")] == [white, white]
     assert report["optics"]["psnr_db_one_wavelength"] > 20
     assert report["optics"]["tolerances"]["index"]["more_index"] == 0.0035
