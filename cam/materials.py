@@ -50,6 +50,7 @@ class Material:
     refractive_index  : of white light, as an eye weighs it; a job may give one of its own
     index_spread      : how far that of one sheet may lie from it; None: not known
     dispersion        : n_F - n_C; None: not known, and all colours count as one
+    density_g_per_cm3 : by which a scale tells what a finish has taken off
     cutting_j_per_mm3 : what taking it off asks of the spindle
     """
 
@@ -57,6 +58,7 @@ class Material:
     label: str
     block: Phrase
     refractive_index: float
+    density_g_per_cm3: float
     advice: str
     sources: tuple[str, ...]
     cutting: tuple[CuttingData, ...]
@@ -114,6 +116,7 @@ PMMA = Material(
     refractive_index=1.49,
     index_spread=0.0035,
     dispersion=0.0085,
+    density_g_per_cm3=1.19,
     advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
     sources=(
         "Acrylite, tech brief 'Routing': routers turn at 20 000 rpm or more",

@@ -30,6 +30,7 @@ from optics.tubes.rays import fit_transposed
 
 DESIGN_BEAMS = 7  # of an extended light, while a lens is designed for it
 _OFF_K0, _OFF_ORDER = (0.8, 1.25), (0.75, 1.25)  # times what is planned: what becomes of it in the hand
+_CONTACT_STEPS = 2
 _OFF_WEIGHT = 0.15  # of each of them
 
 
@@ -83,14 +84,14 @@ class FinishedHeights:
     def touch(self, z_mm: Array) -> Mask:
         """Find anew where the pads touch; (ny, nx) of bool: where that of the first finish hangs over the surface.
 
-        In one step of all the work: `camera` behind four was the same within 0.02 dB.
+        In two steps of the work: one tells 0.9 dB more of a lens that was descended on by it, three as much as eight.
         """
         hangs: Mask = np.zeros(z_mm.shape, dtype=np.bool_)
         wide = self._widen(z_mm)
         for number, (finish, kept) in enumerate(zip(self._finishes, self._kept, strict=True)):
             if finish is None or kept is None or finish.depth_mm is None:
                 continue
-            worn = wear_surface(wide, kept, finish.depth_mm, steps=1)
+            worn = wear_surface(wide, kept, finish.depth_mm, steps=_CONTACT_STEPS)
             left = wide - worn.removal_mm - transform_back(transform(wide) * kept, self._shape)
             self._left[number] = left[self._inside]
             if number == 0:

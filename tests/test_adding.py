@@ -24,6 +24,7 @@ ICE = """ICE = Material(
     label="ice",
     block=Phrase("clear ice, frozen slowly"),
     refractive_index=1.31,
+    density_g_per_cm3=0.92,
     advice="Cold.",
     sources=("a test",),
     cutting=(

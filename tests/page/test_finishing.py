@@ -19,11 +19,19 @@ SEEN = {"psnr_db": 28.4, "ssim": 0.81, "misplaced_light": 0.03, "smallest_detail
 PROCESSES = built_in_processes()
 
 
-def finished(opened: Opened, number: int, *, seen: dict[str, Any] = SEEN, how: dict[str, Any], **given: Any) -> Page:
+def finished(
+    opened: Opened,
+    number: int,
+    *,
+    seen: dict[str, Any] = SEEN,
+    how: dict[str, Any],
+    rims: str | None = None,
+    **given: Any,
+) -> Page:
     """The view of the canned job, finished by hand, its picture prepared."""
     job, files = jobs.canned()
     told = instruct_finishing(how, PROCESSES, area_mm2=2500.0)
-    report = job["report"] | {"as_finished": seen, "finishing": told}
+    report = job["report"] | {"as_finished": seen, "finishing": told, "rim_room": {"advice": rims}}
     names = {"caustic-as-milled.png": "caustic-as-finished.png", "tolerances.png": "prepared.png"}
     files += [one | {"name": names[one["name"]]} for one in files if one["name"] in names]
     return jobs.shown(opened, jobs.like(job, number, report=report), files, **given)
@@ -46,6 +54,11 @@ def test_the_card_leads_through_the_finish(opened: Opened) -> None:
     facts.get_by_text("Figures for experts").click()
     likeness = page.get_by_role("row", name="Likeness (PSNR)").get_by_role("cell")
     expect(likeness.first).to_have_text("28.4 dB")
+
+
+def test_the_tool_that_the_rims_want_is_said(opened: Opened) -> None:
+    page = finished(opened, 45, how={"process": "felt"}, rims="On the outermost 4.0 mm work with a smaller tool.")
+    expect(page.locator(".finishing")).to_contain_text("On the outermost 4.0 mm work with a smaller tool.")
 
 
 def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:

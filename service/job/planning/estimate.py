@@ -47,6 +47,7 @@ from service.job.planning.lenses import compute_passes, design_for_finishes, for
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
+from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
 from service.job.spec.envelope import require_travel
 from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import (
@@ -390,9 +391,18 @@ def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
         yield from error.rows()
 
 
+def _rim_room(quick: QuickLens) -> RimRoom | None:
+    finish, passes = finish_of(quick.spec), cam_passes_of(quick.spec)
+    if finish is None:
+        return None
+    return measure_rim_room(quick.lens, passes, finish, margin_mm=quick.spec.stock.margin_mm)
+
+
 def _warnings(quick: QuickLens) -> Iterator[Phrase]:
     yield from (advice.words for advice in quick.design.warnings)
     yield from warn_of_removal(quick.spec, quick.job.machine)
+    if unreached := warn_of_rim_room(_rim_room(quick)):
+        yield unreached
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
         yield warn_of_reflection(quick.reflected_share)
     if quick.facts.max_slope_deg > _STEEP_DEG:

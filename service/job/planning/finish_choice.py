@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -14,6 +14,7 @@ from optics.threads import thread_count
 from phrases.phrase import Phrase
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
+from service.job.planning.rim_room import measure_rim_room
 from service.job.spec.finish import BEST, NONE, FinishSpec, fill_figures
 from service.job.spec.finish_library import Process, say
 from service.job.spec.lens_task import build_finish
@@ -95,38 +96,43 @@ def plan_finish(
     goal: Goal,
     *,
     exactly: bool,
+    margin_mm: float,
 ) -> FinishedPlan:
-    """Return the best plan of all finishings, its guesses corrected by a lens for one of the best of each kind: by
-    contact, and films.
+    """Return the best plan of all finishings whose tool gets to the rims, of all where none does; its guesses are
+    corrected by a lens for one of the best of each kind: by contact, and films.
 
     exactly    : and by lenses as fine as the picture, until the best is one of them: creases cost more there than on a
                  coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
+    margin_mm  : of the block around the lens
     """
     rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
+    reaching = {light: _keep_reaching(rows, light, margin_mm) for _, light in ways}
+    ways = [way for way in ways if reaching[way[1]]] or ways
+    rows_of = {light: reaching[light] or rows for _, light in ways}
     films = [way for way in ways if way[0].finish.depth_mm is None]
     tools = [way for way in ways if way[0].finish.depth_mm is not None]
     for alike, finer_lacks in ((films, _FINER_LACKS), (tools, _FINER_LACKS_TOUCH)):
         if not alike:
             continue
-        first = best_of(_plan_all(rows, left_out, alike[::_NEAR], goal), goal)
+        first = best_of(_plan_all(rows_of, left_out, alike[::_NEAR], goal), goal)
         first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else finer_lacks)
         share_calibration(first.light, (light for _, light in alike))
     if not exactly:
-        best = best_of(_plan_all(rows, left_out, ways[::_NEAR], goal), goal)
+        best = best_of(_plan_all(rows_of, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
-        return best_of(_plan_all(rows, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
+        return best_of(_plan_all(rows_of, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
     checked: list[FinishedLight] = []
     for _ in range(_MOST_CHECKED):
-        best = find_best(_plan_all(rows, left_out, ways, goal), goal)
+        best = find_best(_plan_all(rows_of, left_out, ways, goal), goal)
         if best.light in checked:
             break
         best.light.calibrate(best.plan.chosen.marks, design, fine=True)
         checked.append(best.light)
         share_calibration(best.light, [light for _, light in ways if light not in checked])
-    return find_best(_plan_all(rows, left_out, [way for way in ways if way[1] in checked], goal), goal)
+    return find_best(_plan_all(rows_of, left_out, [way for way in ways if way[1] in checked], goal), goal)
 
 
 def share_calibration(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
@@ -146,15 +152,30 @@ def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
     return list(found.values())
 
 
+def _keep_reaching(candidates: list[Candidate], light: FinishedLight, margin_mm: float) -> list[Candidate]:
+    """Return those after whose passes the tool of the finish gets to the rims."""
+    found: dict[tuple[object, ...], bool] = {}
+
+    def is_reached(one: Candidate) -> bool:
+        shapes = tuple((spec.radius_mm, spec.corner_radius_mm, spec.stock_to_leave_mm) for spec in one.passes)
+        if shapes not in found:
+            lens = light.lenses[one.marks.radius_mm].form.lens
+            room = measure_rim_room(lens, one.passes, light.finish, margin_mm=margin_mm)
+            found[shapes] = room is None or room.is_reached
+        return found[shapes]
+
+    return [one for one in candidates if is_reached(one)]
+
+
 def _plan_all(
-    candidates: list[Candidate],
+    rows_of: Mapping[FinishedLight, list[Candidate]],
     left_out: tuple[tuple[str, Phrase], ...],
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
 ) -> list[FinishedPlan]:
     return [
         FinishedPlan(
-            plan=plan_by_score(_score_better(candidates, light), left_out, goal), finishing=finishing, light=light
+            plan=plan_by_score(_score_better(rows_of[light], light), left_out, goal), finishing=finishing, light=light
         )
         for finishing, light in ways
     ]

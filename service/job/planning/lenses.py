@@ -133,7 +133,6 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
             ball_mm=ball_mm,
             finish=finish,
             as_planned=not fine,
-            whole=False,
         )
         return lens, aim
 

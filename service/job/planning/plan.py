@@ -13,6 +13,7 @@ from optics.heightfield import Array
 from optics.metrics import CausticScore
 from service.job.planning.finish_choice import Finishing
 from service.job.planning.predicted_light import PictureLight
+from service.job.planning.rim_room import RimRoom
 from service.job.spec.finish import NONE
 from service.job.spec.model import PassRow
 
@@ -29,6 +30,7 @@ class Planned:
     tools: tuple[Tool, ...]
     finishing: Finishing | None = None  # what is done by hand after milling
     unfinished: Plan | None = None  # the best without that
+    rim_room: RimRoom | None = None  # that the passes leave for the tool of that
 
     @cached_property
     def radius_of(self) -> dict[str, float]:

@@ -28,6 +28,7 @@ from phrases.phrase import Phrase
 from service.errors import InputError, SpecError
 from service.job.planning.finish_choice import (
     FinishedPlan,
+    Finishing,
     is_worth_it,
     list_finishings,
     plan_finish,
@@ -36,6 +37,7 @@ from service.job.planning.finished_light import Design
 from service.job.planning.lenses import design_for_finishes, design_whole, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
+from service.job.planning.rim_room import RimRoom, measure_rim_room
 from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.resolve import most_removal_mm3_per_min
@@ -88,6 +90,11 @@ def _score_by(light: PictureLight, plan: Plan) -> Plan:
     """Return the plan, its choice scored by another light, without its rest pass."""
     seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
     return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
+
+
+def _rim_room(light: PictureLight, plan: Plan, finishing: Finishing, margin_mm: float) -> RimRoom | None:
+    lens = light.forms[plan.chosen.marks.radius_mm].lens
+    return measure_rim_room(lens, plan.chosen.passes, finishing.finish, margin_mm=margin_mm)
 
 
 def mill_of(job: ResolvedJob) -> MachineProfile:
@@ -157,12 +164,14 @@ def _choose_plan(
     goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
     finishings, quickly = list_finishings(job), whole is not None
     finished: FinishedPlan | None = None
+    margin_mm = job.spec.stock.margin_mm
     with _refuse_without_plan(), ThreadPoolExecutor(1) as beside:
         coming = beside.submit(light.retarget, whole) if finishings and whole is not None else None
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings, quickly=quickly)
         choose_milled = partial(
             plan_among, candidates, left_out, light, goal, shop=shop, lenses=lambda: light.forms, quickly=quickly
         )
+        finish_among = partial(plan_finish, finishings, candidates, left_out, margin_mm=margin_mm)
         if coming is not None:
             seen = coming.result()
 
@@ -171,11 +180,11 @@ def _choose_plan(
                 return settled, _score_by(seen, settled)
 
             settling = beside.submit(settle)
-            finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
+            finished = finish_among(seen, design, goal, exactly=False)
             plan, milled = settling.result()
         else:
             if finishings:
-                finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
+                finished = finish_among(light, design, goal, exactly=True)
             milled = plan = choose_milled()
     finishing = None
     if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
@@ -200,4 +209,5 @@ def _choose_plan(
         tools=shop.tools,
         finishing=finishing,
         unfinished=None if finishing is None else milled,
+        rim_room=None if finishing is None else _rim_room(light, plan, finishing, margin_mm),
     )

@@ -14,6 +14,7 @@ from cam.tools import contact_speed_m_per_min
 from optics.metrics import blurred_psnr_db
 from phrases.phrase import Phrase, join
 from service.job.planning.plan import Planned
+from service.job.planning.rim_room import advise_on_rims, warn_of_rim_room
 from service.job.report.milled import UNSEEN_DB
 from service.wording import ball, cutter, duration
 
@@ -29,7 +30,7 @@ _SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
 
 def reasons(planned: Planned) -> list[Phrase]:
     """Return why these passes, most important first."""
-    first = (_aim(planned), *_by_hand(planned))
+    first = (_aim(planned), *_by_hand(planned), *filter(None, (advise_on_rims(planned.rim_room),)))
     return [*first, *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), _rough(planned)]
 
 
@@ -43,6 +44,8 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[Phrase
         found.append(_not_met(planned))
     if not milled_next and (lost := blur_warning(planned, chosen, _remedy(planned))):
         found.append(lost)
+    if not milled_next and (unreached := warn_of_rim_room(planned.rim_room)):
+        found.append(unreached)
     if (speed := _speed_at_contact_m_per_min(planned)) < RUBBING_M_PER_MIN:
         found.append(
             Phrase(

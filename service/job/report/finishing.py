@@ -16,10 +16,11 @@ _SENTENCES = ("needs", "steps", "donts")
 
 
 def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return title, rows (what, figure), warnings and the sentences of the process; None where a job has no finish.
+    """Return title, rows (what, figure), warnings and the sentences of the process and on the rims; None where a job
+    has no finish.
 
     report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
-             `finish_tolerance` and `witness`
+             `finish_tolerance`, `witness`, `rim_room`
     """
     told = table(report.get("finishing"))
     if not told:
@@ -27,8 +28,9 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     return {
         "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
         "tolerance": list(tolerance_sentences(report)),
+        "rims": [advice] if (advice := table(report.get("rim_room")).get("advice")) else [],
         "witness": describe_witness(report),
-        "rows": [*_work_rows(told), *_light_rows(report)],
+        "rows": [*_work_rows(told), *_check_rows(report), *_light_rows(report)],
         "warnings": list(_warnings(report, told)),
         **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},
         **{key: str(told.get(key) or "") for key in ("when_to_stop", "law")},
@@ -59,6 +61,16 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
             run_out=_mm(told["run_out_mm"]),
         )
         yield Phrase("Rims"), mask
+
+
+def _check_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
+    if removed_g := table(report.get("rim_room")).get("removed_g"):
+        words = Phrase(
+            "weigh the block, washed and dry, before and after: {removed_g} g come off, on a scale that shows a tenth "
+            "of that. No flat beside the lens is worked with it, on which a dial gauge could tell.",
+            removed_g=f"{removed_g:.2g}",
+        )
+        yield Phrase("To check it"), words
 
 
 def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:

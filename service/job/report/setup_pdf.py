@@ -214,11 +214,13 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
 
 
 def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
-    """Return the tolerance of the finish, and how the witness marks tell: what is read while one works."""
+    """Return the tolerance of the finish, the tool at the rims, and how the witness marks tell: what is read while one
+    works.
+    """
     card = setup["finishing"] or {}
     witness = card.get("witness") or {"rows": [], "sentences": []}
     rows = [f"{when}: {what}" for when, what in witness["rows"]]
-    return [*card.get("tolerance", ()), *witness["sentences"], *rows]
+    return [*card.get("tolerance", ()), *card.get("rims", ()), *witness["sentences"], *rows]
 
 
 def _warnings(setup: Mapping[str, Any]) -> list[str]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 
 from cam.as_milled.height_map import DepartureMap, map_departure
+from cam.materials import MATERIALS
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
 from optics.finish import Finish, Finished, finish_lens
@@ -24,7 +25,9 @@ from service.job.files import (
 )
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
+from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
 from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
+from service.job.spec.resolve import cam_passes_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
 from service.job.stages.finish_tolerance import report_tolerance
@@ -38,9 +41,9 @@ _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
 def run_as_finished(context: StageContext) -> None:
-    """Simulate light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
-    comparison-as-finished.png, light-as-finished.bin for the operator page. Nothing where nothing is finished by hand,
-    or no pass finishes.
+    """Simulate light through the surface that programs and finish leave: report `as_finished` and `rim_room`,
+    caustic-as-finished.png, comparison-as-finished.png, light-as-finished.bin for the operator page. Nothing where
+    nothing is finished by hand, or no pass finishes.
     """
     finish, passes = finish_of(context.spec), list_finish_passes(context)
     if finish is None or not passes:
@@ -65,9 +68,11 @@ def run_as_finished(context: StageContext) -> None:
         if context.is_shown:
             save_light(context, LIGHT_AS_FINISHED, finished.lens, target)
     _tell(context, finished, target, seen)
+    _tell_of_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
-    if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
+    milled_mm = min(max(spec.radius_mm for _, spec in passes), context.spec.stock.margin_mm)
+    if sentence := warn_of_rounded_rim(finish, milled_mm):
         context.note("passes", sentence)
     _draw(context, target, seen.irradiance)
     with context.watch.stage("as finished: tolerance"):
@@ -142,6 +147,17 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
             "finish": {**context.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
         }
     )
+
+
+def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> None:
+    spec = context.spec
+    room = measure_rim_room(lens, cam_passes_of(spec), finish, margin_mm=spec.stock.margin_mm)
+    if room is None:
+        return
+    removed_g = weigh_removal(lens, finish, MATERIALS[spec.stock.material].density_g_per_cm3)
+    context.report["rim_room"] = plain({**asdict(room), "advice": advise_on_rims(room), "removed_g": removed_g})
+    if sentence := warn_of_rim_room(room):
+        context.note("passes", sentence)
 
 
 def _draw(context: StageContext, target: Array, finished: Array) -> None:

@@ -176,6 +176,7 @@ _MILLED = (
     "finish",
     *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
 )
+_PIT = ("stock.margin_mm", "stock.material", "passes.*.corner_radius_mm", "passes.*.where")
 _AFTER = (
     Stage(
         name="check",
@@ -195,7 +196,7 @@ _AFTER = (
         name="as-finished",
         function="service.job.stages.as_finished:run_as_finished",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
-        spec=_MILLED,
+        spec=(*_MILLED, *_PIT),
         parts=(("as finished: surface", 0.5), ("as finished: light", 0.15), ("as finished: tolerance", 0.35)),
     ),
     Stage(

@@ -15,12 +15,13 @@ export function finishingPart() {
   let shown = "";
 
   function update(job) {
-    const report = job.report ?? {}, finishing = report.finishing, key = JSON.stringify([finishing, report.as_milled, report.as_finished]);
+    const report = job.report ?? {}, { finishing, as_milled: milled, as_finished: finished, rim_room: room } = report;
+    const key = JSON.stringify([finishing, milled, finished, room]);
     node.hidden = !finishing;
     if (!finishing || key === shown) return;
     shown = key;
     title.textContent = t`Finishing by hand: ${finishing.title}`;
-    replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing));
+    replace(body, warnings(report).map(warning), figures(report), finishing.steps.length > 0 && howTo(finishing, room?.advice));
   }
   return { node, update };
 }
@@ -58,13 +59,14 @@ function figures(report) {
   return h("dl", { class: "facts" }, finishingRows(report).map(([what, figure]) => h("div", {}, h("dt", {}, what), h("dd", {}, h("strong", {}, figure)))));
 }
 
-function howTo(finishing) {
+function howTo(finishing, atRims) {
   const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
   const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
   return h(
     "details", { open: true }, h("summary", {}, t("How to do it")),
     part(t("You need"), finishing.needs.length > 0 && list("ul", finishing.needs)),
     part(t("Steps"), list("ol", finishing.steps)),
+    atRims && h("p", {}, atRims),
     part(t("How much comes off"), finishing.removal && h("p", {}, finishing.removal)),
     part(t("When to stop"), finishing.when_to_stop && h("p", {}, finishing.when_to_stop)),
     part(t("What not to do"), finishing.donts.length > 0 && list("ul", finishing.donts)),

@@ -76,6 +76,15 @@ def test_the_lens_is_of_the_branch_that_the_job_s_own_picture_suggests(
     assert found["relief_mm"] == given["inverted"]["relief_mm"] > given["direct"]["relief_mm"]
 
 
+def test_a_tool_that_does_not_get_to_the_rims_is_told_in_every_language() -> None:
+    words, felt = "the tool of the finish does not get to the rims", "finish.process=felt"
+    thin = ("passes.1.radius_mm=0.5", "passes.1.pitch_mm=0.05", "optics.min_radius_mm=3")
+    told = estimated(small(felt, *thin))
+    (warning,) = (one for one in told["warnings"] if words in one)
+    assert warning in told["phrases"]
+    assert not any(words in one for other in (small(felt), small(*thin)) for one in estimated(other)["warnings"])
+
+
 @pytest.mark.thorough
 def test_a_finish_is_estimated_as_the_job_plans_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one, and

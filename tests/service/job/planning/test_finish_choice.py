@@ -9,6 +9,7 @@ from cam.planning.planner import Goal
 from optics.finish import Finish
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
+from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.planning.finish_choice import FinishedPlan, find_best, share_calibration
 from service.job.planning.finished_light import FinishedLight
@@ -87,6 +88,22 @@ def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
     assert plan.finishing is not None
     assert plan.finishing.finish.k0_rad_per_mm == 2.0
     assert 0.5 < plan_figures(plan)["contact_share"] < 1.0
+
+
+def test_passes_leave_room_for_the_tool_of_a_finish() -> None:
+    """A ball of R 0.5 would show 0.5 dB more, but the wall beside its rims leaves no tool room."""
+    plan = planned("finish.k0_rad_per_mm=6.0", "finish.order=1", "finish.depth_um=7", "finish.pad_mm=10", *ROUGH)
+    assert plan.chosen.finish.radius_mm >= Finish(k0_rad_per_mm=6.0, order=1.0).reach_mm
+    assert plan.rim_room is not None and plan.rim_room.is_reached
+
+
+def test_where_no_pass_leaves_room_a_given_finish_stays_with_a_warning() -> None:
+    words = "the tool of the finish does not get to the rims"
+    own = ("finish.k0_rad_per_mm=1.2", "finish.order=1", "finish.depth_um=20", "stock.margin_mm=4")
+    plan = planned(*own, *ROUGH)
+    assert plan.finishing is not None and plan.rim_room is not None and not plan.rim_room.is_reached
+    (warning,) = (one for one in plan_figures(plan)["warnings"] if words in one)
+    assert isinstance(warning, Phrase)
 
 
 def test_what_a_pad_loses_is_no_guess_for_a_film(best_on_a_rough_mill: Planned) -> None:

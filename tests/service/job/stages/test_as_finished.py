@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -31,11 +33,15 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
-    folder = tmp_path_factory.mktemp("finished")
+    return finish_job(tmp_path_factory.mktemp("finished"))
+
+
+def finish_job(folder: Path, *overrides: str) -> StagedJob:
     y, x = np.mgrid[0:48, 0:48] / 48
     grey = 0.35 + 0.3 * (np.hypot(x - 0.4, y - 0.6) < 0.25) + 0.15 * np.sin(2 * np.pi * 3 * x)
     Image.fromarray(np.uint8(255 * grey)).save(folder / "disc.png")
-    spec = resolve_spec(base={**SMALL, "finish": {"k0_rad_per_mm": 5.0, "order": 1.0, "depth_um": 20.0}})
+    finish = {"k0_rad_per_mm": 5.0, "order": 1.0, "depth_um": 20.0}
+    spec = resolve_spec(base={**SMALL, "finish": finish}, overrides=overrides)
     return run_job(folder, folder / "disc.png", spec, without=("caustic", "check", "report"))
 
 
@@ -73,6 +79,24 @@ def test_a_tool_that_does_not_reach_is_told(share: float) -> None:
 def test_the_job_tells_of_its_rim(finished: StagedJob) -> None:
     """A ball of 0.5 mm; the finish reaches 0.85 mm."""
     assert "its outermost 0.35 mm" in " ".join(finished.results["as-finished"].notes["passes"])
+
+
+@pytest.mark.thorough
+def test_a_block_that_ends_beside_the_rim_is_told(tmp_path: Path) -> None:
+    """Nothing is milled beyond it, wherever the ball goes; and no wall keeps the tool away."""
+    small = ("stock.margin_mm=0.3", "optics.width_mm=6", "optics.height_mm=6", "image.pixels=24")
+    made = finish_job(tmp_path, *small).results["as-finished"]
+    assert "0.3 mm are milled around the lens: its outermost 0.55 mm" in " ".join(made.notes["passes"])
+    assert made.report["rim_room"]["largest_mm"] is None
+
+
+@pytest.mark.thorough
+def test_the_job_tells_that_no_tool_gets_to_its_rims(finished: StagedJob) -> None:
+    """Balls of 1 and 0.5 mm."""
+    made = finished.results["as-finished"]
+    assert "the tool of the finish does not get to the rims" in " ".join(made.notes["passes"])
+    assert made.report["rim_room"]["largest_mm"] == 0.0
+    assert made.report["rim_room"]["removed_g"] == pytest.approx(0.02 * (12 + 6 * 2**0.5 / 5) ** 2 * 1.19e-3, rel=1e-3)
 
 
 @pytest.mark.thorough
