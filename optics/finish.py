@@ -28,7 +28,7 @@ from scipy import fft
 
 from optics.contact import transform, transform_back, wear_surface
 from optics.heightfield import Heightfield
-from optics.spline import Array
+from optics.spline import Array, Mask
 
 PAD_MM = 20.0
 """The usual size of what is held in the hand: a felt, a soft block."""
@@ -93,11 +93,16 @@ class Finish:
 class Finished:
     """A lens after its finish.
 
-    contact_share : of the aperture, that the tool touches at the end of the work; 1 of a film
+    touched : (ny, nx) vertices that the tool touches at the end of the work; all of a film
     """
 
     lens: Heightfield
-    contact_share: float
+    touched: Mask
+
+    @property
+    def contact_share(self) -> float:
+        """Of the aperture, that the tool touches; 1 of a film."""
+        return float(self.touched.mean())
 
 
 def level(heights_mm: Array, multipliers: Array) -> Array:
@@ -145,13 +150,13 @@ def finish_lens(
     aperture = np.s_[far_y : far_y + ny, far_x : far_x + nx]
     kept = finish.multipliers(heights.shape, (dy, dx))
     if finish.depth_mm is None:
-        done, share = level(heights, kept), 1.0
+        done, touched = level(heights, kept), np.ones(heights.shape, dtype=np.bool_)
     else:
         worn = wear_surface(heights, kept, finish.depth_mm)
-        done, share = heights - worn.removal_mm, float(worn.touched[aperture].mean())
+        done, touched = heights - worn.removal_mm, worn.touched
     done = done[aperture]
     surface = replace(lens, x_mm=x[aperture[1]], y_mm=y[aperture[0]], z_mm=done - done.max() + lens.z_mm.max())
-    return Finished(lens=surface, contact_share=share)
+    return Finished(lens=surface, touched=touched[aperture])
 
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:

@@ -171,7 +171,7 @@ def polish_lens(
     finish     : after milling: the pictures are those behind it
     as_planned : for the one finish that is planned, whatever may come of it: a quick look
 
-    The lens comes back as it was where its finer tubes see no gain.
+    The lens comes back as it was where its finer tubes see no gain, or no gain as planned.
     """
     started = time.perf_counter()
     taken = 0
@@ -185,25 +185,24 @@ def polish_lens(
         taken += 1
         report(taken / steps)
 
-    likely = outcomes_of(finish)[: 1 if as_planned else None]
-    last = _error_of(
-        lens, target, bench, likely, _FINE_TUBES_PER_PIXEL if finish is None else _FINISHED_TUBES_PER_PIXEL
-    )
+    outcomes = outcomes_of(finish)
+    per_pixel = _FINE_TUBES_PER_PIXEL if finish is None else _FINISHED_TUBES_PER_PIXEL
+    last = _error_of(lens, target, bench, outcomes[:1], per_pixel)
     last.touch(lens.z_mm)
     before, before_db = last.of(lens.z_mm), last.psnr_db()
     z = np.array(lens.z_mm)
     if finish is None:
         few = math.ceil(_FINE_SHARE * steps)
-        error = _error_of(lens, target, bench.spare_colours(), likely, _TUBES_PER_PIXEL)
+        error = _error_of(lens, target, bench.spare_colours(), outcomes, _TUBES_PER_PIXEL)
         z = _descend(error, lens, z, bench, steps - few, count_step)
         z = _descend(last, lens, z, bench, few, count_step)
-    elif _can_be_halved(lens, target):
-        half = replace(lens, x_mm=lens.x_mm[::2], y_mm=lens.y_mm[::2], z_mm=z[::2, ::2])
-        error = _error_of(half, _halve(target), bench, likely, _FINISHED_TUBES_PER_PIXEL)
-        moved = _descend(error, half, np.array(half.z_mm), bench, steps, count_step) - half.z_mm
-        z = z + _spline_of(half, moved).heights_mm(lens.x_mm[None, :], lens.y_mm[:, None])
     else:
-        z = _descend(last, lens, z, bench, steps, count_step)
+        likely = outcomes[: 1 if as_planned else None]
+        halved = _can_be_halved(lens, target)
+        coarse, aim = (_halve_lens(lens), _halve(target)) if halved else (lens, target)
+        error = _error_of(coarse, aim, bench, likely, per_pixel)
+        moved = _descend(error, coarse, np.array(coarse.z_mm), bench, steps, count_step) - coarse.z_mm
+        z += _spline_of(coarse, moved).heights_mm(lens.x_mm[None, :], lens.y_mm[:, None]) if halved else moved
     report(1.0)
     done = _fit_ball(lens, z, ball_mm)
     last.touch(done.z_mm)
@@ -229,6 +228,10 @@ def _can_be_halved(lens: Heightfield, target: Array) -> bool:
     """Return whether every second vertex and half the pixels make a smaller task of the same sides."""
     cells = (lens.z_mm.shape[0] - 1, lens.z_mm.shape[1] - 1)
     return min(target.shape) >= 2 * _HALVED_FROM and not any(n % 2 for n in (*cells, *target.shape))
+
+
+def _halve_lens(lens: Heightfield) -> Heightfield:
+    return replace(lens, x_mm=lens.x_mm[::2], y_mm=lens.y_mm[::2], z_mm=lens.z_mm[::2, ::2])
 
 
 def _halve(target: Array) -> Array:

@@ -81,7 +81,8 @@ class QuickLens:
 
     job      : with its passes, planned where they were not given
     settings : of the job's own lens
-    missed   : (ny, nx) its light less what it aims at
+    aim      : (ny, nx) coarse target
+    missed   : (ny, nx) its light less that
     """
 
     job: ResolvedJob
@@ -90,6 +91,7 @@ class QuickLens:
     design: LensDesign
     facts: LensFacts
     form: LensForm
+    aim: Array
     missed: Array
     reflected_share: float
 
@@ -211,6 +213,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
         design=design,
         facts=measure_lens(lens),
         form=form_of(lens),
+        aim=target,
         missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
     )
@@ -338,7 +341,8 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
         Marks(spec=finish, slopes=slopes),
         aims=any(quick.spec.optics.foreseen_blur_mm),
         by_hand=finish_of(quick.spec),
-        design=design_for_finishes(target, quick.settings) if exactly else None,
+        design=design_for_finishes(target if exactly else quick.aim, quick.settings),
+        fine=exactly,
     )
 
 

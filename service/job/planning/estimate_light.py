@@ -16,10 +16,6 @@ from service.job.planning.predicted_light import PictureLight
 MOST_PIXELS = 512
 """Along the longer side of the picture that is compared: finer detail changes what one recognises little."""
 
-_BROUGHT_BACK = 0.7
-"""Detail that corrections leave behind a finish, by that of its transfer function alone: 0.25 and 0.31 mm on `camera`
-where 0.35 and 0.44 are told."""
-
 
 @dataclass(frozen=True, slots=True)
 class ForetoldPicture:
@@ -37,22 +33,23 @@ def foretell(
     marks: Marks,
     *,
     aims: bool,
-    by_hand: Finish | None = None,
-    design: Design | None = None,
+    by_hand: Finish | None,
+    design: Design,
+    fine: bool,
 ) -> ForetoldPicture:
     """Return what the milled lens shows of a target (ny, nx), mean 1.
 
     missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
-    by_hand : what is done after milling
-    design  : of lenses for that, where one as fine as the picture is to tell
+    by_hand : what is done after milling, of lenses by that design, as fine as the picture or coarse
     """
     light = PictureLight(target, bench, aims=aims)
     light.add(marks.radius_mm, form, missed)
     if by_hand is None:
         return describe_light(light, marks)
     finished = FinishedLight(light, by_hand)
-    if design is not None:
-        finished.calibrate(marks, design, fine=True)
+    finished.calibrate(marks, design, fine=fine)
+    if not fine:
+        finished.look_at(marks, design)
     return describe_light(finished, marks, finished.psnr_db(marks))
 
 
@@ -61,5 +58,4 @@ def describe_light(light: PictureLight, marks: Marks, psnr_db: float | None = No
     seen = light.smooth_picture(marks)
     psnr_db = light.psnr_of(seen, light.grain(marks)) if psnr_db is None else psnr_db
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
-    only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)
-    return ForetoldPicture(psnr_db=psnr_db, detail_mm=_BROUGHT_BACK * detail_mm if only_kept else detail_mm)
+    return ForetoldPicture(psnr_db=psnr_db, detail_mm=detail_mm)

@@ -28,7 +28,6 @@ _FINER_LACKS = (
 )
 _FINER_LACKS_TOUCH = 2.4  # the same of tools, which do not reach everywhere: 2.85 and 2.0 on the same two pictures
 _WORTH_DB = 0.1
-_MOST_CHECKED = 2  # finishes, by a lens as fine as the picture each
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -99,10 +98,9 @@ def plan_finish(
     margin_mm: float,
 ) -> FinishedPlan:
     """Return the best plan of all finishings whose tool gets to the rims, of all where none does; its guesses are
-    corrected by a lens for one of the best of each kind: by contact, and films.
+    corrected by a lens for one of the best of each process.
 
-    exactly    : and by lenses as fine as the picture, until the best is one of them: creases cost more there than on a
-                 coarse one
+    exactly    : and the best by a lens as fine as the picture
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     margin_mm  : of the block around the lens
     """
@@ -112,34 +110,32 @@ def plan_finish(
     reaching = {light: _keep_reaching(rows, light, margin_mm) for _, light in ways}
     ways = [way for way in ways if reaching[way[1]]] or ways
     rows_of = {light: reaching[light] or rows for _, light in ways}
-    films = [way for way in ways if way[0].finish.depth_mm is None]
-    tools = [way for way in ways if way[0].finish.depth_mm is not None]
-    for alike, finer_lacks in ((films, _FINER_LACKS), (tools, _FINER_LACKS_TOUCH)):
-        if not alike:
-            continue
+    for process in dict.fromkeys(one.process for one, _ in ways):
+        alike = [way for way in ways if way[0].process == process]
         first = best_of(_plan_all(rows_of, left_out, alike[::_NEAR], goal), goal)
-        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else finer_lacks)
-        share_calibration(first.light, (light for _, light in alike))
+        lacks = _FINER_LACKS if first.light.finish.depth_mm is None else _FINER_LACKS_TOUCH
+        first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else lacks)
+        share_calibration(first, ways)
     if not exactly:
         best = best_of(_plan_all(rows_of, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
-        return best_of(_plan_all(rows_of, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
-    checked: list[FinishedLight] = []
-    for _ in range(_MOST_CHECKED):
-        best = find_best(_plan_all(rows_of, left_out, ways, goal), goal)
-        if best.light in checked:
-            break
-        best.light.calibrate(best.plan.chosen.marks, design, fine=True)
-        checked.append(best.light)
-        share_calibration(best.light, [light for _, light in ways if light not in checked])
-    return find_best(_plan_all(rows_of, left_out, [way for way in ways if way[1] in checked], goal), goal)
+        chosen = best_of(_plan_all(rows_of, left_out, ways[max(0, at - _NEAR) : at + _NEAR + 1], goal), goal)
+        chosen.light.look_at(chosen.plan.chosen.marks, design)
+        return chosen
+    best = find_best(_plan_all(rows_of, left_out, ways, goal), goal)
+    best.light.calibrate(best.plan.chosen.marks, design, fine=True)
+    (found,) = _plan_all(rows_of, left_out, [(best.finishing, best.light)], goal)
+    for one in found.plan.front:
+        if not best.light.is_lit(one.marks):
+            best.light.look_at(one.marks, design)
+    return found
 
 
-def share_calibration(calibrated: FinishedLight, others: Iterable[FinishedLight]) -> None:
-    """Take over how far guesses were off for finishes of the same kind: lost contact says nothing of a film."""
-    for light in others:
-        if light is not calibrated and (light.finish.depth_mm is None) == (calibrated.finish.depth_mm is None):
-            light.trust(calibrated)
+def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, FinishedLight]]) -> None:
+    """Take over how far guesses were off for the same process: what one tool does not reach says nothing of others."""
+    for finishing, light in ways:
+        if finishing.process == calibrated.finishing.process and light is not calibrated.light:
+            light.trust(calibrated.light)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:

@@ -11,19 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.fft import idct
 
 from cam.passes import Direction
 from cam.planning.planner import Marks
 from cam.planning.row_slopes import RowSlopes, row_profile
 from optics.bench import Bench
-from optics.caustic import simulate_caustic
-from optics.finish import Finish, finish_lens
+from optics.caustic import share_by_way_of, simulate_caustic
+from optics.finish import Finish, Finished, finish_lens
 from optics.heightfield import Array, Heightfield
-from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves
+from service.job.picture.resampling import resize
+from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves, waves_of
 
 _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
@@ -81,6 +83,18 @@ class Spectra:
         return np.asarray(np.bincount(self._bin, squares, minlength=_WAVE_NUMBERS + 1), dtype=np.float64)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """A finished lens without marks, what it was made for, and its light (ny, nx): bare, and where the tool does not
+    touch blurred by the rows of the mill.
+    """
+
+    done: Finished
+    target: Array
+    bare: Array
+    light: Array
+
+
 class FinishedLight(PictureLight):
     """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold.
 
@@ -136,39 +150,49 @@ class FinishedLight(PictureLight):
         return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.kept(_ROW_WAVES)))))
 
     def is_lit(self, marks: Marks) -> bool:
-        """Return whether light was shone through a lens as fine as the picture."""
+        """Return whether a lens for that ball was looked at."""
         return marks.radius_mm in self._lit
 
     def smooth_picture(self, marks: Marks) -> Array:
-        """Return the light without stripes: as a lens was simulated to make it, or what is kept of the picture."""
+        """Return the light without stripes: of a lens that was looked at, or of waves alone."""
         if (seen := self._lit.get(marks.radius_mm)) is not None:
             return seen
         return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
     def picture(self, marks: Marks) -> Array:
-        """Return irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by
-        lot.
+        """Return irradiance (ny, nx) on the screen, work frame: the smooth picture, stripes along the rows by lot."""
+        smooth, along_x = self.smooth_picture(marks), marks.spec.direction == "x"
+        lot = self._draw_stripes(marks, smooth.shape[0 if along_x else 1])
+        stripes = lot[:, None] if along_x else lot[None, :]
+        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * stripes, 0.0))
+
+    def _draw_stripes(self, marks: Marks, count: int) -> Array:
+        """Return stripes (count,) drawn by lot, of standard deviation 1 and as wide as what the finish leaves of
+        rows.
         """
-        smooth = self.smooth_picture(marks)
-        ny, nx = smooth.shape
-        along_x = marks.spec.direction == "x"
-        lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
-        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot, 0.0))
+        side_mm = self.bench.height_mm if marks.spec.direction == "x" else self.bench.width_mm
+        k = math.pi * np.arange(1, count) / side_mm
+        squares = self._spectra.bends_of((marks,))[0] * np.square(self.finish.kept(_ROW_WAVES)) / _ROW_WAVES
+        waves = np.sqrt(np.interp(k, _ROW_WAVES, squares)) * np.random.default_rng(count).standard_normal(count - 1)
+        lot = idct(np.concatenate([[0.0], waves]), norm="ortho")
+        return np.asarray(lot / max(float(lot.std()), 1e-300))
+
+    def look_at(self, marks: Marks, design: Design) -> None:
+        """Keep the light of a coarse lens that is designed and finished as what is seen of those marks."""
+        self._lit[marks.radius_mm] = self._shine(marks, design, fine=False).light
 
     def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
-        """Correct both guesses by a lens that is designed, milled in rows, finished and lit.
+        """Correct both guesses by a lens that is designed, milled in rows, finished and lit; a fine one is kept as what
+        is seen.
 
         finer_lacks : how many times as much one as fine as the picture misses
         """
-        lens, target = design(self.finish, marks.radius_mm, fine)
-        done = finish_lens(lens, self.finish)
-        finished, self.contact_share = done.lens, done.contact_share
-        whole = self.target.shape  # half of the stripes are finer than a coarse pixel
-        plain = self._light_of(finished, whole)
-        seen = plain if target.shape == whole else self._light_of(finished, target.shape)
-        if fine and target.shape == whole:
-            self._lit[marks.radius_mm] = plain
-        off_free = finer_lacks * float(np.square(seen - target).mean())
+        seen = self._shine(marks, design, fine=fine)
+        if fine:
+            self._lit[marks.radius_mm] = seen.light
+        target, self.contact_share = seen.target, seen.done.contact_share
+        light = seen.light if target.shape == seen.light.shape else np.maximum(resize(seen.light, target.shape), 0.0)
+        off_free = finer_lacks * float(np.square(light - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves that the lens has no part in
@@ -177,15 +201,30 @@ class FinishedLight(PictureLight):
         unmarked = self._peak**2 * 10.0 ** (-0.1 * self.lenses[marks.radius_mm].perfect_db)
         off, guess = max(off_free + off_fine, unmarked), self._guess_error(marks.radius_mm)
         # What a tool does not reach costs as much after less work: k0 2.05 to 2.9, 23.6 to 24.0 dB on two pictures.
-        adds = done.contact_share < _NEARLY_ALL and off > guess
+        adds = self.contact_share < _NEARLY_ALL and off > guess
         self._lens_scale, self._lost_contact = (1.0, off - guess) if adds else (off / guess, 0.0)
         for direction in self._stripe_scale:
-            self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), finished, plain)
+            self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), seen)
 
-    def _calibrate_stripes(self, marks: Marks, finished: Heightfield, plain: Array) -> None:
+    def _shine(self, marks: Marks, design: Design, *, fine: bool) -> Seen:
+        lens, target = design(self.finish, marks.radius_mm, fine)
+        done = finish_lens(lens, self.finish)
+        bare = self._light_of(done.lens, self.target.shape)  # half of the stripes are finer than a coarse pixel
+        return Seen(done=done, target=target, bare=bare, light=self._blur_past_tool(bare, done, marks))
+
+    def _blur_past_tool(self, light: Array, done: Finished, marks: Marks) -> Array:
+        """Return light (ny, nx) whose part that comes by what the tool does not touch is blurred by rows, as milled."""
+        if done.touched.all():
+            return light
+        hangs = 1.0 - done.touched[:-1, :-1].astype(np.float64)
+        share = share_by_way_of(hangs, done.lens, self.bench, pixels=light.shape, tubes_per_cell=1, beams=_BEAMS)
+        past = share * light
+        return np.asarray(light - past + np.maximum(picture_of_waves(self._kept(marks) * waves_of(past)), 0.0))
+
+    def _calibrate_stripes(self, marks: Marks, seen: Seen) -> None:
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
-            stripes = self._light_of(add_rows(finished, marks, self.finish), plain.shape) - plain
-            self._stripe_scale[marks.spec.direction] *= _ALONG * float(np.square(stripes).mean()) / guessed
+            marked = self._light_of(add_rows(seen.done.lens, marks, self.finish), seen.bare.shape)
+            self._stripe_scale[marks.spec.direction] *= _ALONG * float(np.square(marked - seen.bare).mean()) / guessed
 
     def trust(self, calibrated: FinishedLight) -> None:
         """Take over how far the guesses of another finish were off."""

@@ -26,7 +26,7 @@ from optics.closing import close_to_radius
 from optics.corrections import Corrected, correct_lens
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
-from optics.lens_settings import LensSettings
+from optics.lens_settings import STEPS_FOR_FINISH, LensSettings
 from optics.polish import polish_lens
 from optics.threads import thread_count
 from optics.transport.solver import OpticalPath, solve_transport
@@ -37,7 +37,7 @@ from service.job.planning.predicted_light import PictureLight, Valleys
 COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
 _SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
-_STEPS = 8  # of the descent behind a finish, where the job takes 20
+_COARSE_STEPS = 8  # of the descent behind a finish; as fine as the picture: as many as the job takes
 
 _solving = Lock()
 
@@ -129,7 +129,7 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
             start,
             aim,
             settings.bench,
-            steps=_STEPS,
+            steps=STEPS_FOR_FINISH if fine else _COARSE_STEPS,
             ball_mm=ball_mm,
             finish=finish,
             as_planned=not fine,
