@@ -47,11 +47,11 @@ def finish_job(folder: Path, *overrides: str) -> StagedJob:
 
 @pytest.mark.thorough
 def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> None:
-    """Rows off by 1 um blur 2 mm of 60; a pad that keeps waves from 1.3 mm on takes them off."""
+    """Rows off by 1 um blur 2 mm of 60; a pad that keeps waves from 1.4 mm on takes them off."""
     milled = finished.results["as-milled"].report["as_milled"]
     seen = finished.results["as-finished"].report["as_finished"]
     assert seen["psnr_db"] > milled["psnr_db"] + 3.0
-    assert seen["smallest_detail_mm"] < 0.6 * milled["smallest_detail_mm"]
+    assert seen["smallest_detail_mm"] < 0.65 * milled["smallest_detail_mm"]
     assert seen["finish"]["k0_rad_per_mm"] == 5.0
     assert 0.5 < seen["contact_share"] <= 1.0
     notes = " ".join(finished.results["as-finished"].notes["passes"])
