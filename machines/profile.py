@@ -120,6 +120,8 @@ class MachineProfile:
     acceleration_mm_per_s2 : acceleration of each axis
     step_mm                : smallest move of an axis
     z_noise_mm             : sigma of the height error from one row, or one entry, to the next
+    screw_error_mm         : amplitude of an axis's error that comes back with every turn of its screw; None: not known
+    screw_lead_mm          : way of each axis in a turn of its screw
     junction_deviation_mm  : GRBL's $11, how far a corner may be rounded in the planner's model
     planner_blocks         : moves the planner looks ahead, as `$I` reports them (GRBL 1.1: 15 of its 16 slots)
     lines_per_s            : blocks the controller can take in a second
@@ -163,6 +165,8 @@ class MachineProfile:
     removal_cm3_per_min: float | None = None
     top_z_mm: float | None = None
     z_noise_mm: float = 0.0005
+    screw_error_mm: Triple | None = None
+    screw_lead_mm: Triple = (2.0, 2.0, 2.0)
     whole_steps: bool = False
     most_program_mb: float | None = None
     most_program_hours: float | None = None

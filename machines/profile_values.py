@@ -136,6 +136,8 @@ PROFILE_VALUES = Rules(
         "acceleration_mm_per_s2": triple(0.1, 100_000, "mm/s2"),
         "step_mm": number(1e-6, 1, "mm"),
         "z_noise_mm": number(0, 0.1, "mm"),
+        "screw_error_mm": triple(0, 0.1, "mm"),
+        "screw_lead_mm": triple(0.1, 100, "mm"),
         "whole_steps": Rule(_flag, "true, false"),
         "most_program_mb": number(0.1, 1_000_000, "MB"),
         "most_program_hours": number(0.05, 10_000, "hours"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
 from optics.light import Beam, Light, disc_points, meet
+from optics.spectrum import Spectrum
 from optics.spline import Array
 
 Branch = Literal["direct", "inverted"]
@@ -36,6 +38,8 @@ class Screen:
 class Bench:
     """Lengths in mm. The aperture's lower left corner is the origin, the screen stands throw_mm above Z0.
 
+    refractive_index : of the mean of the light's spectrum
+    dispersion   : n_F - n_C of the glass; 0: all colours bend alike
     thickness_mm : from Z0 down to the flat face that light enters by; matters for diverging or tilted light
     mirror       : the surface reflects light that comes from above, instead of refracting what comes through the block
     outline_mm   : (k, 2) corners, counter-clockwise, of the lens within its aperture: dark outside. None: all of it
@@ -47,6 +51,7 @@ class Bench:
     throw_mm: float
     refractive_index: float
     screen: Screen
+    dispersion: float = 0.0
     thickness_mm: float = 40.0
     mirror: bool = False
     light: Light = field(default_factory=Light)
@@ -82,11 +87,13 @@ class Bench:
             **others,
         )
 
-    def beam(self, *, aside: tuple[float, float] = (0.0, 0.0)) -> Beam:
-        """Return one beam of the light: the middle one, or one at `aside`, in units of the source's radius."""
+    def beam(self, *, aside: tuple[float, float] = (0.0, 0.0), more_index: float = 0.0) -> Beam:
+        """Return one beam of the light: the middle one, or one at `aside`, in units of the source's radius, and of a
+        colour whose index is greater than the mean by more_index.
+        """
         light = self.light
         centre_x, centre_y = self.width_mm / 2, self.height_mm / 2
-        index, face = (1.0, 0.0) if self.mirror else (self.refractive_index, -self.thickness_mm)
+        index, face = (1.0, 0.0) if self.mirror else (self.refractive_index + more_index, -self.thickness_mm)
         tan_x, tan_y = (math.tan(angle) for angle in light.tilt_rad)
         sign = -1.0 if self.mirror else 1.0
         radius = light.radius
@@ -118,10 +125,35 @@ class Bench:
         return beam._replace(offset=meet(beam, centre_x, centre_y, 0.0)[3])
 
     def bundle(self, beams: int) -> list[Beam]:
-        """Return the light as that many beams of equal strength; one where the source has no size."""
+        """Return the light as beams of equal strength: at most that many.
+
+        A source with a size has so many places, each with a wavelength of its own: places and colours are drawn evenly
+        together, so that colours cost nothing more. Of one place, colours lie on a line and not on a disc, and a fourth
+        of that number does: `camera` 512, which has 45.9 dB in many, has 46.1 in 5 and 46.8 in 2. One beam is the
+        middle of all.
+        """
         if not self.light.extended or beams <= 1:
-            return [self.beam()]
-        return [self.beam(aside=(float(x), float(y))) for x, y in disc_points(beams)]
+            return [self.beam(more_index=more) for more in self.split_index(math.ceil(beams / 4))]
+        places, colours = disc_points(beams), self.split_index(beams)
+        mixed = _mix_colours(places, np.array(colours)) if len(colours) > 1 else np.zeros(beams)
+        return [
+            self.beam(aside=(float(x), float(y)), more_index=float(more))
+            for (x, y), more in zip(places, mixed, strict=True)
+        ]
+
+    def spare_colours(self) -> Bench:
+        """Return the light in its mean colour where each colour is a beam more: where they are not worth their time."""
+        return self if self.light.extended else self.in_mean_colour()
+
+    def in_mean_colour(self) -> Bench:
+        """Return the same light of one wavelength: that of the mean index of its colours."""
+        return replace(self, light=replace(self.light, spectrum=Spectrum()))
+
+    def split_index(self, parts: int) -> tuple[float, ...]:
+        """Return the index less its mean, of so many equal parts of the light's spectrum; one where all bend alike."""
+        if self.mirror or self.dispersion == 0.0:
+            return (0.0,)
+        return tuple(self.dispersion * share for share in self.light.spectrum.split(parts))
 
     @property
     def sign(self) -> float:
@@ -177,3 +209,23 @@ class Bench:
             self.width_mm,
             self.height_mm,
         )
+
+
+def _mix_colours(places: Array, colours: Array) -> Array:
+    """Return the colours in an order in which none of them favours a side, the middle or the rim of the disc.
+
+    places (n, 2), colours (n,) ascending, mean 0. Two change places as long as that lowers the correlation.
+    """
+    x, y = places.T
+    sides = np.stack([x, y, x * x + y * y, x * x - y * y, x * y])
+    sides -= sides.mean(axis=1, keepdims=True)
+    sides /= np.sqrt((sides**2).sum(axis=1, keepdims=True)) + 1e-300
+    mixed, moved = colours.copy(), True
+    while moved:
+        moved = False
+        for j, k in combinations(range(colours.size), 2):
+            now = sides @ mixed
+            then = now + (sides[:, j] - sides[:, k]) * (mixed[k] - mixed[j])
+            if then @ then < (1.0 - 1e-9) * (now @ now):
+                mixed[j], mixed[k], moved = mixed[k], mixed[j], True
+    return mixed

@@ -22,7 +22,7 @@ from optics.tubes.edges import polygon_coverage
 from optics.tubes.lattice import Aim, follow_tubes
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
-BEAMS = 19  # of light from a disc
+BEAMS = 19  # of light from a disc; 5 of several colours: `Bench.bundle`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ def simulate_caustic(
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell; fewer than 4 flatter the score
-    beams          : into which light from a disc is divided; light without size is one
+    beams          : into which light from a disc is divided; `Bench.bundle`
     """
     ny, nx = pixels
     light, total, reflected = _trace_light(

@@ -1,22 +1,23 @@
 """The light that falls on the lens: what a person says of it, and the beams that kernels follow.
 
 A lens is lit through its flat face, a mirror from above. A *beam* comes from one direction or from one point; light
-from a disc (the sun, a lamp of some size) is a bundle of beams of equal strength. Of a beam at a surface point
-(x, y, z) the kernels want: its direction, its phase (index times the way so far, less a constant), and where it crossed
-the *face*, the plane on which its strength is known. Light keeps its amount from the face to the surface, so that no
-kernel needs to know how it thins out on the way.
+from a disc (the sun, a lamp of some size) or of several colours is a bundle of beams of equal strength. Of a beam at a
+surface point (x, y, z) the kernels want: its direction, its phase (index times the way so far, less a constant), and
+where it crossed the *face*, the plane on which its strength is known. Light keeps its amount from the face to the
+surface, so that no kernel needs to know how it thins out on the way.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from optics.spectrum import Spectrum
 from optics.spline import Array
 
 SUN_DEG = 0.53
@@ -34,6 +35,7 @@ class Light:
     profile     : (my, mx), at least 2 x 2, relative strength on the face, spread from rim to rim of the aperture, row 0
                   at the lowest y, bilinear between; None is even. Of a lamp it multiplies the law of distance.
     tilt_rad    : angles in x and y from the axis to the direction that light travels in (of a lamp: of its middle)
+    spectrum    : its colours; the index of the bench's material is that of their mean
     middle_only : light from the middle of the source alone, as if it had no size
     """
 
@@ -43,6 +45,7 @@ class Light:
     size_mm: float = 0.0
     profile: Array | None = None
     tilt_rad: tuple[float, float] = (0.0, 0.0)
+    spectrum: Spectrum = field(default_factory=Spectrum)
     middle_only: bool = False
 
     @property

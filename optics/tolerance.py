@@ -33,6 +33,8 @@ _BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to whe
 _FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
 # Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
 _TUBES, _TUBES_COARSE = 2, 1
+_BEAMS = 8  # two colours of the light of a changed set-up; what they miss near focus is added from the middle's
+_WALL_STEPS = 4
 _NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and aslant: not yet far out of focus, where the coarse are within 0.35 dB
 
 
@@ -67,9 +69,22 @@ class BlurPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class IndexPoint:
+    """The block's index is higher by more_index: the picture on the wall where it stands, and moved by wall_mm, farther
+    away counting up. Where it is lower the same holds the other way round.
+    """
+
+    more_index: float
+    psnr_db: float
+    wall_mm: float
+    psnr_db_moved: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerances:
     """focus ascends from near to far, with the design's own throw among it; tilts and sources ascend.
 
+    index          : of a block whose index is higher by as much as it may be; None where that is not known
     focus_range_mm : offsets of the wall, near (negative) and far, at which FOCUS_LOSS_DB of the picture are lost
     blur_mm, _px   : diameter of the disc that the bench's own light makes of a point; 0 for light without size
     """
@@ -81,6 +96,7 @@ class Tolerances:
     sources: tuple[BlurPoint, ...]
     blur_mm: float
     blur_px: float
+    index: IndexPoint | None = None
 
 
 def without_size(bench: Bench) -> Bench:
@@ -106,11 +122,13 @@ def lens_tolerances(
     target: Array,
     *,
     sharp: Array | None = None,
+    index_spread: float | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Tolerances:
-    """Return tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 17 simulations.
+    """Return tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 19 simulations.
 
-    sharp : irradiance of `sharp_light`, where it is known
+    sharp        : irradiance of `sharp_light`, where it is known
+    index_spread : how far the block's index may be off; None: not known
     """
     report = on_progress or (lambda share: None)
     if sharp is None:
@@ -122,6 +140,7 @@ def lens_tolerances(
     far = view.depth_of_focus([p for p in focus if p.offset_mm > 0], middle)
     tilts = tuple(view.compute_tilt_point(tilt) for tilt in TILTS_DEG)
     sources = tuple(view.compute_blur_point(size, sharp) for size in SOURCES_DEG)
+    index = None if index_spread is None or bench.mirror else view.compute_index_point(index_spread)
     blur = blur_mm(heightfield, bench, source_rad(heightfield, bench))
     return Tolerances(
         psnr_db=middle.psnr_db,
@@ -129,6 +148,7 @@ def lens_tolerances(
         focus_range_mm=(near, far),
         tilts=tilts,
         sources=sources,
+        index=index,
         blur_mm=blur,
         blur_px=blur * target.shape[1] / bench.screen.width_mm,
     )
@@ -169,7 +189,9 @@ class _View:
     def _simulate(self, bench: Bench, tubes: int) -> Array:
         fine = 1 if self._blur_mm == 0 else _FINE
         ny, nx = self._target.shape
-        light = simulate_caustic(self._lens, bench, pixels=(fine * ny, fine * nx), tubes_per_cell=tubes).irradiance
+        light = simulate_caustic(
+            self._lens, bench, pixels=(fine * ny, fine * nx), tubes_per_cell=tubes, beams=_BEAMS
+        ).irradiance
         self._done += 1
         self._report(self._done / (len(FOCUS_SHARES) + 2 + 2 * len(TILTS_DEG)))
         return light if self._blur_mm == 0 else self._spread(light, self._blur_mm)
@@ -242,6 +264,14 @@ class _View:
         psnr, seen = self._evaluate(_move_bench(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
         return TiltPoint(tilt_deg=tilt_deg, shift_mm=(by_x, by_y), psnr_db=psnr, irradiance=seen)
 
+    def compute_index_point(self, more_index: float) -> IndexPoint:
+        off = replace(self._bench, refractive_index=self._bench.refractive_index + more_index)
+        wall_mm = wall_for_index_mm(self._lens, self._bench, more_index)
+        psnr, moved = (
+            self._evaluate(replace(off, throw_mm=off.throw_mm + by_mm), _TUBES)[0] for by_mm in (0.0, wall_mm)
+        )
+        return IndexPoint(more_index=more_index, psnr_db=psnr, wall_mm=wall_mm, psnr_db_moved=moved)
+
     def compute_blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
         diameter = blur_mm(self._lens, self._bench, math.radians(size_deg))
         light = self._spread(sharp, diameter)
@@ -305,15 +335,36 @@ def _shift_to(aims: Sequence[Array], seen: Array) -> tuple[float, float]:
 
 def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> tuple[float, float]:
     """Return how far the picture moves as a whole from one bench to the other: the mean over rays through the lens."""
-    spline = heightfield.spline()
+    jets, x, y = _rays_through(heightfield)
+    before, after = (_arrivals(jets, x, y, one.beam(), one.throw_mm) for one in (bench, changed))
+    moved = np.nanmean(after - before, axis=1)
+    return float(moved[0]), float(moved[1])
+
+
+def wall_for_index_mm(heightfield: Heightfield, bench: Bench, more_index: float) -> float:
+    """Return how much farther the wall must stand where the block's index is higher by so much (negative: nearer).
+
+    By rays through the lens: where it is brought, they arrive as nearly as they can where they were to, but for a shift
+    of the whole.
+    """
+    jets, x, y = _rays_through(heightfield)
+    meant = _arrivals(jets, x, y, bench.beam(), bench.throw_mm)
+    off, wall_mm = replace(bench, refractive_index=bench.refractive_index + more_index).beam(), 0.0
+    for _ in range(_WALL_STEPS):
+        here, beyond = (_arrivals(jets, x, y, off, bench.throw_mm + wall_mm + step) for step in (0.0, 1.0))
+        along, missed = (one - np.nanmean(one, axis=1, keepdims=True) for one in (beyond - here, meant - here))
+        steepness = float(np.nansum(along**2))
+        wall_mm += float(np.nansum(along * missed)) / steepness if steepness > 0.0 else 0.0
+    return wall_mm
+
+
+def _rays_through(heightfield: Heightfield) -> tuple[Array, Array, Array]:
+    """Return the surface's (6, n) jets, and x and y (n,), at points evenly over the lens."""
     along = (np.arange(_RAYS) + 0.5) / _RAYS
     x, y = np.meshgrid(
         heightfield.x_mm[0] + along * heightfield.width_mm, heightfield.y_mm[0] + along * heightfield.height_mm
     )
-    jets = spline.jets(x, y).reshape(6, -1)
-    before, after = (_arrivals(jets, x.ravel(), y.ravel(), one.beam(), one.throw_mm) for one in (bench, changed))
-    moved = np.nanmean(after - before, axis=1)
-    return float(moved[0]), float(moved[1])
+    return heightfield.spline().jets(x, y).reshape(6, -1), x.ravel(), y.ravel()
 
 
 @njit(cache=True, nogil=True)

@@ -33,7 +33,7 @@ _ROWS = 6  # in a period
 _LEAST_PERIODS, _MOST_PERIODS, _LEAST_FIELD_MM = 4, 24, 5.0
 GAP_MM, LEAD_MM = 1.2, 2.0  # flat between two marks, and before the first and after the last
 _OF_CONTACT = 0.75  # of the amplitude at which a pad loses touch
-_MOST_OF_CONTACT = 1.0  # of it that a ripple in whole steps may reach
+_MOST_OF_CONTACT = 1.02  # of it that a ripple in whole steps may reach
 _OF_CURVATURE = 0.5  # of the ball's
 _MOST_MM = 0.02
 _LEAST_SEEN = 3.0  # times the visible slope that a mark begins with
@@ -219,8 +219,8 @@ def _solve_wave(tips_mm: Sequence[float], finish: Finish, mill: Mill, share: flo
 
     def excess(k: float) -> float:
         amplitude_mm = _first_harmonic_mm(tips_mm, 2 * math.pi / k, mill.radius_mm)
-        left = math.exp(-share * (k / finish.k0_rad_per_mm) ** finish.order)
-        return math.log(max(amplitude_mm, 1e-12) * k * left / VISIBLE_SLOPE_RAD)
+        worn = share * (k / finish.k0_rad_per_mm) ** finish.order
+        return math.log(max(amplitude_mm, 1e-12) * k / VISIBLE_SLOPE_RAD) - worn
 
     low, high = near / 2, near * 2
     if excess(low) < 0 or excess(high) > 0:  # steps have made another ripple of it

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cam.as_milled.noise import Noise
+from cam.as_milled.screws import Screws
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
@@ -67,6 +68,7 @@ def sample_facets(
     direction: Direction = "x",
     step_mm: float = 0.0,
     z_noise_mm: float = 0.0,
+    screws: Screws | None = None,
     decimals: int = DECIMALS,
     slope_error_rad: float = SLOPE_ERROR_RAD,
     surface: ToolSurface | None = None,
@@ -83,7 +85,9 @@ def sample_facets(
     def sample(numbered: tuple[int, Rows]) -> Array:
         number, rows = numbered
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
-        tracks = _tracks(touched, rows, rule, direction, decimals).made_by(step_mm=step_mm, noise=noise)
+        tracks = _tracks(touched, rows, rule, direction, decimals)
+        tracks = tracks if screws is None else tracks.divide(screws.longest_mm)
+        tracks = tracks.made_by(step_mm=step_mm, noise=noise, screws=screws)
         milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, step_mm=step_mm)
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
         return _inner(facets, 3 * milled.reach_mm + pitch_mm)

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cam.as_milled.noise import Noise
+from cam.as_milled.screws import Screws
 from cam.moves import Array
 from cam.reading.gcode import MoveBatch
 
@@ -52,11 +53,13 @@ class Tracks:
         del pieces
         return tracks.made_by(step_mm=step_mm, noise=noise)
 
-    def made_by(self, *, step_mm: float = 0.0, noise: Noise | None = None) -> Tracks:
-        """Return the same tracks as a machine with such steps and such noise runs them."""
+    def made_by(self, *, step_mm: float = 0.0, noise: Noise | None = None, screws: Screws | None = None) -> Tracks:
+        """Return the same tracks as a machine with such steps, such noise and such screws runs them."""
         tips = np.round(self.tips_mm / step_mm) * step_mm if step_mm > 0 else self.tips_mm.copy()
         if noise is not None and noise.sigma_mm > 0:
             tips[:, 2] += noise.errors_mm(self.tips_mm, self.joined)
+        if screws is not None:
+            tips += screws.errors_mm(self.tips_mm)
         return Tracks(radius_mm=self.radius_mm, tips_mm=tips, joined=self.joined)
 
     def divide(self, longest_mm: float) -> Tracks:

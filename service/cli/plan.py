@@ -19,6 +19,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
+from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolved import ResolvedJob
@@ -57,9 +58,10 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
         job_files.write_bytes(beside, fragment.encode())
         written = [f"picture: {request.output}", f"spec: {beside} (causticmill make --spec {beside})"]
     if as_json:
-        yield json.dumps(plan_figures(planned), indent=2)
+        yield json.dumps({**plan_figures(planned), "light": facts_of_light(spec)}, indent=2)
         return
     yield from table(planned)
+    yield f"under {facts_of_light(spec)['words']}"
     yield ""
     yield from reasons(planned)
     yield from (f"warning: {sentence}" for sentence in blur_warnings(planned))

@@ -44,8 +44,12 @@ def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was done for the picture beside the design itself, and what the set-up must keep to."""
+    """Yield what light the scores hold under, what was done for the picture beside the design itself, and what the
+    set-up must keep to.
+    """
     done = []
+    if light := optics.get("light"):
+        done.append(f"all figures hold under {light['words']}")
     if closing := optics.get("closing"):
         lost = closing["psnr_db_without"] - closing["psnr_db_with"]
         done.append(f"shaped for a ball {ball(closing['radius_mm'])} ({-lost:+.1f} dB)")

@@ -7,6 +7,9 @@ lamp, are refracted twice, and are counted on a white screen by a pinhole camera
 and are taken out openly: what Fresnel's law reflects (a ratio of at most some percent, computed per pixel from the
 angles of our own rays), and the particles' noise (two renderings with other seeds: the product of their differences to
 the tubes has the systematic part as its mean, whatever the noise).
+
+Its glass has one index, so white light is rendered wavelength by wavelength: the eye's table in place of our formula,
+and Sellmeier's law in place of Cauchy's.
 """
 
 from __future__ import annotations
@@ -19,13 +22,15 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.optimize import brentq
 
-from optics.bench import Bench
+from optics.bench import Bench, Branch
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.lens_settings import LensSettings
 from optics.light import Beam, Light, leave, meet, strength_on_face
+from optics.spectrum import POWERS, Spectrum
 from optics.spline import Array
 from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure
@@ -36,11 +41,17 @@ PARTICLES_PER_PIXEL = 20_000
 MESH_PER_CELL = 6
 ALLOWED_PERCENT = 0.5
 BLACK: dict[str, Any] = {"type": "diffuse", "reflectance": 0.0}
-CASES: dict[str, tuple[str, Light]] = {
-    "camera, collimated": ("camera", Light()),
-    "logo, light 2 degrees aslant": ("logo", Light(tilt_rad=(math.radians(2.0), 0.0))),
-    "astronaut, point source at 150 mm": ("astronaut", Light(kind="point", distance_mm=150.0)),
+CASES: dict[str, tuple[str, Light, Branch]] = {
+    "camera, collimated": ("camera", Light(), "direct"),
+    "logo, light 2 degrees aslant": ("logo", Light(tilt_rad=(math.radians(2.0), 0.0)), "direct"),
+    "astronaut, point source at 150 mm": ("astronaut", Light(kind="point", distance_mm=150.0), "direct"),
+    "camera, rays cross, white LED": ("camera", Light(spectrum=Spectrum(kind="white")), "inverted"),  # 7 % from mono
 }
+DISPERSION = 0.0085
+SEEN = {  # V(lambda) of CIE 1924
+    430: 0.0116, 450: 0.038, 470: 0.091, 490: 0.208, 510: 0.503, 530: 0.862, 550: 0.995, 570: 0.952, 590: 0.757,
+    610: 0.503, 630: 0.265, 650: 0.107, 670: 0.032, 690: 0.0082,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,10 +71,10 @@ def figures() -> Iterator[Figure]:
     if importlib.util.find_spec("mitsuba") is None:
         yield Figure("renderer", 0.0, "lenses", "not done: mitsuba is not installed (pip install mitsuba)")
         return
-    for name, (picture, light) in CASES.items():
+    for name, (picture, light, branch) in CASES.items():
         bench = Bench.centre_on(
             width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=INDEX,
-            thickness_mm=THICKNESS_MM, light=light,
+            dispersion=DISPERSION, thickness_mm=THICKNESS_MM, light=light, branch=branch,
         )  # fmt: skip
         # Aslant, the lens made for straight light: its picture leaves the screen on one side.
         made_for = bench if light.kind == "point" else replace(bench, light=Light())
@@ -82,8 +93,12 @@ def compare(lens: Heightfield, bench: Bench, pixels: int, *, particles: int = PA
     """Rendered and simulated light on a screen of the aperture's size, each in units of the light on the lens."""
     tubes = simulate_caustic(lens, bench, pixels=(pixels, pixels), tubes_per_cell=8).irradiance
     through, unit = _expected(lens, bench, pixels)
-    scene = _scene(lens, bench, pixels)
-    rendered = [_rendered(scene, particles // 2, seed) / through / unit for seed in (1, 2)]
+    colours = split_colours(bench)
+    scenes = [(_scene(lens, replace(bench, refractive_index=index), pixels), share) for index, share in colours]
+    rendered = [
+        sum(share * _rendered(scene, particles // 2 // len(scenes), seed) for scene, share in scenes) / through / unit
+        for seed in (1, 2)
+    ]
     first, second = ((picture - tubes) / tubes.mean() for picture in rendered)
     both = first * second
     return Agreement(
@@ -92,6 +107,25 @@ def compare(lens: Heightfield, bench: Bench, pixels: int, *, particles: int = PA
         seen=100 * float(np.sqrt((((first + second) / 2) ** 2).mean())),
         level=float(np.mean(rendered) / tubes.mean()),
     )
+
+
+def split_colours(bench: Bench) -> list[tuple[float, float]]:
+    """(index, share of the light) of each wavelength that is rendered."""
+    spectrum = bench.light.spectrum
+    if not spectrum.is_spread:
+        return [(bench.refractive_index, 1.0)]
+    nm = np.array(list(SEEN), dtype=np.float64)
+    share = np.array([POWERS[spectrum.kind](one, spectrum) * seen for one, seen in SEEN.items()])
+    share /= share.sum()
+    f_nm, c_nm = 486.13, 656.27
+
+    def index(at_nm: Array | float, pole_nm2: float) -> Array:
+        return np.sqrt(1.0 + (INDEX**2 - 1.0) / (1.0 - pole_nm2 / np.square(at_nm)))
+
+    pole = brentq(lambda pole: float(index(f_nm, pole) - index(c_nm, pole)) - bench.dispersion, 100.0, 40_000.0)
+    indices = index(nm, pole)
+    indices += bench.refractive_index - share @ indices
+    return list(zip(indices.tolist(), share.tolist(), strict=True))
 
 
 def _expected(lens: Heightfield, bench: Bench, pixels: int) -> tuple[Array, float]:

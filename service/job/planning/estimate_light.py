@@ -52,6 +52,8 @@ def foretell(
         return describe_light(light, marks)
     finished = FinishedLight(light, by_hand)
     finished.calibrate(marks, design, fine=fine)
+    if not fine:
+        finished.look_at(marks, design)
     return describe_light(finished, marks)
 
 

@@ -27,7 +27,7 @@ _FINER_LACKS = (
     1.9  # times as much as a lens of 96 pixels, of the light of one as fine as the picture: films, 2.1 and 1.7
 )
 _FINER_LACKS_TOUCH = 2.4  # the same of tools, which do not reach everywhere: 2.85 and 2.0 on the same two pictures
-_WORTH_SSIM = 0.01
+_WORTH_DB = 0.1
 _ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
@@ -110,12 +110,12 @@ def plan_finish(
     reaching = {light: _keep_reaching(rows, light, margin_mm) for _, light in ways}
     ways = [way for way in ways if reaching[way[1]]] or ways
     rows_of = {light: reaching[light] or rows for _, light in ways}
-    by_process = {one.process: [way for way in ways if way[0].process == one.process] for one, _ in ways}
-    for alike in by_process.values():
+    for process in dict.fromkeys(one.process for one, _ in ways):
+        alike = [way for way in ways if way[0].process == process]
         first = best_of(_plan_all(rows_of, left_out, alike[::_NEAR], goal), goal)
         lacks = _FINER_LACKS if first.light.finish.depth_mm is None else _FINER_LACKS_TOUCH
         first.light.calibrate(first.plan.chosen.marks, design, finer_lacks=1.0 if exactly else lacks)
-        _share_calibration(first, alike)
+        share_calibration(first, ways)
     if not exactly:
         best = best_of(_plan_all(rows_of, left_out, ways[::_NEAR], goal), goal)
         at = next(number for number, (_, light) in enumerate(ways) if light is best.light)
@@ -131,10 +131,10 @@ def plan_finish(
     return found
 
 
-def _share_calibration(calibrated: FinishedPlan, others: Iterable[tuple[Finishing, FinishedLight]]) -> None:
+def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, FinishedLight]]) -> None:
     """Take over how far guesses were off for the same process: what one tool does not reach says nothing of others."""
-    for _, light in others:
-        if light is not calibrated.light:
+    for finishing, light in ways:
+        if finishing.process == calibrated.finishing.process and light is not calibrated.light:
             light.trust(calibrated.light)
 
 
@@ -192,11 +192,11 @@ def find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
     if len(alike) == 1:
         return best
     with ThreadPoolExecutor(thread_count()) as pool:
-        return alike[int(np.argmax(list(pool.map(lambda one: _ssim(one.light, one.plan), alike))))]
+        return alike[int(np.argmax(list(pool.map(_ssim, alike))))]
 
 
-def _ssim(light: PictureLight, plan: Plan) -> float:
-    return light.score(light.picture(replace(plan.chosen.marks, rest=None))).ssim
+def _ssim(one: FinishedPlan) -> float:
+    return one.light.score(one.light.picture(one.plan.chosen.marks)).ssim
 
 
 def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:
@@ -218,15 +218,9 @@ def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
     return plan.met, chosen.value_db if goal.hours is None else chosen.psnr_db
 
 
-def is_worth_it(finished: FinishedPlan, milled: Plan, unfinished: PictureLight, goal: Goal) -> bool:
-    """Return whether finishing shows more of the picture, or reaches the same goal sooner; unfinished: the light of
-    what is only milled.
-
-    By SSIM: marks of a tool hide more than their PSNR tells, since what a finish leaves is smooth.
-    """
+def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
+    """Return whether finishing makes the picture better, or the same goal quicker to reach."""
     if goal.is_quality:
-        return merit(finished.plan, goal) > merit(milled, goal)
-    if milled.chosen.psnr_db >= _CLOSE_DB:
-        return False
-    with_it, without = _ssim(finished.light, finished.plan), _ssim(unfinished, milled)
-    return (finished.plan.met, with_it) > (milled.met, without + _WORTH_SSIM)
+        return merit(finished, goal) > merit(milled, goal)
+    with_db, without_db = (min(plan.chosen.psnr_db, _CLOSE_DB) for plan in (finished, milled))
+    return (finished.met, with_db) > (milled.met, without_db + _WORTH_DB)

@@ -177,20 +177,19 @@ class FinishedLight(PictureLight):
         lot = idct(np.concatenate([[0.0], waves]), norm="ortho")
         return np.asarray(lot / max(float(lot.std()), 1e-300))
 
-    def look_at(self, marks: Marks, design: Design, *, fine: bool = False) -> Seen:
-        """Keep the light of a lens that is designed and finished as what is seen of those marks; return it."""
-        lens, target = design(self.finish, marks.radius_mm, fine)
-        done = finish_lens(lens, self.finish)
-        bare = self._light_of(done.lens, self.target.shape)  # half of the stripes are finer than a coarse pixel
-        light = self._lit[marks.radius_mm] = self._blur_past_tool(bare, done, marks)
-        return Seen(done=done, target=target, bare=bare, light=light)
+    def look_at(self, marks: Marks, design: Design) -> None:
+        """Keep the light of a coarse lens that is designed and finished as what is seen of those marks."""
+        self._lit[marks.radius_mm] = self._shine(marks, design, fine=False).light
 
     def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
-        """Correct both guesses by a lens that is designed, milled in rows, finished and lit.
+        """Correct both guesses by a lens that is designed, milled in rows, finished and lit; a fine one is kept as what
+        is seen.
 
         finer_lacks : how many times as much one as fine as the picture misses
         """
-        seen = self.look_at(marks, design, fine=fine)
+        seen = self._shine(marks, design, fine=fine)
+        if fine:
+            self._lit[marks.radius_mm] = seen.light
         target, self.contact_share = seen.target, seen.done.contact_share
         light = seen.light if target.shape == seen.light.shape else np.maximum(resize(seen.light, target.shape), 0.0)
         off_free = finer_lacks * float(np.square(light - target).mean())
@@ -206,6 +205,12 @@ class FinishedLight(PictureLight):
         self._lens_scale, self._lost_contact = (1.0, off - guess) if adds else (off / guess, 0.0)
         for direction in self._stripe_scale:
             self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), seen)
+
+    def _shine(self, marks: Marks, design: Design, *, fine: bool) -> Seen:
+        lens, target = design(self.finish, marks.radius_mm, fine)
+        done = finish_lens(lens, self.finish)
+        bare = self._light_of(done.lens, self.target.shape)  # half of the stripes are finer than a coarse pixel
+        return Seen(done=done, target=target, bare=bare, light=self._blur_past_tool(bare, done, marks))
 
     def _blur_past_tool(self, light: Array, done: Finished, marks: Marks) -> Array:
         """Return light (ny, nx) whose part that comes by what the tool does not touch is blurred by rows, as milled."""

@@ -183,12 +183,11 @@ def _choose_plan(
             finished = finish_among(seen, design, goal, exactly=False)
             plan, milled = settling.result()
         else:
-            seen = light
             if finishings:
                 finished = finish_among(light, design, goal, exactly=True)
             milled = plan = choose_milled()
     finishing = None
-    if finished is not None and (given or is_worth_it(finished, milled, seen, goal)):
+    if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
         plan, light, finishing = finished.plan, finished.light, finished.finishing
     elif own_lens is not None:  # before a finish, whose heights are shaped, the coarse lens is nearer: 1 %, not 4
         coarse = light.forms[plan.chosen.finish.radius_mm]

@@ -19,6 +19,10 @@ CAUSES = {
         Phrase("height errors of the machine from row to row"),
         Phrase("a stiffer set-up, or one unbroken path, helps"),
     ),
+    "screws": (
+        Phrase("the machine's screws"),
+        Phrase("better screws, or an axis that measures where it is, help"),
+    ),
     "rounding": (Phrase("the decimals of the program"), Phrase("a dialect with more of them helps")),
 }
 _WORTH_DB = 0.3

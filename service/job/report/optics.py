@@ -7,7 +7,7 @@ from typing import Any
 
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
-from service.job.spec.light import describe_light
+from service.job.spec.light import describe_light, name_spectrum
 from service.wording import ball, number, psnr_in_words, word_misplaced
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
@@ -46,7 +46,25 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
     if sharp is not None:
         words = Phrase("the lens is made for a source of this size, and best with it")
         rows.append((Phrase("Likeness (PSNR) without the size of the source"), f"{sharp:.1f} dB", words))
-    return rows
+    return [*rows, *_rows_of_colours(table(report.get("optics")))]
+
+
+def _rows_of_colours(optics: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
+    """Return what light the scores hold under; nothing where a report of old does not say it."""
+    light = table(optics.get("light"))
+    if not light:
+        return []
+    words = Phrase("the colours that all these figures hold under; others need another distance to the wall")
+    if light.get("dispersion") is None:
+        words = Phrase("how the block bends colours is not known: all count as one")
+    elif light["dispersion"] == 0.0:
+        words = Phrase("a mirror sends all colours the same way")
+    elif (best_db := optics.get("psnr_db_one_wavelength")) is not None:
+        words = Phrase(
+            "the colours that all these figures hold under; at one wavelength the lens itself shows {psnr_db:.1f} dB",
+            psnr_db=best_db,
+        )
+    return [(Phrase("Light"), name_spectrum(light.get("spectrum")), words)]
 
 
 def _leak_in_words(scores: Mapping[str, Any]) -> Phrase:
@@ -194,6 +212,8 @@ def light_sentences(spec: Mapping[str, Any]) -> list[Phrase]:
     light = table(optics.get("light"))
     is_mirror = optics.get("surface") == "mirror"
     sentences = [describe_light(light, is_mirror=is_mirror)]
+    if (spectrum := light.get("spectrum")) is not None and not is_mirror:
+        sentences.append(Phrase("The lens is made for {colours}.", colours=name_spectrum(spectrum)))
     if light.get("gaussian_mm") is not None:
         width_mm = number(light["gaussian_mm"])
         sentences.append(
@@ -233,7 +253,7 @@ def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> li
     """Return sentences on distance, tilt and size of the source; empty where nothing was simulated."""
     if not tolerances:
         return []
-    return [_distance(tolerances, throw_mm), _tilt(tolerances), *_source(tolerances)]
+    return [_distance(tolerances, throw_mm), *_index(tolerances), _tilt(tolerances), *_source(tolerances)]
 
 
 def _distance(found: Mapping[str, Any], throw_mm: float) -> Phrase:
@@ -248,6 +268,22 @@ def _distance(found: Mapping[str, Any], throw_mm: float) -> Phrase:
         near_mm=number(-near, 2),
         far_mm=number(far, 2),
     )
+
+
+def _index(found: Mapping[str, Any]) -> list[Phrase]:
+    """Return by how much the wall must move for a block of another index; nothing where that costs nothing."""
+    point = table(found.get("index"))
+    if not point or (gain_db := point["psnr_db_moved"] - point["psnr_db"]) < _NOTHING_DB:
+        return []
+    return [
+        Phrase(
+            "The refractive index of a block is known to ±{spread:g} only: if the picture is unsharp, move the wall by "
+            "up to {wall_mm} mm nearer or farther, which brings back up to {gain_db:.1f} dB.",
+            spread=point["more_index"],
+            wall_mm=number(abs(point["wall_mm"]), 2),
+            gain_db=gain_db,
+        )
+    ]
 
 
 def _tilt(found: Mapping[str, Any]) -> Phrase:

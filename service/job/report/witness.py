@@ -75,10 +75,10 @@ def _sentences(made: Mapping[str, Any], marks: list[Mapping[str, Any]], minutes:
     yield Phrase(
         "Look first after {first}, then every {every}: wash and dry the strip, hold a lamp almost flat along it, so "
         "that the light crosses the ripples, and look at the middle of each mark, not at the ends of its ripples. A "
-        "ripple shows while its slope is over about {slope_mrad:g} mrad.",
+        "ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm ({slope_um_per_mm:g} mrad).",
         first=duration(60 * minutes * marks[0]["share"]),
         every=duration(60 * minutes * 0.1),
-        slope_mrad=1000 * made["visible_slope_rad"],
+        slope_um_per_mm=1000 * made["visible_slope_rad"],
     )
     if made["wall_mm"] is not None:
         yield Phrase(

@@ -48,7 +48,7 @@ class FinishSpec(Section):
         Field(pattern=r"^[a-z][a-z0-9-]{0,39}$"),
         shown(
             "Finished by hand",
-            "Half an hour takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",
+            "An hour or two takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet.",
             choices=_PROCESSES,
             card="mill",
             wide=True,

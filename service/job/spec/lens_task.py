@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cam.materials import MATERIALS
 from optics.bench import Bench, Branch
 from optics.black import choose_branch
 from optics.finish import PAD_MM, Finish
@@ -20,7 +21,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.finish import FinishSpec
-from service.job.spec.light import LIGHT_WORDS
+from service.job.spec.light import LIGHT_WORDS, name_spectrum, spectrum_of
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
@@ -39,6 +40,7 @@ def bench_of(spec: JobSpec) -> Bench:
         height_mm=optics.height_mm,
         throw_mm=optics.throw_mm,
         refractive_index=optics.refractive_index,
+        dispersion=MATERIALS[spec.stock.material].dispersion or 0.0,
         screen_mm=optics.screen_size_mm,
         shift_mm=(optics.screen_shift_x_mm, optics.screen_shift_y_mm),
         mirror=optics.surface == "mirror",
@@ -51,7 +53,17 @@ def bench_of(spec: JobSpec) -> Bench:
 def light_of(optics: OpticsSpec) -> Light:
     """Return the source, its profile turned into the work frame."""
     given = optics.light
-    return Light(kind=given.kind, profile=_profile(optics), **given.figures)
+    return Light(kind=given.kind, profile=_profile(optics), spectrum=spectrum_of(given), **given.figures)
+
+
+def facts_of_light(spec: JobSpec) -> dict[str, Any]:
+    """Return the light that scores hold under, as plain data, and its colours in words; dispersion: n_F - n_C that
+    counts, None: not known.
+    """
+    light = spec.optics.light.model_dump(mode="json", exclude={"profile"}, exclude_none=True)
+    dispersion = MATERIALS[spec.stock.material].dispersion
+    dispersion = 0.0 if spec.optics.surface == "mirror" else dispersion
+    return {**light, "dispersion": dispersion, "words": name_spectrum(light.get("spectrum"))}
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:

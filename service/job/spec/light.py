@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
+from cam.materials import Material
+from optics.spectrum import Spectrum
 from phrases.phrase import Phrase
 from service.job.spec.section import OneOf, RuleError, Section, none_or_from, shown
 from service.wording import number
@@ -17,6 +19,12 @@ SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _LEAST_PROFILE = 1e-6  # the greatest of them is at least so much: no ratio of them overflows
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
+SPECTRA = {
+    "white": ("white LED", Phrase("a white LED")),
+    "sun": ("sunlight", Phrase("sunlight")),
+    "monochromatic": ("one wavelength", Phrase("light of one wavelength")),
+}
+"""Of one name, by it: the choice in the form, and what it is in a sentence."""
 _RANGE = {
     "size_deg": Phrase("a number from 0.001 to 10 degrees"),
     "distance_mm": Phrase("a number from 10 to 100000 mm"),
@@ -97,6 +105,36 @@ def _when(figure: str) -> dict[str, Any]:
     return {"optics.light.kind": [kind for kind, one in LIGHT_WORDS.items() if figure in one.figures]}
 
 
+class LedSpec(Section):
+    """The spectrum of a coloured LED or a filter: its peak, and its full width at half the peak."""
+
+    centre_nm: Annotated[float, Field(ge=400, le=700)]
+    width_nm: Annotated[float, Field(ge=1, le=200)]
+
+
+def spectrum_of(light: LightSpec) -> Spectrum:
+    """Return the spectrum as optics takes it."""
+    if isinstance(light.spectrum, LedSpec):
+        return Spectrum(kind="led", centre_nm=light.spectrum.centre_nm, width_nm=light.spectrum.width_nm)
+    return Spectrum(kind=light.spectrum or "white")
+
+
+def index_of(material: Material, light: LightSpec) -> float:
+    """Return the material's index for the mean colour of the light."""
+    return round(material.refractive_index + (material.dispersion or 0.0) * spectrum_of(light).above_white, 4)
+
+
+def name_spectrum(spectrum: Any) -> Phrase:
+    """Return what a spectrum is in a sentence; spectrum as plain data, None where a report of old says nothing."""
+    if isinstance(spectrum, Mapping):
+        return Phrase(
+            "an LED of {centre_nm} nm, {width_nm} nm wide",
+            centre_nm=number(spectrum["centre_nm"]),
+            width_nm=number(spectrum["width_nm"]),
+        )
+    return SPECTRA[spectrum or "monochromatic"][1]
+
+
 class LightSpec(Section):
     """The light that enters the flat face of a lens, or falls on a mirror from above.
 
@@ -105,6 +143,7 @@ class LightSpec(Section):
     distance_mm : of the lamp from the flat face (of a mirror: from the stock top), on the axis through the aperture
     size_mm     : diameter of the lamp
     profile     : rows of relative strength on the aperture from rim to rim, top row first, as the picture is seen
+    spectrum    : a key of SPECTRA, or {centre_nm, width_nm} of a coloured LED; left out: of the sun its own, else white
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 
@@ -120,6 +159,16 @@ class LightSpec(Section):
     size_mm: Annotated[
         Annotated[float, Field(ge=0, le=1000), none_or_from(0.001)] | None,
         shown("Size of the lamp", "Its diameter; 0 is a point.", card="light", usual="0", when=_when("size_mm")),
+    ] = Field(default=None, validate_default=True)
+    spectrum: Annotated[
+        Literal["white", "sun", "monochromatic"] | LedSpec | None,
+        shown(
+            "Colours",
+            "White light spreads fine detail: acrylic bends blue more than red. A green LED is sharper.",
+            choices={name: words for name, (words, _) in SPECTRA.items()},
+            card="light",
+            usual="of the source",
+        ),
     ] = Field(default=None, validate_default=True)
     profile: list[list[float]] | None = None
     gaussian_mm: Annotated[
@@ -163,6 +212,25 @@ class LightSpec(Section):
                 )
             )
         return value
+
+    @field_validator("spectrum", mode="before")
+    @classmethod
+    def _known_spectrum(cls, spectrum: Any, info: ValidationInfo) -> Any:
+        if spectrum is None:
+            return "sun" if info.data.get("kind") == "sun" else "white"
+        if isinstance(spectrum, str) and spectrum in SPECTRA:
+            return spectrum
+        try:
+            return LedSpec.model_validate(spectrum)
+        except ValidationError:
+            raise RuleError(
+                Phrase(
+                    "{value} is not allowed; allowed: {names}, or centre_nm from 400 to 700 with width_nm from 1 to "
+                    "200",
+                    value=repr(" ".join(str(spectrum).split())[:60]),
+                    names=", ".join(f"'{name}'" for name in SPECTRA),
+                )
+            ) from None
 
     @field_validator("profile", mode="before")
     @classmethod

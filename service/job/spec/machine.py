@@ -31,6 +31,14 @@ class MachineSpec(Section):
     acceleration_mm_per_s2: Annotated[Accelerations | None, shown("Acceleration", names=_XYZ)] = None
     step_mm: Annotated[Annotated[float, Field(ge=1e-6, le=1)] | None, _shown("Smallest step")] = None
     z_noise_mm: Annotated[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)] | None, _shown("Noise in Z")] = None
+    screw_error_mm: Annotated[
+        Annotated[list[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)]], Three] | None,
+        shown("Screw errors", "An axis's error that comes back with every turn of its screw.", names=_XYZ),
+    ] = None
+    screw_lead_mm: Annotated[
+        Annotated[list[Annotated[float, Field(ge=0.1, le=100)]], Three] | None,
+        shown("Leads of the screws", names=_XYZ),
+    ] = None
     whole_steps: Annotated[bool | None, _shown("On whole steps")] = None
     most_program_mb: Annotated[
         Annotated[float, Field(ge=0.1, le=1_000_000)] | None, shown("Largest program", usual="no limit")

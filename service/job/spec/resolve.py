@@ -18,6 +18,7 @@ from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.envelope import find_beyond_travel
 from service.job.spec.finish import FinishSpec, resolve_finish
+from service.job.spec.light import index_of
 from service.job.spec.model import JobSpec, PassRow
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.stock import CutOutSpec, FaceSpec, StockSpec
@@ -63,7 +64,7 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     finish = resolve_finish(spec.finish, job.figures.processes, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
     if "refractive_index" not in spec.optics.model_fields_set:
-        spec = _with_optics(spec, refractive_index=MATERIALS[spec.stock.material].refractive_index)
+        spec = _with_optics(spec, refractive_index=index_of(MATERIALS[spec.stock.material], spec.optics.light))
     if not spec.to_be_planned:
         spec = _with_optics(spec, min_radius_mm=spec.lens_radius_mm).model_copy(update={"passes": tuple(rows)})
     return job.with_spec(spec)
@@ -106,7 +107,7 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
             same = [key for key in chosen_keys if getattr(chosen, key) == getattr(tool, key)]
             stock = stock.model_copy(update={name: tool.model_copy(update=dict.fromkeys(same))})
     plain = spec.model_copy(update={"passes": tuple(rows), "stock": stock}).plain()
-    if spec.optics.refractive_index == material.refractive_index:
+    if spec.optics.refractive_index == index_of(material, spec.optics.light):
         del plain["optics"]["refractive_index"]
     return plain
 

@@ -23,7 +23,7 @@ Rate = Annotated[float, Field(ge=1, le=50_000)]
 Speed = Annotated[float, Field(ge=1, le=200_000)]
 _UNITS = (
     ("_mm_per_min", "mm/min"), ("_mm_per_s2", "mm/s²"), ("_rad_per_mm", "rad/mm"), ("_per_s", ""), ("_mm", "mm"),
-    ("_um", "µm"), ("_w", "W"), ("_rpm", "rpm"), ("_deg", "°"), ("_db", "dB"), ("_mb", "MB"),
+    ("_um", "µm"), ("_nm", "nm"), ("_w", "W"), ("_rpm", "rpm"), ("_deg", "°"), ("_db", "dB"), ("_mb", "MB"),
     ("_s", "s"), ("hours", "h"), ("minutes", "min"),
 )  # fmt: skip
 

@@ -27,7 +27,7 @@ from service.job.finite_json import plain
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
-from service.job.spec.lens_task import bench_of, finish_of
+from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
 from service.job.spec.resolve import cam_passes_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
@@ -141,6 +141,7 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
             **score,
             **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
+            "light": facts_of_light(context.spec),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
             "contact_share": finished.contact_share,

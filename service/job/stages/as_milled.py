@@ -11,6 +11,7 @@ import numpy as np
 
 from cam.as_milled.noise import Noise
 from cam.as_milled.rows import find_touched_surface, sample_facets, tip_error_mm
+from cam.as_milled.screws import Screws
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
@@ -29,8 +30,8 @@ from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MI
 from service.job.finite_json import plain
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
-from service.job.report.milled import CAUSES, detail_lost
-from service.job.spec.lens_task import bench_of, finish_of
+from service.job.report.milled import detail_lost
+from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
 from service.job.spec.resolve import cam_passes_of
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light
@@ -92,16 +93,26 @@ def read_tracks(
     longest_mm : an axis stands on a step at least so often, within moves, too
     """
     machine, rows = context.machine, context.so_far["passes"]
+    screws, chord_mm = screws_of(machine), longest_mm if machine.step_mm > 0 else math.inf
+    if screws is not None:
+        chord_mm = min(chord_mm, screws.longest_mm)
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
         paths = [context.folder / name for name in names_of_pass(rows[number])]
         batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
-        one = one.divide(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
-        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise))
+        one = one.divide(chord_mm) if math.isfinite(chord_mm) else one
+        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise, screws=screws))
         on_progress(0.8 * done / len(passes))
     return tracks
+
+
+def screws_of(machine: MachineProfile) -> Screws | None:
+    """Return the errors of a mill's screws; None where they are none, or not known."""
+    if machine.screw_error_mm is None or not any(machine.screw_error_mm):
+        return None
+    return Screws(error_mm=machine.screw_error_mm, lead_mm=machine.screw_lead_mm)
 
 
 def error_of_tips_mm(machine: MachineProfile) -> float:
@@ -142,6 +153,7 @@ def _gains(
         "pitch_mm": spec.pitch_mm,
         "step_mm": machine.step_mm,
         "z_noise_mm": machine.z_noise_mm,
+        "screws": screws_of(machine),
         "decimals": _decimals(machine),
         "surface": find_touched_surface(heightfield, spec.radius_mm, spec.direction),
     }
@@ -151,13 +163,15 @@ def _gains(
         "noise": {"z_noise_mm": 0.0},
         "rounding": {"decimals": 9},
     }
+    if now["screws"] is not None:
+        without["screws"] = {"screws": None}
     scores = []
-    changes: list[dict[str, Any]] = [{}, *(without[cause] for cause in CAUSES)]
+    changes: list[dict[str, Any]] = [{}, *without.values()]
     for number, change in enumerate(changes):
         facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
         scores.append(psnr_db(predict_light(designed.irradiance, facets, heightfield, bench), target))
         on_progress((number + 1) / (len(without) + 1))
-    return {cause: score - scores[0] for cause, score in zip(CAUSES, scores[1:], strict=True)}
+    return {cause: score - scores[0] for cause, score in zip(without, scores[1:], strict=True)}
 
 
 def _tell(
@@ -170,6 +184,7 @@ def _tell(
             **scores_against_original(context.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
+            "light": facts_of_light(context.spec),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
             "slope_rms_mrad": found.slope_mrad,
@@ -181,6 +196,7 @@ def _tell(
             "psnr_db_blurred": blurred_psnr_db(target, (found.blur_y_px, found.blur_x_px)),
             "step_mm": machine.step_mm,
             "z_noise_mm": machine.z_noise_mm,
+            "screw_error_mm": machine.screw_error_mm,
             "gain_db_without": gains,
         }
     )

@@ -14,6 +14,7 @@ from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic
 from service.job.files import FINISH_TOLERANCE
 from service.job.picture.light_png import row_png
+from service.job.spec.lens_task import facts_of_light
 from service.job.spec.resolved import ResolvedJob
 from service.job.stages.context import StageContext
 
@@ -35,6 +36,7 @@ def report_tolerance(
     little, much = (float(score_caustic(light, target).psnr_db) for light in lights)
     usual = float(score_caustic(planned, target).psnr_db)
     context.report["finish_tolerance"] = {
+        "light": facts_of_light(context.spec),
         "k0_times": list(K0_TIMES),
         "minutes_ratio": ratios,
         "psnr_db": [little, usual, much],

@@ -25,7 +25,7 @@ from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.picture.reading import read_picture
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
-from service.job.spec.lens_task import branch_of, lens_settings, require_contrast
+from service.job.spec.lens_task import branch_of, facts_of_light, lens_settings, require_contrast
 from service.job.spec.model import JobSpec
 from service.job.spec.stock import MIN_FLOOR_MM
 from service.job.stages.context import THE_PICTURE, StageContext
@@ -184,6 +184,7 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
 
 def _tell_of_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
     context.report["optics"] = {
+        "light": facts_of_light(context.spec),
         "method": context.spec.optics.method,
         "surface": context.spec.optics.surface,
         "branch": settings.bench.branch,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
+from cam.materials import MATERIALS
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
 from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.light import SUN_DEG
-from optics.metrics import CausticScore, score_caustic
+from optics.metrics import CausticScore, psnr_db, score_caustic
 from optics.tolerance import (
     FOCUS_SHARES,
     SOURCES_DEG,
@@ -26,7 +27,7 @@ from service.job.files import HEIGHTFIELD, LIGHT, MAP
 from service.job.finite_json import plain
 from service.job.picture.light_png import picture_png
 from service.job.planning.preparation import scores_against_original
-from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of, warn_of_reflection
+from service.job.spec.lens_task import bench_of, explain_blocked_light, facts_of_light, finish_of, warn_of_reflection
 from service.job.stages.context import StageContext
 
 _BEAMS_OUT_OF_FOCUS = 7
@@ -49,6 +50,9 @@ def run_caustic(context: StageContext) -> None:
             in_focus = simulate_caustic(heightfield, bench, pixels=_shape(target))
         on_progress(0.4)
         _tell(context, in_focus, score_caustic(in_focus.irradiance, target))
+        if len(bench.split_index(2)) > 1:
+            plain_light = simulate_caustic(heightfield, bench.in_mean_colour(), pixels=_shape(target))
+            context.report["optics"]["psnr_db_one_wavelength"] = psnr_db(plain_light.irradiance, target)
         if bench.light.extended:
             _tell_without_size(context, score_caustic(without_size.irradiance, target))
         seen = [in_focus if factor == 1.0 else _at(factor, heightfield, bench, target) for factor in THROUGH_FOCUS]
@@ -57,7 +61,14 @@ def run_caustic(context: StageContext) -> None:
         if context.is_shown:
             save_light(context, LIGHT, heightfield, target)
     with context.watch.stage("tolerances") as on_progress:
-        found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=on_progress)
+        found = lens_tolerances(
+            heightfield,
+            bench,
+            target,
+            sharp=sharp.irradiance,
+            index_spread=MATERIALS[context.spec.stock.material].index_spread,
+            on_progress=on_progress,
+        )
         context.report["optics"]["tolerances"] = _figures(found)
         _draw_tolerances(context, target, found)
 
@@ -126,6 +137,7 @@ def _figures(found: Tolerances) -> dict[str, Any]:
                 {key: getattr(p, key) for key in ("size_deg", "diameter_mm", "diameter_px", "psnr_db")}
                 for p in found.sources
             ],
+            "index": None if found.index is None else asdict(found.index),
             "blur_mm": found.blur_mm,
             "blur_px": found.blur_px,
         }
@@ -137,6 +149,7 @@ def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None
         {
             **asdict(score),
             **scores_against_original(context.folder / MAP, in_focus.irradiance),
+            "light": facts_of_light(context.spec),
             "outside_share": in_focus.outside_share,
             "reflected_share": in_focus.reflected_share,
         }

@@ -31,6 +31,7 @@ _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.ma
 _BENCH = (
     "optics.width_mm", "optics.height_mm", "screen_mm", "optics.screen_shift_x_mm", "optics.screen_shift_y_mm",
     "optics.throw_mm", "optics.refractive_index", "optics.surface", "optics.outline", "optics.light", "light_path_mm",
+    "stock.material",
 )  # fmt: skip
 _KINEMATICS = tuple(
     f"machine.{name}"
@@ -115,7 +116,7 @@ _BEFORE = (
         name="map",
         function=f"{_LENS}:run_transport_map",
         reads=(".target.npz", ".original.npz"),
-        spec=("optics", "finish", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
+        spec=("optics", "finish", "stock.skim_mm", "stock.material", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
     Stage(
@@ -170,6 +171,8 @@ _MILLED = (
     "machine.dialect",
     "machine.step_mm",
     "machine.z_noise_mm",
+    "machine.screw_error_mm",
+    "machine.screw_lead_mm",
     "finish",
     *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
 )

@@ -3,15 +3,15 @@ import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
-import { expertFigures, expertSides, headlines, mainCause } from "./figures.js";
+import { expertFigures, expertSides, headlines, lightSentence, mainCause } from "./figures.js";
 import { foretoldOf } from "./foretold.js";
 
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
   const wait = h("p", { class: "dim soon" }, t("Figures come as the steps are done."));
-  const title = h("h2", { id: "facts-title" }, t("What to expect")), scores = h("div");
-  const experts = h("details", { hidden: true }, h("summary", {}, t("Figures for experts")), scores, cause);
+  const title = h("h2", { id: "facts-title" }, t("What to expect")), scores = h("div"), light = h("p", { class: "dim" });
+  const experts = h("details", { hidden: true }, h("summary", {}, t("Figures for experts")), scores, light, cause);
   const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, experts);
   let shown = "";
 
@@ -22,6 +22,7 @@ export function factsPart() {
     shown = key;
     wait.hidden = rows.length > 0;
     replace(list, rows.map(row));
+    replace(light, lightSentence(job.report));
     replace(cause, mainCause(job.report));
     experts.hidden = figures.length === 0;
     replace(scores, table(expertSides(job.report).map(([words]) => words), figures));

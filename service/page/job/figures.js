@@ -9,6 +9,7 @@ const CAUSES = {
   scallops: [t("the grooves between rows"), t("a finer pitch or a bigger ball leaves less of them")],
   steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
   noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
+  screws: [t("the machine's screws"), t("better ones, or an axis that measures where it is, leave less of them")],
   rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
 };
 
@@ -110,6 +111,12 @@ export function expertFigures(report) {
   const sides = expertSides(report).map(([, side]) => side);
   const known = SCORES.filter(([key]) => sides.some((side) => side?.[key] !== undefined));
   return known.map(([key, what, say]) => [what, ...sides.map((side) => (side?.[key] === undefined ? "–" : say(side[key])))]);
+}
+
+/** The light that all of them hold under; null where a report of old does not say it. */
+export function lightSentence(report) {
+  const words = report?.optics?.light?.words;
+  return words ? t`All these figures hold under ${words}.` : null;
 }
 
 function sharpnessWords(spec, detail) {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,10 @@ from service.job.planning.predicted_light import PictureLight
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import with_plan
 
-SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64")
+SIZE = (
+    "optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64",
+    "optics.light.spectrum=monochromatic",  # rows and finishes are what is looked at
+)  # fmt: skip
 ROUGH, FINE = ("machine.z_noise_mm=0.002",), ("machine.z_noise_mm=0.0", "machine.step_mm=0.00001")
 
 
@@ -103,15 +108,18 @@ def test_where_no_pass_leaves_room_a_given_finish_stays_with_a_warning() -> None
     assert isinstance(warning, Phrase)
 
 
-def test_what_a_pad_loses_is_no_guess_for_a_film(best_on_a_rough_mill: Planned) -> None:
+def test_what_one_tool_does_not_reach_is_no_guess_for_another(best_on_a_rough_mill: Planned) -> None:
+    like = best_on_a_rough_mill.finishing
+    assert like is not None
     milled = PictureLight(target_of(64), best_on_a_rough_mill.light.bench)
-    pad, other, film = (
-        FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0, depth_mm=depth_mm))
-        for k0, depth_mm in ((2.0, 0.02), (3.0, 0.01), (2.0, None))
-    )
-    pad.contact_share = 0.5
-    share_calibration(pad, [pad, other, film])
-    assert (other.contact_share, film.contact_share) == (0.5, None)
+    ways = [
+        (replace(like, process=process), FinishedLight(milled, Finish(k0_rad_per_mm=k0, order=1.0)))
+        for process, k0 in (("felt", 2.0), ("felt", 3.0), ("sanding", 2.0))
+    ]
+    felt, light = ways[0]
+    light.contact_share = 0.5
+    share_calibration(FinishedPlan(plan=best_on_a_rough_mill.plan, finishing=felt, light=light), ways)
+    assert [light.contact_share for _, light in ways] == [0.5, 0.5, None]
 
 
 @pytest.mark.thorough

@@ -9,7 +9,8 @@ from copy import copy
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -29,16 +30,20 @@ from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import mill_of, plan_for_picture, shop_of
 from service.job.planning.sentences import blur_warning, reasons
 from service.job.spec import lens_task
+from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec, PlanSpec
 from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import look_up
+from service.job.stages.context import StageContext
+from service.job.stages.passes import tell_of_plan
 from service.job.stages.table import plan, shares, stage_key
 from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
 from tests.levels import mostly_thorough
 from tests.page import canned_job
 from tests.phrases.sentences import untold
+from tests.service.job.stages.jobs import without_light
 
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
 ASTRONAUT = Path(__file__).parents[4] / "examples" / "astronaut.png"
@@ -123,6 +128,13 @@ def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, pl
         assert (row["warning"] is None) == (row["blur_px"] <= 1.0)
         if row is told["candidates"][told["chosen"]]:
             assert whole == with_plan(spec, {"plan": told})
+
+
+def test_a_plan_says_under_which_light_it_holds(spec: JobSpec, planned: Planned) -> None:
+    context = SimpleNamespace(report={}, spec=spec, note=lambda *_: None, draw=lambda *_: None)
+    tell_of_plan(cast(StageContext, context), planned)
+    assert context.report["plan"]["light"] == facts_of_light(spec)
+    assert without_light(context.report) == []
 
 
 def test_the_page_s_tests_are_told_of_such_a_plan(planned: Planned) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -23,6 +26,13 @@ def test_the_sheet_says_what_to_expect_and_what_costs_most():
     assert sentences_as_milled({}) == []
     quiet = {**MILLED, "gain_db_without": dict.fromkeys(CAUSES, 0.1)}
     assert len(sentences_as_milled(quiet)) == 2
+
+
+def test_the_page_has_words_for_every_cause():
+    script = (Path(__file__).parents[4] / "service" / "page" / "job" / "figures.js").read_text()
+    table = re.search(r"const CAUSES = \{(.*?)\n\};", script, re.DOTALL)
+    assert table is not None
+    assert set(re.findall(r"^  (\w+): \[", table.group(1), re.MULTILINE)) == set(CAUSES)
 
 
 @pytest.mark.parametrize("gain", [0.4, 2.3, 9.9, 15.0])

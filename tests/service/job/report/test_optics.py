@@ -73,6 +73,40 @@ def test_dark_leak_stands_beside_what_physics_allows() -> None:
 
 
 @pytest.mark.parametrize(
+    ("light", "best_db", "figure", "words"),
+    [
+        (
+            {"spectrum": "white", "dispersion": 0.0085},
+            41.0,
+            "a white LED",
+            "at one wavelength the lens itself shows 41.0",
+        ),
+        ({"spectrum": "monochromatic", "dispersion": 0.0085}, None, "light of one wavelength", "another distance"),
+        ({"spectrum": {"centre_nm": 530, "width_nm": 35}, "dispersion": 0.0085}, None, "an LED of 530 nm", "another"),
+        ({"spectrum": "sun", "dispersion": None}, None, "sunlight", "is not known: all count as one"),
+        ({"spectrum": "white", "dispersion": 0.0}, None, "a white LED", "a mirror sends all colours the same way"),
+    ],
+)
+def test_scores_say_under_which_light_they_hold(
+    light: dict[str, Any], best_db: float | None, figure: str, words: str
+) -> None:
+    *_, row = score_rows(optics(psnr_db=33.0, light=light, psnr_db_one_wavelength=best_db))
+    assert row[0] == "Light"
+    assert row[1].startswith(figure)
+    assert words in row[2]
+
+
+def test_index_and_wall_are_stated_together() -> None:
+    point = {"more_index": 0.0026, "psnr_db": 28.0, "wall_mm": -0.65, "psnr_db_moved": 40.0}
+    sentence = tolerance_sentences(TOLERANCES | {"index": point}, throw_mm=100.0)[1]
+    assert "known to ±0.0026 only" in sentence
+    assert "move the wall by up to 0.65 mm nearer or farther, which brings back up to 12.0 dB" in sentence
+    without = tolerance_sentences(TOLERANCES, throw_mm=100.0)
+    for nothing in (None, point | {"psnr_db_moved": 28.0}):
+        assert tolerance_sentences(TOLERANCES | {"index": nothing}, throw_mm=100.0) == without
+
+
+@pytest.mark.parametrize(
     ("given", "words"),
     [
         ({}, ["parallel", "square to the flat back"]),
@@ -84,6 +118,7 @@ def test_dark_leak_stands_beside_what_physics_allows() -> None:
         ),
         ({"light": {"kind": "point", "distance_mm": 500.0, "size_mm": 3.0}}, ["lamp of 3 mm"]),
         ({"surface": "mirror", "light": {"kind": "point", "distance_mm": 500.0}}, ["500 mm from the stock top"]),
+        ({"light": {"kind": "collimated", "spectrum": "white"}}, ["The lens is made for a white LED."]),
         ({"light": {"kind": "collimated", "gaussian_mm": 90.0}}, ["90 mm wide"]),
         ({"light": {"kind": "collimated", "profile": [[1, 2], [3, 4]]}}, ["uneven as measured"]),
         ({"outline": "ellipse"}, ["mask"]),
@@ -152,11 +187,14 @@ def test_the_drawing_shows_where_light_comes_from(is_mirror: bool, lamp_mm: floa
 
 def test_the_summary_says_what_the_set_up_must_keep_to(tmp_path: Any) -> None:
     facts = {"psnr_db": 41.0, "ssim": 0.99, "misplaced_light": 0.01, "relief_mm": 20.0, "max_slope_deg": 20.0}
-    told = optics(**facts, closing=CLOSING, polish=POLISH, dark_leak=0.018, branch="inverted", tolerances=TOLERANCES)
+    light = {"spectrum": "white", "dispersion": 0.0085, "words": "a white LED"}
+    told = optics(
+        **facts, light=light, closing=CLOSING, polish=POLISH, dark_leak=0.018, branch="inverted", tolerances=TOLERANCES
+    )
     lines = list(summary_lines(tmp_path, told))
     assert (
-        "light: shaped for a ball R 0.5 (Ø 1 mm) (-0.6 dB), polished (+4.8 dB), dark leak 1.80 %, "
-        "rays cross before the screen"
+        "light: all figures hold under a white LED, shaped for a ball R 0.5 (Ø 1 mm) (-0.6 dB), polished (+4.8 dB), "
+        "dark leak 1.80 %, rays cross before the screen"
     ) in lines
     assert "set-up: 3 dB are lost with the wall 0.25 mm too near or 0.3 mm too far" in lines
     assert not any(line.startswith(("light:", "set-up:")) for line in summary_lines(tmp_path, optics(**facts)))

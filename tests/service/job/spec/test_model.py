@@ -56,6 +56,18 @@ BAD_VALUES = [
     ("optics.outline=[[0,0],[20,0],[0,20]]", "optics.outline", ["2 % of the aperture", "at least 5 %"]),
     ("optics.light.kind=moon", "optics.light.kind", ["'moon'", "'collimated', 'sun', 'point'"]),
     ("optics.light.kind=point", "optics.light.distance_mm", ["missing", "'point'", "10 to 100000 mm"]),
+    (
+        "optics.light.spectrum=green",
+        "optics.light.spectrum",
+        ["'green'", "'white', 'sun', 'monochromatic'", "400 to 700"],
+    ),
+    ("optics.light.spectrum={centre_nm=530}", "optics.light.spectrum", ["centre_nm", "width_nm from 1 to 200"]),
+    (
+        "optics.light.spectrum={centre_nm=300, width_nm=20}",
+        "optics.light.spectrum",
+        ["300", "centre_nm from 400 to 700"],
+    ),
+    ("optics.light.spectrum=[1]", "optics.light.spectrum", ["[1]", "'white'"]),
     ("optics.light.size_deg=1", "optics.light.size_deg", ["1 ", "kind = 'collimated'", "'sun'"]),
     ("optics.light={kind='sun', size_mm=2}", "optics.light.size_mm", ["2 ", "kind = 'sun'", "'point'"]),
     ("optics.light={kind='point', distance_mm=1}", "optics.light.distance_mm", ["1 ", "10 to 100000 mm"]),

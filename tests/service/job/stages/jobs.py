@@ -104,6 +104,17 @@ class StagedJob:
         return b"".join(self.store.open_range(self.outputs[name].sha256))
 
 
+def without_light(report: Mapping[str, Any]) -> list[str]:
+    """The parts of a report that hold a PSNR and do not say under which light."""
+
+    def has_score(part: Any) -> bool:
+        if isinstance(part, Mapping):
+            return any("psnr_db" in key or has_score(one) for key, one in part.items())
+        return isinstance(part, list) and any(map(has_score, part))
+
+    return [name for name, part in report.items() if has_score(part) and not part.get("light")]
+
+
 def staged_job(
     folder: Path, *values: str, preset: str = "draft", spec: JobSpec | None = None, **given: Any
 ) -> StagedJob:

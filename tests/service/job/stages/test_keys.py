@@ -95,6 +95,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("optics.screen_shift_x_mm", {"map", "caustic", "as-milled"}),
         ("optics.outline", {"map", "heightfield", "caustic", "check", "as-milled"}),
         ("optics.light.profile", {"map", "caustic", "as-milled"}),
+        ("optics.light.spectrum", {"map", "caustic", "as-milled"}),
         ("optics.viewed_from", {"irradiance", "map", "caustic", "as-milled"}),
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
@@ -104,6 +105,8 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
         ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),
+        ("machine.screw_error_mm", {"check", "as-milled"}),
+        ("machine.screw_lead_mm", {"check", "as-milled"}),
         ("machine.profile", {"check"}),  # all its figures are given otherwise
         ("machine.coolant", {"pass-1", "pass-2", "check"}),
         ("machine.work_offset", {"pass-1", "pass-2", "check"}),

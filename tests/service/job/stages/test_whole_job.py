@@ -16,7 +16,7 @@ from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter
 from tests.phrases.sentences import untold
-from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
+from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec, without_light
 
 CORRECTED = "optics.corrections=2"
 OWN_OF_A_RUN = {"timings_s", "peak_rss_mb"}  # what a run says of itself, not of the job
@@ -68,6 +68,27 @@ def test_the_report_is_that_of_make_but_for_the_clock(job: StagedJob, made: Path
     assert set(ours) == set(theirs)
     assert set(ours["timings_s"]) == set(theirs["timings_s"])
     assert _settled(ours) == _settled(theirs)
+
+
+def test_every_score_says_under_which_light_it_holds(job: StagedJob) -> None:
+    report = json.loads(job.bytes("report.json"))
+    white = {"kind": "collimated", "spectrum": "white", "dispersion": 0.0085, "words": "a white LED"}
+    assert without_light(report) == []
+    assert [report[part]["light"] for part in ("optics", "as_milled")] == [white, white]
+    assert report["optics"]["psnr_db_one_wavelength"] > 20
+    assert report["optics"]["tolerances"]["index"]["more_index"] == 0.0035
+
+
+def test_screws_that_are_stated_are_part_of_what_is_milled(job: StagedJob, tmp_path: Path) -> None:
+    """20 um each tenth of a millimetre of height are a cause; a mill that says nothing of its screws has none."""
+    wavy = staged_job(
+        tmp_path, "machine.screw_error_mm=[0, 0, 0.02]", "machine.screw_lead_mm=[2, 2, 0.1]", CORRECTED, preset="paper"
+    ).run_all()
+    plain, seen = (one.results["as-milled"].report["as_milled"] for one in (job, wavy))
+    assert "screws" not in plain["gain_db_without"]
+    assert seen["gain_db_without"]["screws"] > 0.5
+    assert seen["slope_rms_mrad"] > plain["slope_rms_mrad"] + 2.0
+    assert list(seen["screw_error_mm"]) == [0.0, 0.0, 0.02]
 
 
 def test_the_parts_of_the_report_add_up_to_the_file(job: StagedJob) -> None:
