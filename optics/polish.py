@@ -262,11 +262,11 @@ def _descend(
     hangs = error.touch(z)
     point = _Point(z, error.of(z), error.gradient())
     if finish is None:
-        return _walk(error, point, _Preconditioner(lens, error.target, bench, error, 1.0), steps, on_step).z
+        return _take_steps(error, point, _Preconditioner(lens, error.target, bench, error, 1.0), steps, on_step).z
     beside = _BESIDE / finish.k0_rad_per_mm / min(lens.dx_mm, lens.dy_mm)
     for begun in range(0, steps, _ROUND):
         inverse = _Preconditioner(lens, error.target, bench, error, _mark_free(hangs, beside))
-        way = _walk(error, point, inverse, min(steps - begun, _ROUND), on_step).z - point.z
+        way = _take_steps(error, point, inverse, min(steps - begun, _ROUND), on_step).z - point.z
         for share in _SHARES:
             z = point.z + share * way
             hangs = error.touch(z)
@@ -278,7 +278,9 @@ def _descend(
     return point.z
 
 
-def _walk(error: MeanError, point: _Point, inverse: _Preconditioner, steps: int, on_step: Callable[[], None]) -> _Point:
+def _take_steps(
+    error: MeanError, point: _Point, inverse: _Preconditioner, steps: int, on_step: Callable[[], None]
+) -> _Point:
     """Return the point after so many steps at most, the contact as it is."""
     memory = Memory(_DEPTH)
     for _ in range(steps):

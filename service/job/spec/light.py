@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from cam.materials import Material
-from optics.spectrum import Spectrum
 from phrases.phrase import Phrase
 from service.job.spec.section import OneOf, RuleError, Section, none_or_from, shown
 from service.wording import number
+
+if TYPE_CHECKING:
+    from optics.spectrum import Spectrum
 
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
@@ -114,6 +116,8 @@ class LedSpec(Section):
 
 def spectrum_of(light: LightSpec) -> Spectrum:
     """Return the spectrum as optics takes it."""
+    from optics.spectrum import Spectrum  # the API takes in jobs without loading optics
+
     if isinstance(light.spectrum, LedSpec):
         return Spectrum(kind="led", centre_nm=light.spectrum.centre_nm, width_nm=light.spectrum.width_nm)
     return Spectrum(kind=light.spectrum or "white")

@@ -46,6 +46,17 @@ const awayListeners = new Set();
 const whoListeners = new Set();
 const pictures = new Map();
 
+/** @param {string} path @param {string | null} etag */
+function isKnown(path, etag) {
+  return etag !== null && pictures.get(path)?.etag === etag;
+}
+
+function useKnown(path) {
+  const known = pictures.get(path);
+  known.users += 1;
+  return known.url;
+}
+
 export const api = {
   get token() {
     return token;
@@ -93,13 +104,13 @@ export const api = {
   async blob(path, options = {}) {
     const response = await request("GET", path, { timeout_ms: 0, ...options, cache: "no-cache" });
     const etag = response.headers.get("etag");
-    const known = pictures.get(path);
-    if (known && etag && known.etag === etag) {
-      known.users += 1;
+    if (isKnown(path, etag)) {
       response.body?.cancel();
-      return known.url;
+      return useKnown(path);
     }
-    const url = URL.createObjectURL(await response.blob());
+    const content = await response.blob();
+    if (isKnown(path, etag)) return useKnown(path); // another asked for it meanwhile
+    const known = pictures.get(path), url = URL.createObjectURL(content);
     if (known) URL.revokeObjectURL(known.url);
     pictures.set(path, { etag, url, users: 1 + (known?.users ?? 0) });
     return url;
