@@ -178,8 +178,14 @@ class FinishedLight(PictureLight):
         return np.asarray(lot / max(float(lot.std()), 1e-300))
 
     def look_at(self, marks: Marks, design: Design) -> None:
-        """Keep the light of a coarse lens that is designed and finished as what is seen of those marks."""
-        self._lit[marks.radius_mm] = self._shine(marks, design, fine=False).light
+        """Keep the light of a coarse lens that is designed and finished as what is seen of those marks: with the waves
+        that it has no part in, as far as the finish keeps them.
+        """
+        seen = self._shine(marks, design, fine=False)
+        ny, nx = seen.target.shape
+        waves = self._kept_waves * self.goal
+        waves[:ny, :nx] = waves_of(seen.light)[:ny, :nx]
+        self._lit[marks.radius_mm] = np.maximum(picture_of_waves(waves), 0.0)
 
     def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
         """Correct both guesses by a lens that is designed, milled in rows, finished and lit; a fine one is kept as what
