@@ -91,8 +91,8 @@ _PICTURE = {
     ),
     "service/job/report/figures/tones.py": _DRAWING,
     "service/job/stages/lens.py": (
-        "        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n",
-        "        context.draw(TARGET_PICTURE, lambda: _target_png(seen, white))\n"
+        "        context.draw(TARGET_PICTURE, lambda: picture_png(seen, white=white))\n",
+        "        context.draw(TARGET_PICTURE, lambda: picture_png(seen, white=white))\n"
         "        from service.job.report.figures.tones import tones_png\n"
         f'        context.draw("{_TONES}", lambda: tones_png(seen))\n',
     ),
