@@ -142,7 +142,7 @@ class Bench:
         ]
 
     def spare_colours(self) -> Bench:
-        """Return the light in its mean colour where each colour is a beam more: where they are not worth their time."""
+        """Return the light in its mean colour where each colour costs a beam of its own; else the light itself."""
         return self if self.light.extended else self.in_mean_colour()
 
     def in_mean_colour(self) -> Bench:

@@ -135,7 +135,7 @@ class MeanError:
     """E of heights, by that many tubes a cell side.
 
     Behind a finish in the mean colour: white blurs `camera` by less there than what the finish leaves. (256 pixels,
-    felt, k0 2.05: under white 0.1 dB more than at one wavelength, whichever of them the descent had seen.)
+    felt, k0 2.05: white scores 0.1 dB more than one wavelength, whether the descent saw white or not.)
 
     `touch`, then `of`, then the gradient at the same heights
     """

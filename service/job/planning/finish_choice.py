@@ -107,7 +107,7 @@ def plan_finish(
     rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
-    reaching = {light: _keep_reaching(rows, light, margin_mm) for _, light in ways}
+    reaching = {light: _select_with_room(rows, light, margin_mm) for _, light in ways}
     ways = [way for way in ways if reaching[way[1]]] or ways
     rows_of = {light: reaching[light] or rows for _, light in ways}
     for process in dict.fromkeys(one.process for one, _ in ways):
@@ -148,7 +148,7 @@ def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
     return list(found.values())
 
 
-def _keep_reaching(candidates: list[Candidate], light: FinishedLight, margin_mm: float) -> list[Candidate]:
+def _select_with_room(candidates: list[Candidate], light: FinishedLight, margin_mm: float) -> list[Candidate]:
     """Return those after whose passes the tool of the finish gets to the rims."""
     found: dict[tuple[object, ...], bool] = {}
 

@@ -108,6 +108,7 @@ class FinishedLight(PictureLight):
         self._lens_scale, self._lost_contact = 1.0, 0.0
         self._stripe_scale: dict[Direction, float] = {"x": 1.0, "y": 1.0}
         self._errors: dict[float, float] = {}  # of the guess, by radius
+        self._shone: dict[tuple[Marks, bool], Seen] = {}
         self._lit: dict[float, Array] = {}  # (ny, nx) through a lens as fine as the picture, unmarked, by radius
 
     @cached_property
@@ -213,6 +214,12 @@ class FinishedLight(PictureLight):
             self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), seen)
 
     def _shine(self, marks: Marks, design: Design, *, fine: bool) -> Seen:
+        """Return what is seen of those marks; a lens is designed once."""
+        if (marks, fine) not in self._shone:
+            self._shone[marks, fine] = self._shine_anew(marks, design, fine=fine)
+        return self._shone[marks, fine]
+
+    def _shine_anew(self, marks: Marks, design: Design, *, fine: bool) -> Seen:
         lens, target = design(self.finish, marks.radius_mm, fine)
         done = finish_lens(lens, self.finish)
         bare = self._light_of(done.lens, self.target.shape)  # half of the stripes are finer than a coarse pixel

@@ -129,7 +129,7 @@ def index_of(material: Material, light: LightSpec) -> float:
 
 
 def name_spectrum(spectrum: Any) -> Phrase:
-    """Return what a spectrum is in a sentence; spectrum as plain data, None where a report of old says nothing."""
+    """Return the name of a spectrum for a sentence; spectrum is plain data, None in reports without one."""
     if isinstance(spectrum, Mapping):
         return Phrase(
             "an LED of {centre_nm} nm, {width_nm} nm wide",
