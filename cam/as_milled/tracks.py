@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cam.as_milled.noise import Noise
-from cam.as_milled.screws import Screws
+from cam.as_milled.machine_errors import Noise, Screws
 from cam.moves import Array
 from cam.reading.gcode import MoveBatch
 

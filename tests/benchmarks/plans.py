@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
+from cam.as_milled.machine_errors import Noise
 from cam.as_milled.rows import row_tracks, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks

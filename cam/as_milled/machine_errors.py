@@ -1,4 +1,6 @@
-"""Height errors of a machine: one for each row, or wandering along an unbroken path (paper, Fig. 15c)."""
+"""Errors of a machine: heights that are off by one value a row, or wander along an unbroken path (paper, Fig. 15c); and
+screws, on which an axis goes a little too far and too short once in every turn.
+"""
 
 from __future__ import annotations
 
@@ -73,3 +75,28 @@ def _wander(tips: Array, joined: NDArray[np.bool_], wander: float, out: Array) -
             way = math.hypot(tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1])
             kept = math.exp(-way / wander)
             out[k] = kept * out[k - 1] + math.sqrt(1.0 - kept * kept) * out[k]
+
+
+_PER_TURN = 16  # pieces of a chord, so that it follows the wave
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Screws:
+    """Triples are X, Y, Z.
+
+    error_mm : amplitude of the error of an axis
+    lead_mm  : way of the axis in a turn of its screw
+    """
+
+    error_mm: tuple[float, float, float]
+    lead_mm: tuple[float, float, float]
+
+    @property
+    def longest_mm(self) -> float:
+        """How long a chord may be in plan that still follows the waves of X and Y, and of Z on slopes up to 1."""
+        leads = [lead for error, lead in zip(self.error_mm, self.lead_mm, strict=True) if error > 0]
+        return min(leads, default=math.inf) / _PER_TURN
+
+    def errors_mm(self, tips_mm: Array) -> Array:
+        """Return by how much tips (n, 3) are off; where in its turn a screw stands at zero is not known: at its own."""
+        return np.asarray(np.array(self.error_mm) * np.sin(2.0 * np.pi * tips_mm / np.array(self.lead_mm)))
