@@ -28,6 +28,8 @@ from cam.rows.entries import RAMP_SLOPE, leave, make_ramp
 from cam.surface.stock_grid import StockGrid
 from phrases.phrase import Phrase
 
+_ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
+
 
 def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
     """Yield the moves of the tip from safe height back to safe height; the last layer lies at Z0."""
@@ -68,9 +70,6 @@ def make_witness_paths(task: WitnessCut, *, top_mm: float, safe_z_mm: float) -> 
     yield cut(make_ramp(way[:2], start_mm), task.plunge_mm_per_min)
     yield cut(way[1:], task.feed_mm_per_min)
     yield leave(way[-1, 0], way[-1, 1], safe_z_mm=safe_z_mm)
-
-
-_ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
 
 
 def make_cut_out_paths(

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cam.as_milled.machine_errors import Noise, Screws
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Screws, Tracks
 from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
 from cam.rows.raster import Rows, continuous_rows, map_in_order, turn_lens

@@ -27,6 +27,10 @@ from cam.rows.raster import THREAD_NAME, THREADS, on_ticks
 
 TILE_PITCHES = 40.0
 """Longer holes are filled piece by piece: they bend."""
+PIXELS_PER_PITCH = 32
+BLOCK = 4
+STRIP_ROWS = 128
+ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 def fill_holes(
@@ -91,12 +95,6 @@ def _rows(places_mm: Array, pitch_mm: float) -> Array:
         across = low_v + (k + 0.5) * height
         ends += [centre + axes @ (across, middle - half), centre + axes @ (across, middle + half)]
     return np.array(ends)
-
-
-PIXELS_PER_PITCH = 32
-BLOCK = 4
-STRIP_ROWS = 128
-ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 class Pixels(NamedTuple):

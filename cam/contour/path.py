@@ -35,6 +35,17 @@ from optics.heightfield import Heightfield, spline_jet
 PIECE_VERTICES = 50_000
 TRACED, CLOSED, JOINED = 0.2, 0.5, 0.6
 """Shares of the work done when a step is."""
+SHORTEST_MM = 0.014
+"""No parts shorter than this for slope, nor where a chord runs too high: turns are drawn in such."""
+
+SHORTEST_LOW_MM = 0.003
+"""No parts shorter than this where a chord cuts too low: under a ball of 0.1 mm it is 11 nm."""
+
+SAG_SHARE = 0.8
+"""Of the rule's sag that equal parts should have on average."""
+
+MOST_PARTS, WAITING = 64, 512
+"""Parts cut at once; parts that wait to be judged, several times cut."""
 
 
 def contour_path(
@@ -89,19 +100,6 @@ def _divide_chords(xy: Array, longest_mm: float) -> Array:
     k = np.repeat(np.arange(length.size), parts)
     share = (np.arange(k.size) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[k]
     return np.concatenate([on_ticks(xy[k] + share[:, None] * (xy[k + 1] - xy[k])), xy[-1:]])
-
-
-SHORTEST_MM = 0.014
-"""No parts shorter than this for slope, nor where a chord runs too high: turns are drawn in such."""
-
-SHORTEST_LOW_MM = 0.003
-"""No parts shorter than this where a chord cuts too low: under a ball of 0.1 mm it is 11 nm."""
-
-SAG_SHARE = 0.8
-"""Of the rule's sag that equal parts should have on average."""
-
-MOST_PARTS, WAITING = 64, 512
-"""Parts cut at once; parts that wait to be judged, several times cut."""
 
 
 def tips_along(ball: Ball, rule: VertexRule, xy: Array) -> Array:
