@@ -54,8 +54,7 @@ AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
 _LIBRARIES = (
-    "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "fonttools",
-    "jinja2",
+    "numpy", "scipy", "numba", "pyamg", "pillow", "trimesh", "manifold3d", "matplotlib", "fonttools", "jinja2",
 )  # fmt: skip
 
 
