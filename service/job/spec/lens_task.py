@@ -21,7 +21,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.finish import FinishSpec
-from service.job.spec.light import LIGHT_WORDS, name_spectrum, spectrum_of
+from service.job.spec.light import LIGHT_WORDS, kind_of, name_spectrum, spectrum_of
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
@@ -176,7 +176,7 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
     """Return the diameter of the source's disc on the wall, of a thin lens; None where it has no size."""
     light = table(table(spec.get("optics")).get("light"))
-    kind = light.get("kind") or "collimated"
+    kind = kind_of(light)
     figures: dict[str, Any] = {
         name: float(light[name]) for name in LIGHT_WORDS[kind].figures if light.get(name) is not None
     }
