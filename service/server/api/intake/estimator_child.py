@@ -1,8 +1,8 @@
 """The process that estimates jobs.
 
-Request: {"path", "name", "max_pixels", "spec", "figures", "exactly"}. Result: the estimate. Request {"prepare": true,
-"max_pixels"}: an estimate that nobody reads, which compiles whatever is not compiled yet; the mark of `kernel_cache`
-says for good that it was made.
+Request: {"path", "name", "max_pixels", "spec", "figures", "exactly", "plans"}. Result: the estimate. Request
+{"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever is not compiled yet; the mark of
+`kernel_cache` says for good that it was made.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from PIL import Image  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
 from service.job.spec.loading import resolve_job, restore_job  # noqa: E402
+from service.job.stages.kept_plans import KeptPlans  # noqa: E402
 from service.processes.child_work import answer_requests  # noqa: E402
 
 _BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
@@ -37,7 +38,8 @@ def _estimate(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, An
     if "prepare" in asked:
         return _prepare(limits)
     job, path, exactly = restore_job(asked["spec"], asked["figures"]), Path(asked["path"]), asked["exactly"]
-    return estimate(job, path, limits=limits, name=asked["name"], exactly=exactly)
+    plans = KeptPlans(Path(asked["plans"]))
+    return estimate(job, path, limits=limits, name=asked["name"], exactly=exactly, plans=plans)
 
 
 def _prepare(limits: PictureLimits) -> dict[str, Any]:
