@@ -13,6 +13,8 @@ from machines.mill.orders import Stop
 from phrases.phrase import Phrase
 from service.errors import printable
 from service.http.problems import Problem
+from service.http.schema import phrase_views
+from service.milling.api import PastOrders, RecoveryView
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
@@ -32,8 +34,7 @@ from service.server.fleet.representation import Surroundings, make_machine_view,
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
-from service.server.schemas.base import phrase_views
-from service.server.schemas.runs import MachineList, MachineView, PastOrders, RecoveryView, RunView
+from service.server.schemas.runs import MachineList, MachineView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store
 

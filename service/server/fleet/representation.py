@@ -9,6 +9,8 @@ from urllib.parse import quote
 from machines.profile import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
+from service.http.schema import phrase_views
+from service.milling.api import Check
 from service.server.database.records import Job
 from service.server.database.runs import RunRow
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
@@ -16,8 +18,7 @@ from service.server.fleet.agent_replies import Json, make_mill_view, parse_holde
 from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
-from service.server.schemas.base import phrase_views
-from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
+from service.server.schemas.runs import AgentView, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
 ORDER: Check = "order"
 CHECK_ORDER: tuple[Check, ...] = ("tool", "zero", "stock", "clear", "position", ORDER)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from machines.mill.orders import Refusal
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
+from service.milling.api import RecoveryView
 from service.server.database.runs import MachineTakenError, RunRow, word_state
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
@@ -18,7 +19,6 @@ from service.server.fleet.agent_replies import parse_reply, run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
 from service.server.fleet.order_context import OrderContext
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
-from service.server.schemas.runs import RecoveryView
 
 _MOST_KNOWN = 1000
 _PLAN_S = 30.0  # the controller is asked first

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,9 +19,9 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
-from service.milling.agent.callers import read_caller
 from service.milling.agent.mill_access import START_S
-from service.milling.agent.request_fields import Fields, read_fields
+from service.milling.agent.requests import read_body, read_caller
+from service.milling.api import ConfirmationBody, ParkBody, RecoverBody, StartBody
 
 
 class RunRoutes:
@@ -48,11 +49,8 @@ class RunRoutes:
         return JSONResponse(self._run(request).as_dict())
 
     async def park(self, request: Request) -> Response:
-        fields = await read_fields(request)
-        program = fields.text("program")
-        name = fields.text("name", program[:12], longest=200)
-        key = fields.text("key", longest=100) if fields.has("key") else ""
-        fields.refuse_unknown()
+        body = await read_body(request, ParkBody)
+        program, key, name = body.program, body.key, body.name or body.program[:12]
         path = await self._agent.access.work(lambda: self._agent.store.path_of(program))
         async with self._parking:  # a client that asks again must not overtake itself
             if (known := self._find_parked(key, program)) is not None:
@@ -81,19 +79,16 @@ class RunRoutes:
         return run
 
     async def start(self, request: Request) -> Response:
-        run, fields = self._run(request), await read_fields(request)
-        said = _read_confirmation(fields, START_CHECKS)
-        setup = fields.text("setup", longest=100) if fields.has("setup") else None
-        fields.refuse_unknown()
+        run, body = self._run(request), await read_body(request, StartBody)
+        said, setup = _read_confirmation(body, START_CHECKS), body.setup or None
         await self._agent.access.order(
             "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
         )
         return self._answer(request)
 
     async def recover(self, request: Request) -> Response:
-        run, fields = self._run(request), await read_fields(request)
-        said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
-        fields.refuse_unknown()
+        run, body = self._run(request), await read_body(request, RecoverBody)
+        said, plan = _read_confirmation(body, RECOVER_CHECKS), body.plan
         await self._agent.access.order(
             "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
         )
@@ -157,5 +152,8 @@ def _run_response(run: RunView, *, status: int) -> Response:
     return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 
-def _read_confirmation(fields: Fields, allowed: frozenset[str]) -> Confirmation:
-    return Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))
+def _read_confirmation(body: ConfirmationBody, allowed: frozenset[str]) -> Confirmation:
+    if not allowed.issuperset(body.checks):
+        words = ", ".join(sorted(allowed))
+        raise Problem(422, f"checks is {json.dumps(body.checks)}; allowed: a list of {words}", field="checks")
+    return Confirmation(operator=body.operator, checks=frozenset(body.checks))
