@@ -169,8 +169,8 @@ _Moment = Annotated[float, Field(ge=0, le=_LATEST_S, strict=True)]
 _Lines = Annotated[int, Field(ge=0, le=10**12, strict=True)]
 
 
-class RunReport(Body):
-    """What an agent says of a run, as far as others rely on it: `as_dict` of machines.runs.RunView."""
+class RunReply(Body):
+    """What an agent says of a run (machines.runs.RunReport), as far as others rely on it."""
 
     share: Annotated[float, Field(ge=0, le=1, strict=True)] = 0.0
     executed_line: _Lines = 0

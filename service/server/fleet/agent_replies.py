@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from service.http.problems import Problem, ServerCode
 from service.http.schema import Body, PhraseView
-from service.milling.api import RunReport
+from service.milling.api import RunReply
 from service.server.schemas.runs import Holder, OrderView
 
 MOST_BYTES = 4_000_000
@@ -39,7 +39,7 @@ def json_object(content: bytes, machine: str) -> Json:
 
 def run_view(values: Json, machine: str) -> Json:
     """Return what the agent says of a run, whole: a newer agent may say more. Problem 502 where it cannot be so."""
-    _validate(RunReport, values, machine, "says what cannot be of its run")
+    _validate(RunReply, values, machine, "says what cannot be of its run")
     return values
 
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from machines.driver import Home, Jog, Override, ProbeCorner, ProbeZ, SendBlock, SetZero
-from machines.runs import RunState, RunView
+from machines.runs import RunReport, RunState
 from service.http.problems import Problem
 from service.http.schema import PassedOn
-from service.milling.api import ORDERS, PLAIN_ORDERS, OverrideBody, RunReport
+from service.milling.api import ORDERS, PLAIN_ORDERS, OverrideBody, RunReply
 
 CORNER = {
     "depth_mm": 20.0, "plate_mm": 10.0, "wall_x_mm": 6.0, "wall_y_mm": 6.0, "cutter_radius_mm": 1.5, "margin_mm": 8.0,
@@ -78,10 +78,10 @@ def test_orders_become_what_the_mill_takes() -> None:
 
 @pytest.mark.parametrize("state", RunState)
 def test_what_an_agent_says_of_a_run_is_what_its_readers_take(state: RunState) -> None:
-    run = RunView(
+    run = RunReport(
         id="20261129-1", name="a", program="0" * 64, path="/p", state=state, lines=10, executed_line=4, time_s=5.0,
         created_s=1.0, warnings=("w",), values={"a": 1},
     )  # fmt: skip
     said = json.loads(json.dumps(run.as_dict()))
-    report = RunReport.model_validate(said, extra="ignore")
-    assert {name: said[name] for name in RunReport.model_fields} == report.model_dump(mode="json")
+    report = RunReply.model_validate(said, extra="ignore")
+    assert {name: said[name] for name in RunReply.model_fields} == report.model_dump(mode="json")

@@ -15,7 +15,7 @@ from machines.codes import MillCode
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from machines.preflight.preflight import Preflight
-from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunReport
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
@@ -56,17 +56,17 @@ class RunRoutes:
             if (known := self._find_parked(key, program)) is not None:
                 return _run_response(known, status=200)
             facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
-            run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
+            run: RunReport = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
         return _run_response(run, status=201)
 
-    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
+    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunReport:
         """Park on the mill's thread, where removals run as well: the program is still there once the run is known."""
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
-    def _find_parked(self, key: str, program: str) -> RunView | None:
+    def _find_parked(self, key: str, program: str) -> RunReport | None:
         """Find the run that this key has parked; a Problem where it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
@@ -121,7 +121,7 @@ class RunRoutes:
 
         return endpoint
 
-    def _require_present(self, run: RunView) -> None:
+    def _require_present(self, run: RunReport) -> None:
         """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
@@ -135,10 +135,10 @@ class RunRoutes:
     def _answer(self, request: Request) -> Response:
         return JSONResponse(self._run(request).as_dict(), status_code=202)
 
-    def _runs(self) -> tuple[RunView, ...]:
+    def _runs(self) -> tuple[RunReport, ...]:
         return self._agent.access.snapshot.runs
 
-    def _run(self, request: Request) -> RunView:
+    def _run(self, request: Request) -> RunReport:
         """Find a run by our own id, or by the key that the job server gave it."""
         wanted = request.path_params["run"]
         own = self._agent.keys.run_of(wanted) or wanted
@@ -148,7 +148,7 @@ class RunRoutes:
         raise Problem(404, Phrase("no run '{wanted}' here; GET /v1/runs lists them", wanted=wanted), field="run")
 
 
-def _run_response(run: RunView, *, status: int) -> Response:
+def _run_response(run: RunReport, *, status: int) -> Response:
     return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 
