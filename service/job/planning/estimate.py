@@ -231,7 +231,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: Kept
     quick = simplify(settings)
     design = design_lens(target, quick, passes=compute_passes(target, quick))
     lens, shape = design.heightfield, (target.shape[0], target.shape[1])
-    seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
+    seen = simulate_caustic(lens, quick.bench.clear, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
     return QuickLens(
         job=job,
         planned=is_planned,

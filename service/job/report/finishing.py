@@ -8,6 +8,7 @@ from typing import Any
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
 from service.job.report.finish_tolerance import tolerance_sentences
+from service.job.report.milled import explain_flaws
 from service.job.report.witness import describe_witness
 from service.wording import duration, number, psnr_in_words
 
@@ -96,6 +97,7 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Ph
             finished_db=finished_db,
             milled_db=milled_db,
         )
+    yield from explain_flaws(table(report.get("as_finished")))
     minutes, least, most = (told.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
         yield Phrase(

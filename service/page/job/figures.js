@@ -11,6 +11,8 @@ const CAUSES = {
   steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
   noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
   screws: [t("the machine's screws"), t("better ones, or an axis that measures where it is, leave less of them")],
+  haze: [t("the haze of the block"), t("a clearer block, or a better polish of both sides, leaves less of it")],
+  back: [t("the waves of the block's back"), t("a block whose back is flatter leaves less of them")],
   rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
 };
 
