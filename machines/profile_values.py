@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from machines.gcode.dialects import DIALECTS as GCODE_DIALECTS
+from machines.gcode.dialects import RML
 from phrases.phrase import Phrase
 
-DIALECTS = (*GCODE_DIALECTS, "rml-1")
+DIALECTS = (*GCODE_DIALECTS, RML)
 DRIVERS = ("grbl", "roland-serial", "roland-usb", "drip", "none")
 FLOWS = ("none", "rtscts", "xonxoff")
 SPINDLE = ("turns", "stops", "unknown")

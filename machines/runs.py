@@ -97,8 +97,8 @@ class Confirmation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunView:
-    """One run as others see it.
+class RunReport:
+    """What the owner of a mill says of a run, at one moment.
 
     words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
     travel_in_doubt : one of the warnings is that the program may not fit the travel

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from optics.block import SCATTER_RAD, Back, scatter
 from optics.light import Beam, Light, disc_points, meet
 from optics.spectrum import Spectrum
 from optics.spline import Array
@@ -43,6 +44,7 @@ class Bench:
     thickness_mm : from Z0 down to the flat face that light enters by; matters for diverging or tilted light
     mirror       : the surface reflects light that comes from above, instead of refracting what comes through the block
     outline_mm   : (k, 2) corners, counter-clockwise, of the lens within its aperture: dark outside. None: all of it
+    haze, back   : of the block, `optics.block`; back None: flat
     branch       : "inverted": rays cross before the screen, which turns valleys into ridges at the price of relief
     """
 
@@ -56,6 +58,8 @@ class Bench:
     mirror: bool = False
     light: Light = field(default_factory=Light)
     outline_mm: Array | None = None
+    haze: float = 0.0
+    back: Back | None = None
     branch: Branch = "direct"
 
     @classmethod
@@ -140,6 +144,29 @@ class Bench:
             self.beam(aside=(float(x), float(y)), more_index=float(more))
             for (x, y), more in zip(places, mixed, strict=True)
         ]
+
+    @property
+    def flawless(self) -> Bench:
+        """The same with a clear and flat block: what a lens is made for."""
+        return replace(self, haze=0.0, back=None)
+
+    @property
+    def clear(self) -> Bench:
+        """The same with a block that is not hazy."""
+        return replace(self, haze=0.0)
+
+    def add_haze(self, irradiance: Array) -> Array:
+        """Return irradiance (ny, nx) on the screen as a block as hazy as this one shows it."""
+        if self.haze == 0.0:
+            return irradiance
+        (ny, nx), wide_mm = irradiance.shape, math.tan(SCATTER_RAD) * self.throw_mm
+        sigma_px = (wide_mm * ny / self.screen.height_mm, wide_mm * nx / self.screen.width_mm)
+        return scatter(irradiance, self.haze, sigma_px)
+
+    def without_each_flaw(self) -> dict[str, Bench]:
+        """Return the bench without each flaw of its block, by name."""
+        flaws = {"haze": self.clear, "back": replace(self, back=None)}
+        return {name: bench for name, bench in flaws.items() if getattr(self, name)}
 
     def spare_colours(self) -> Bench:
         """Return the light in its mean colour where each colour costs a beam of its own; else the light itself."""

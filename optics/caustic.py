@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optics.bench import Bench
+from optics.block import lower_by_back
 from optics.heightfield import Heightfield
 from optics.light import Beam
 from optics.spline import Array, BicubicSpline
@@ -60,7 +61,7 @@ def simulate_caustic(
         tubes_per_cell=tubes_per_cell,
         beams=beams,
     )
-    irradiance = light * (ny * nx / total)
+    irradiance = bench.add_haze(light * (ny * nx / total))
     outside = 1.0 - float(irradiance.mean()) - reflected / total
     return Caustic(irradiance=irradiance, outside_share=outside, reflected_share=reflected / total)
 
@@ -96,7 +97,7 @@ def _trace_light(
     cover : share of each cell that is lens
     """
     ny, nx = pixels
-    acc, spline = np.zeros((ny, nx + 1)), heightfield.spline()
+    acc, spline = np.zeros((ny, nx + 1)), lower_by_back(heightfield, bench.back).spline()
     total = reflected = 0.0
     with ThreadPoolExecutor(max_workers=thread_count()) as pool:
         for beam in bench.bundle(beams):

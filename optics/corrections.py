@@ -144,7 +144,7 @@ def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
 def _simulate_light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     return simulate_caustic(
         lens,
-        settings.bench,
+        settings.bench.flawless,
         pixels=target.shape,
         tubes_per_cell=max(1, _TUBES_PER_PIXEL * target.shape[1] // (lens.x_mm.size - 1)),
         beams=DESIGN_BEAMS,

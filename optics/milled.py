@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from optics.bench import Bench
+from optics.block import lower_facets_by_back
 from optics.caustic import Caustic, aim_at, find_covered_cells
 from optics.heightfield import Heightfield
 from optics.light import Beam, leave, meet, strength_on_face
@@ -55,7 +56,7 @@ def simulate_milled(
         acc = np.zeros((pixels[0], pixels[1] + 1))
         total = lost = 0.0
         for index in range(int(bounds[number]), int(bounds[number + 1])):
-            facets = part(index)
+            facets = lower_facets_by_back(part(index), bench.back)
             for beam in bundle:
                 light, reflected = _paint(facets, bench.width_mm, bench.height_mm, beam, aim, cover, *cells, acc)
                 total += light
@@ -69,7 +70,8 @@ def simulate_milled(
         strips = list(pool.map(strip, range(_STRIPS)))
     total, reflected = sum(light for _, light, _ in strips), sum(lost for _, _, lost in strips)
     nx = pixels[1]
-    irradiance = np.cumsum(sum(acc for acc, _, _ in strips), axis=1)[:, :nx] * (pixels[0] * nx / total)
+    light = np.cumsum(sum(acc for acc, _, _ in strips), axis=1)[:, :nx] * (pixels[0] * nx / total)
+    irradiance = bench.add_haze(light)
     outside = 1.0 - float(irradiance.mean()) - reflected / total
     return Caustic(irradiance=irradiance, outside_share=outside, reflected_share=reflected / total)
 

@@ -113,6 +113,11 @@ class ServerSettings(BaseSettings):
         return self.data / "scratch"
 
     @property
+    def plans(self) -> Path:
+        """Plans made by estimates and jobs, for those that come after them: see `job/stages/kept_plans`."""
+        return self.data / "plans"
+
+    @property
     def agents_folder(self) -> Path:
         """One folder per local mill: its agent's journal, programs, token and agent.json."""
         return self.data / "agents"

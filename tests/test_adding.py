@@ -3,12 +3,26 @@ names for it, and is then there for whoever needs it."""
 
 from __future__ import annotations
 
+import ast
 import json
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.adding import copy_tree, run_in_copy
+from machines.gcode.dialects import DIALECTS, RML
+from optics.light import LIGHT_KINDS
+from tests.adding import PACKAGES, TOP, copy_tree, run_in_copy
+
+LIGHT_TABLES = {"optics/light.py", "optics/spectrum.py", "service/job/spec/light.py"}
+"""With the spectra, one of which is the sun's."""
+DIALECT_TABLES = {
+    "cam/posts/dialects.py",
+    "cam/posts/post.py",
+    "cam/reading/gcode_languages.py",
+    "machines/gcode/dialects.py",
+}
 
 SCHEMA = """
 import json
@@ -115,6 +129,33 @@ print(json.dumps({
     assert parallel == 0.0 and no_spread is None
     assert 0.9 * 8.7 < moon < 0.96 * sun  # half a degree is 8.7 mrad; no beam stands on the rim
     assert 0.87 < spread_moon < spread_sun
+
+
+def named(names: Iterable[str]) -> Iterator[str]:
+    """Each place where a module of the program or of the page writes one of them as a text or as a key."""
+    either = "|".join(map(re.escape, names))
+    quoted = re.compile(rf"""["'`]({either})["'`]|\b({either}):""")
+    for path in (path for package in PACKAGES for path in (TOP / package).rglob("*.js")):
+        if path.suffix == ".js" and quoted.search(path.read_text("utf-8")):
+            yield path.relative_to(TOP).as_posix()
+    for path in (path for package in PACKAGES for path in (TOP / package).rglob("*.py")):
+        nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+        if any(isinstance(node, ast.Constant) and node.value in names for node in nodes):
+            yield path.relative_to(TOP).as_posix()
+
+
+@pytest.mark.parametrize(
+    ("names", "tables"),
+    [
+        (tuple(LIGHT_KINDS), LIGHT_TABLES),
+        ((*(name for name, one in DIALECTS.items() if not one.is_grbl), RML), DIALECT_TABLES),
+    ],
+    ids=["light", "dialect"],
+)
+def test_a_kind_is_named_in_its_tables_only(names: tuple[str, ...], tables: set[str]) -> None:
+    """Elsewhere a question about a kind is asked of its row, so that a new one has an answer; on the page, too. The
+    controls of GRBL's family are named by their links as well, whose firmware tells them apart."""
+    assert set(named(names)) == tables
 
 
 def test_a_dialect_is_added_in_three_files_that_share_nothing(tmp_path: Path) -> None:

@@ -67,6 +67,7 @@ OKUMA = Post(
     suffix=".min",
     tape=("%", "O{number:04d}"),
     start=("G21G90G94G17G40G80", "G15H{offset_number}"),
+    offset_name="G15 H{offset_number}",
     zero="zero: G15 H{offset_number}, with tool length G56 as it was when it was set",
     top="G16H0G0Z{top}",
     spin=("S{rpm}M3", "G4F{dwell_s}"),

@@ -40,6 +40,7 @@ class Post:
     tape           : before the remarks: what a control wants first, such as % and the program's name
     start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and the work offset, {offset} or
                      {offset_number}, are filled in
+    offset_name    : what the control calls it, in a sentence, of the same two
     zero           : what the work zero counts from on this control, in words: a remark
     lift           : the block that brings the tool to {safe_z} over the work zero, after the start and before the end
     top            : the same to {top}, a height in machine coordinates, from wherever the tool stands
@@ -59,6 +60,7 @@ class Post:
     suffix: str
     start: tuple[str, ...]
     end: tuple[str, ...]
+    offset_name: str = "{offset}"
     zero: str = ""
     lift: str = "G0Z{safe_z}"
     top: str = "G53G0Z{top}"
@@ -94,6 +96,10 @@ class Post:
     def offsets(self) -> bool:
         """Whether programs can name their work offset."""
         return any("{offset" in block for block in self.start)
+
+    def name_offset(self, number: int) -> str:
+        """Return the name of work offset 1 to 6 in a sentence."""
+        return self.offset_name.format(offset=f"G{53 + number}", offset_number=number)
 
     @property
     def blends(self) -> bool:

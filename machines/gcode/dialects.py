@@ -11,6 +11,7 @@ from machines.gcode import refusals
 from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, MOVES_FRAME, OFFSET_BY_H
 from phrases.phrase import Phrase
 
+RML = "rml-1"  # no dialect of G-code but Roland's own language: programs in it are sent as they stand
 SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
 
 Own = tuple[tuple[int, int, int, int], ...]
@@ -93,6 +94,11 @@ class Dialect:
         if least == most:
             return Phrase("O and {most} digits", most=most)
         return Phrase("O and {least} to {most} digits", least=least, most=most)
+
+    def name_offset(self, number: int) -> str:
+        """Return what a program of this control calls work offset 1 to 6."""
+        by_h = any(action == OFFSET_BY_H for _, action, _, _ in self.own)
+        return f"G15 H{number}" if by_h else f"G{53 + number}"
 
     @property
     def dwell_rule(self) -> Phrase:

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from machines.driver import ProgramLine
 from machines.errors import ProgramChangedError, ProgramRefusedError
-from machines.gcode.dialects import DIALECTS
+from machines.gcode.dialects import DIALECTS, RML
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.text import shown, strip_block, strip_ends
@@ -109,7 +109,7 @@ class ProgramReader:
             return entry.state
         with self._open() as file:
             data = self._piece(file, number)
-        if self.index.dialect == "rml-1":
+        if self.index.dialect == RML:
             return entry.state  # nothing modal is known of it
         interpreter = Interpreter(entry.state, dialect=self.index.dialect)
         for block in _blocks(data, entry.line, entry.offset, self.index.dialect):
@@ -146,7 +146,7 @@ def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[Progr
     """Yield the blocks of one piece. A piece without comments, blanks or lower case needs no work on its lines."""
     strip: Callable[[bytes], bytes] = strip_block
     plain, keeps_percent = False, True
-    if dialect == "rml-1":  # its own language: as it stands, and ; ends a command
+    if dialect == RML:  # its own language: as it stands, and ; ends a command
         strip = strip_ends
     else:
         keeps_percent = not DIALECTS[dialect].is_grbl

@@ -32,7 +32,7 @@ from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPublisher
 from machines.preflight.preflight import Preflight
 from machines.recovery.plan_model import RecoveryPlan, Reentry
-from machines.runs import Confirmation, RunView
+from machines.runs import Confirmation, RunReport
 from phrases.phrase import Phrase
 
 T = TypeVar("T")
@@ -81,11 +81,11 @@ class Mill:
         return self._publisher.snapshot
 
     @property
-    def runs(self) -> tuple[RunView, ...]:
+    def runs(self) -> tuple[RunReport, ...]:
         """All runs, newest first."""
         return self._runs.views()
 
-    def run(self, run_id: str) -> RunView:
+    def run(self, run_id: str) -> RunReport:
         return self._runs.get(run_id).view
 
     @property
@@ -131,7 +131,7 @@ class Mill:
         self.publish()
         return answer
 
-    def park(self, program: Preflight, path: Path, name: str) -> RunView:
+    def park(self, program: Preflight, path: Path, name: str) -> RunReport:
         """Add a run that waits for its start. Nothing is sent."""
         self._require_open()
         run = self._runs.park(program, path, name)

@@ -13,7 +13,7 @@ from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
-from machines.runs import LIVE, RunState, RunView, move_state
+from machines.runs import LIVE, RunReport, RunState, move_state
 
 MARK_EVERY_S = 0.5
 LINK_LOST = "link"  # why nobody attends to a run: here the journal knows the last line sent
@@ -36,7 +36,7 @@ class Run:
         self._marked: tuple[object, ...] = ()
         self._looked_s: float | None = None
         self._moving_s = 0.0
-        self._view: RunView | None = None
+        self._view: RunReport | None = None
         self.facts: Preflight | None = None
         self.reader: ProgramReader | None = None
 
@@ -67,7 +67,7 @@ class Run:
         return int(self.record.get("executed_line", 0))
 
     @property
-    def view(self) -> RunView:
+    def view(self) -> RunReport:
         if self._view is None:
             self._view = _make_view(self.record, self._time_left_s())
         return self._view
@@ -186,9 +186,9 @@ class Run:
             self.write("run", **fields)
 
 
-def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
+def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunReport:
     """Return the public view of a run's record. Values of a start that was taken back are None in the record."""
-    return RunView(
+    return RunReport(
         id=str(record["id"]),
         name=str(record.get("name", "")),
         program=str(record.get("sha256", "")),

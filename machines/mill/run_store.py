@@ -29,7 +29,7 @@ from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
 from machines.recovery.needs import position_doubt
 from machines.recovery.plan_model import Present
-from machines.runs import RECOVERABLE, RunState, RunView
+from machines.runs import RECOVERABLE, RunReport, RunState
 from phrases.phrase import Phrase
 
 KEPT_RUNS = 200
@@ -169,7 +169,7 @@ class RunStore:
             self._lock.release()
             raise
 
-    def views(self, most: int | None = None) -> tuple[RunView, ...]:
+    def views(self, most: int | None = None) -> tuple[RunReport, ...]:
         """Return the newest runs as others see them, newest first."""
         return tuple(run.view for run in islice(reversed(self._runs.values()), most))
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from machines.driver import MillStatus, Triple
 from machines.errors import MachineError, NotAllowedError, ProgramChangedError
+from machines.gcode.dialects import RML
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
@@ -91,7 +92,7 @@ def check_way_in(
     place_mm : of the tool, in machine coordinates, None: not known; offsets: of the controller, by name
     A height that the program itself never exceeds is safe, as it goes across at it all the time.
     """
-    if facts.dialect == "rml-1":  # such a mill does not report its place: pre-flight has judged it from anywhere
+    if facts.dialect == RML:  # such a mill does not report its place: pre-flight has judged it from anywhere
         for finding in facts.findings:
             if finding.code == WAY_IN:
                 raise NotAllowedError(Phrase("start: {risk}", risk=finding.words))

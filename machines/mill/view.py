@@ -13,7 +13,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.mill.link import MillLink, get_settings
 from machines.mill.orders import NOBODY, Caller, Lease, OrderGate
 from machines.mill.run_store import RunStore
-from machines.runs import RunView
+from machines.runs import RunReport
 from phrases.phrase import NO_WORDS, Phrase, phrases_in
 
 LOG_ENTRIES = 200
@@ -139,8 +139,8 @@ class MillSnapshot:
     protections: tuple[str, ...] = ()
     facts: DriverFacts | None = None
     settings: ControllerSettings | None = None
-    run: RunView | None = None
-    runs: tuple[RunView, ...] = ()
+    run: RunReport | None = None
+    runs: tuple[RunReport, ...] = ()
     latched: str = ""
     problem: Phrase = NO_WORDS
     needs: tuple[Phrase, ...] = ()

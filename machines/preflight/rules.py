@@ -183,11 +183,10 @@ def _judge_way_out(reading: Reading) -> Phrase | None:
 
 def _judge_offset(reading: Reading) -> Phrase | None:
     dialect, wanted = reading.dialect, reading.limits.work_offset
-    others = [frame for frame in _FRAMES[:6] if frame in reading.boxes and frame != f"G{53 + wanted}"]
+    others = [n for n, frame in enumerate(_FRAMES[:6], 1) if frame in reading.boxes and n != wanted]
     if not others:
         return None
-    by_h = dialect is not None and dialect.name == "okuma"
-    names = [f"G15 H{int(frame[1:]) - 53}" if by_h else frame for frame in (*others, f"G{53 + wanted}")]
+    names = [f"G{53 + n}" if dialect is None else dialect.name_offset(n) for n in (*others, wanted)]
     return Phrase(
         "works in the offset {other}, but the job and the mill use {wanted} (machine.work_offset): its zero may be "
         "anywhere",

@@ -16,6 +16,7 @@ from itertools import chain
 
 from machines.driver import FaultCause, ProgramLine, Require, Triple
 from machines.errors import MachineError, PortError
+from machines.gcode.dialects import RML
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.step import Step
@@ -138,7 +139,7 @@ class BlockFeed:
         origin_mm: Triple | None,
         here_mm: Triple | None,
     ) -> None:
-        self._is_rml = dialect == "rml-1"
+        self._is_rml = dialect == RML
         self._line_end = b"\n" if self._is_rml else b"\r\n"
         self._read = rml_reader(here_mm) if self._is_rml else nc_reader(dialect, here_mm)
         self._lines = lines

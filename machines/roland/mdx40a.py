@@ -12,6 +12,7 @@ from typing import Protocol
 
 from machines.driver import Triple
 from machines.errors import NotAllowedError
+from machines.gcode.dialects import RML
 from phrases.phrase import Phrase
 
 STATE_BYTES = 32
@@ -103,7 +104,7 @@ class Mdx40aDevice(Protocol):
 
 def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
     """Raise NotAllowedError where the mill reads the other language: that hangs it until it is switched off."""
-    is_rml, found = dialect == "rml-1", device.command_set()
+    is_rml, found = dialect == RML, device.command_set()
     if found is not None and found == (1 if is_rml else 0):
         wanted = "RML-1" if is_rml else "NC code"
         raise NotAllowedError(
@@ -118,7 +119,7 @@ def check_command_set(device: Mdx40aDevice, dialect: str) -> None:
 
 def read_work_origin_mm(device: Mdx40aDevice, dialect: str) -> Triple | None:
     """Return the machine position of a program's zero; None where the mill does not say."""
-    if dialect == "rml-1":
+    if dialect == RML:
         return device.origin_mm(_USER_SLOT)
     origin, extra = device.origin_mm(_G54_SLOT), device.origin_mm(_EXOFS_SLOT)
     if origin is None or extra is None:

@@ -15,6 +15,7 @@ from machines.drip.feed import Pace
 from machines.drip.one_way import OneWayDriver
 from machines.driver import DriverFacts, FaultCause, Faulted, MillState, ProgramLine
 from machines.errors import ProgramRefusedError
+from machines.gcode.dialects import RML
 from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class RolandSerialDriver(OneWayDriver):
         port: Port,
         link: LinkSettings,
         *,
-        dialect: str = "rml-1",
+        dialect: str = RML,
         options: RolandSerialOptions | None = None,
         planner_blocks: int = 0,
     ):
@@ -74,7 +75,7 @@ class RolandSerialDriver(OneWayDriver):
             buffer_bytes=None if link.rx_bytes is None else link.rx_bytes + hidden,
             planner_blocks=planner_blocks,
         )
-        self._line_end = b"\n" if dialect == "rml-1" else b"\r\n"
+        self._line_end = b"\n" if dialect == RML else b"\r\n"
         self._asked: deque[bytes] = deque()
         self._reply = b""
         self._ask_at_s = 0.0

@@ -53,7 +53,7 @@ class RolandUsbDriver:
         "the mill's byte counter must match the bytes of each block",
     )
 
-    def __init__(self, device: Mdx40aDevice, *, dialect: str = "roland-nc") -> None:
+    def __init__(self, device: Mdx40aDevice, *, dialect: str) -> None:
         self._dialect = dialect
         self._device: Mdx40aDevice | None = device
         self._channel = StatusChannel()

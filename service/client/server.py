@@ -29,7 +29,7 @@ from service.errors import (
     sentence_of_os_error,
 )
 from service.http.hosts import is_loopback
-from service.milling.agent.callers import GRANT
+from service.http.problems import GRANT
 
 VERSION_HEADER = "Causticmill-Version"
 _CONNECT_S, _READ_S = 5.0, 60.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 from starlette.requests import Request
@@ -17,8 +17,11 @@ from machines.errors import (
     ProgramRefusedError,
 )
 from machines.mill.orders import OrderRefusedError, Refusal
-from phrases.phrase import phrases_in
+from phrases.phrase import Phrase, phrases_in
 from service.errors import printable, sentence_of_os_error
+
+GRANT, CONTROL = "Causticmill-Grant", "Causticmill-Control"  # headers of an order
+BY, FROM = "Causticmill-By", "Causticmill-From"  # whose it is and where it came from, as the server tells an agent
 
 _TITLES = {
     400: "Bad request",
@@ -151,6 +154,12 @@ class Problem(Exception):
         self.more = dict(more or {})
 
 
+def make_value_problem(place: Sequence[object], cause: str) -> Problem:
+    """Return the refusal of a value in a request. place: the keys that lead to it, none for the body as a whole."""
+    field = ".".join(map(str, place)) or "body"
+    return Problem(422, Phrase("{field}: {cause}", field=field, cause=cause), field=field)
+
+
 def problem_of(error: Exception) -> Problem:
     """Return the refusal that tells of an error of the machine layer or of the disk."""
     match error:
@@ -179,7 +188,7 @@ def _problem_of_order(error: OrderRefusedError) -> Problem:
     """
     of_control = error.code in (Refusal.HELD, Refusal.LOST, Refusal.NOBODY, Refusal.LEASE)
     more = {"control": None if error.holder is None else error.holder.as_dict()} if of_control else {}
-    field = "Causticmill-Control" if of_control else "Causticmill-Grant" if error.code.startswith("grant") else ""
+    field = CONTROL if of_control else GRANT if error.code.startswith("grant") else ""
     status = 428 if error.code == Refusal.MISSING else 409
     return Problem(status, str(error), field=field, code=error.code, values=error.values, more=more)
 

@@ -16,6 +16,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from machines.gcode.dialects import RML
 from phrases.phrase import phrases_in
 from service.processes.kernel_cache import use_current_kernels
 from service.processes.priority import give_way
@@ -50,7 +51,7 @@ def main() -> int:
 
 def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
     """Read a whole program in this process; ProgramRefusedError where the mill may not run it."""
-    if limits.dialect == "rml-1":
+    if limits.dialect == RML:
         return _read_rml(path, limits, on_share)
     return _read_gcode(path, limits, on_share)
 

@@ -6,6 +6,7 @@ Only the standard library: the supervisor and the command line use it before any
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -59,6 +60,18 @@ def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
     for below, folders, files in os.walk(folder):
         for name in (*folders, *files):
             _close(Path(below) / name)
+
+
+def forget_oldest(folder: Path, most_bytes: int) -> None:
+    """Keep a folder of results small: the least recently used go first, the two last ones never."""
+    with contextlib.suppress(OSError):
+        files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+        excess = sum(file.stat().st_size for file in files) - most_bytes
+        for file in files[:-2]:
+            if excess <= 0:
+                break
+            excess -= file.stat().st_size
+            file.unlink(missing_ok=True)
 
 
 def _close(path: Path) -> None:

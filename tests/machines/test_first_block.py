@@ -60,7 +60,7 @@ class Bench:
         link = usb.MdxUSB(face, 0, face, 2000)
         errors = (SimulatedUsbError,)
         device = RollingmillDevice(link, machine.MDX40A(link), link_errors=errors, clock=mill.clock, wait=mill.wait)
-        return RolandUsbDriver(device), RollingmillDevice, "write_block"
+        return RolandUsbDriver(device, dialect="roland-nc"), RollingmillDevice, "write_block"
 
     def _serial(self) -> tuple[Any, type, str]:
         mill = SimulatedSerialMill(buffer_bytes=2048, command_s=0.1)

@@ -6,7 +6,7 @@ import pytest
 
 from machines.errors import NotAllowedError
 from machines.mill.run import Run
-from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunState, RunView, move_state
+from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunReport, RunState, move_state
 
 
 def test_every_state_is_in_the_table_and_reachable_from_parked() -> None:
@@ -54,7 +54,7 @@ def test_nobody_confirms_nothing() -> None:
 
 
 def test_share_is_by_lines_and_one_at_the_end() -> None:
-    view = RunView(id="a", name="n", program="p", path="/p", state=RunState.RUNNING, lines=200, executed_line=50)
+    view = RunReport(id="a", name="n", program="p", path="/p", state=RunState.RUNNING, lines=200, executed_line=50)
     assert view.share == 0.25
     assert view.as_dict()["state"] == "running"
 

@@ -56,3 +56,25 @@ def test_scores_of_known_errors() -> None:
     assert score.misplaced_light == pytest.approx(0.05)
     assert score.dark_leak == pytest.approx(0.05)
     assert score.psnr_db == pytest.approx(10 * np.log10(4 / 0.01))
+
+
+@pytest.mark.parametrize(
+    ("shape", "recorded"),
+    [
+        ((64, 48), 0.8633613416189893),
+        ((11, 30), 0.8316504174310232),
+        ((12, 11), 0.9113743011252005),
+        ((10, 40), 0.8894421760607458),
+        ((5, 5), 0.8724308129714403),
+        ((2, 3), 0.9593356388825741),
+        ((1, 4), 0.9766979445396876),
+    ],
+)
+def test_structural_similarity_is_that_of_scikit_image(shape: tuple[int, int], recorded: float) -> None:
+    """Recorded from its structural_similarity 0.26 with Gaussian weights (a square where 11 pixels do not fit)."""
+    rng = np.random.default_rng(sum(shape))
+    target = rng.random(shape)
+    target *= target > 0.2
+    target /= target.mean()
+    irradiance = target * (1 + 0.3 * rng.standard_normal(shape))
+    assert score_caustic(irradiance, target).ssim == pytest.approx(recorded, abs=1e-12)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
-from service.server.schemas.control import ProbeCornerBody
+from service.milling.api import ProbeCornerBody
 from tests.levels import mostly_thorough
 from tests.page.answers import problem
 from tests.page.browser import open_blank

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from optics.bench import Bench
+from optics.block import lower_by_back
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import ViewedFrom
 from optics.tubes.edges import polygon_coverage
@@ -67,7 +68,7 @@ def light_bytes(
     cells = _CELLS if bench.light.radius > 0 else min(_SHARP_CELLS, max(_CELLS, *surface.z_mm.shape))
     nx, ny = (_nodes(cells * side / longer_mm) for side in (surface.width_mm, surface.height_mm))
     x_mm, y_mm = (np.linspace(axis[0], axis[-1], count) for axis, count in ((surface.x_mm, nx), (surface.y_mm, ny)))
-    z_mm = surface.spline().heights_mm(x_mm[None, :], y_mm[:, None])
+    z_mm = lower_by_back(surface, bench.back).spline().heights_mm(x_mm[None, :], y_mm[:, None])
     dx_mm, dy_mm = surface.width_mm / (nx - 1), surface.height_mm / (ny - 1)
     step_mm = max(_ROUNDING * min(dx_mm, dy_mm) ** 2 / bench.throw_mm, float(np.ptp(z_mm)) / _MOST_LEVELS)
     weights = _weights(bench, nx, ny)

@@ -8,8 +8,9 @@ asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine 
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from math import ceil, hypot, sqrt
 from pathlib import Path
 from typing import Any, Literal
@@ -47,7 +48,6 @@ from service.job.planning.finished_light import blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import compute_passes, design_for_finishes, form_of, simplify
-from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
@@ -66,6 +66,7 @@ from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.stock import MIN_FLOOR_MM
+from service.job.stages.kept_plans import NO_PLANS, KeptPlans
 from service.wording import ball, cutter
 
 WALL_PIXELS = 256
@@ -85,13 +86,17 @@ class QuickLens:
     """A job's lens as a coarse picture gives it.
 
     job      : with its passes, planned where they were not given
+    planned  : they were planned; seconds: of each, where the plan knows them; see: returns what the wall will show,
+               where the plan knows that
     settings : of the job's own lens
     aim      : (ny, nx) coarse target
     missed   : (ny, nx) its light less that
     """
 
     job: ResolvedJob
-    planned: Planned | None
+    planned: bool
+    seconds: tuple[float, ...]
+    see: Callable[[], ForetoldPicture] | None
     settings: LensSettings
     design: LensDesign
     facts: LensFacts
@@ -114,10 +119,16 @@ class QuickLens:
 
 
 def estimate(
-    job: ResolvedJob, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False
+    job: ResolvedJob,
+    path: Path,
+    *,
+    limits: PictureLimits,
+    name: str,
+    exactly: bool = False,
+    plans: KeptPlans = NO_PLANS,
 ) -> dict[str, Any]:
     """Return the answer of POST /v1/estimates. InputError, PictureError where a job would fail at
-    once.
+    once. plans: where an exact one finds its plan, or leaves it for the job.
     """
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
@@ -125,8 +136,10 @@ def estimate(
         specs = [fine, spec] if exactly else [coarse, fine, spec]
         targets, picture = _targets(path, *specs, limits=limits, name=name)
         whole, own = targets[-2:]
-        quick = quick_lens(job.with_spec(with_branch(specs[0], own)), targets[0], None if exactly else whole)
-        passes = _with_around(quick.job, list(_hours(quick, exactly=exactly)))
+        if specs[0] != spec:
+            job = job.with_spec(with_branch(specs[0], own))
+        quick = quick_lens(job, targets[0], None if exactly else whole, plans)
+        passes = _with_around(quick.job, list(_hours(quick)))
         seen = _foretell_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
@@ -140,7 +153,7 @@ def estimate(
         "throw_ok": quick.reflected_share <= _REFLECTED and quick.facts.max_slope_deg <= _STEEP_DEG,
         "smallest_detail_mm": detail_mm,
         "passes": passes,
-        "planned": quick.planned is not None,
+        "planned": quick.planned,
         "exact": exactly,
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
@@ -197,24 +210,33 @@ def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
-def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLens:
+def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: KeptPlans = NO_PLANS) -> QuickLens:
     """Return the lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
 
-    whole : the same with more pixels, by which finishes are compared
+    whole : the same with more pixels, by which finishes are compared; None: the plan is the job's, one of `plans`
     """
-    planned: Planned | None = None
-    if job.spec.to_be_planned:
+    seconds: tuple[float, ...] = ()
+    see: Callable[[], ForetoldPicture] | None = None
+    is_planned = job.spec.to_be_planned
+    if is_planned and whole is None:
+        made = plans.make(job, target, at_once=True)
+        job, see = job.with_spec(with_plan(job.spec, {"plan": made.figures})), made.see
+    elif is_planned:
         planned = plan_for_picture(job, target, whole=whole)
-        job = job.with_spec(with_plan(job.spec, {"plan": planned.settings()}))
+        job, seconds = job.with_spec(with_plan(job.spec, {"plan": planned.settings()})), planned.chosen.seconds
+        if planned.finishing is not None:
+            see = partial(describe_light, planned.light, planned.chosen.marks)
     spec = job.spec
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
     design = design_lens(target, quick, passes=compute_passes(target, quick))
     lens, shape = design.heightfield, (target.shape[0], target.shape[1])
-    seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
+    seen = simulate_caustic(lens, quick.bench.clear, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
     return QuickLens(
         job=job,
-        planned=planned,
+        planned=is_planned,
+        seconds=seconds,
+        see=see,
         settings=settings,
         design=design,
         facts=measure_lens(lens),
@@ -225,10 +247,10 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     )
 
 
-def _hours(quick: QuickLens, *, exactly: bool) -> Iterator[dict[str, Any]]:
+def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
     """Yield the hours of each pass: those of the plan, or from the stock that the one before leaves."""
     specs = cam_passes_of(quick.spec)
-    known_s = () if quick.planned is None or exactly else quick.planned.chosen.seconds
+    known_s = quick.seconds
     if not specs[0].is_ball:  # what is to be cut after a flat end a plan has guessed
         known_s = known_s[:1]
     times_s = known_s if len(known_s) == len(specs) else tuple(_time_passes_s(quick, specs, known_s))
@@ -334,11 +356,11 @@ def _blur_of_milling_mm(quick: QuickLens) -> float:
 
 def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
     """Return what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
-    planned, finish, slopes = quick.planned, _find_finish(quick), _slopes(quick)
+    finish, slopes = _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
-    if planned is not None and (exactly or planned.finishing is not None):
-        return describe_light(planned.light, planned.chosen.marks)
+    if quick.see is not None:
+        return quick.see()
     return foretell(
         target,
         quick.bench,

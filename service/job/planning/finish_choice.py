@@ -196,7 +196,7 @@ def find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
 
 
 def _ssim(one: FinishedPlan) -> float:
-    return one.light.score(one.light.picture(one.plan.chosen.marks)).ssim
+    return one.light.score(one.light.clear_picture(one.plan.chosen.marks)).ssim
 
 
 def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:

@@ -102,7 +102,7 @@ class FinishedLight(PictureLight):
     """
 
     def __init__(self, milled: PictureLight, finish: Finish, spectra: Spectra | None = None) -> None:
-        super().__init__(milled.target, milled.bench, goal=milled.goal)
+        super().__init__(milled.target, milled.hazy_bench, goal=milled.goal)
         self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
         self._spectra = spectra or Spectra(milled)
         self._lens_scale, self._lost_contact = 1.0, 0.0
@@ -160,7 +160,7 @@ class FinishedLight(PictureLight):
             return seen
         return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
-    def picture(self, marks: Marks) -> Array:
+    def clear_picture(self, marks: Marks) -> Array:
         """Return irradiance (ny, nx) on the screen, work frame: the smooth picture, stripes along the rows by lot."""
         smooth, along_x = self.smooth_picture(marks), marks.spec.direction == "x"
         lot = self._draw_stripes(marks, smooth.shape[0 if along_x else 1])
@@ -205,7 +205,7 @@ class FinishedLight(PictureLight):
         finer[:ny, :nx] = 0.0  # waves that the lens has no part in
         off_fine = float((finer * np.square(1.0 - self._kept_waves)).mean())
         # No finish makes a lens better than it is without marks.
-        unmarked = self._peak**2 * 10.0 ** (-0.1 * self.lenses[marks.radius_mm].perfect_db)
+        unmarked = self.lenses[marks.radius_mm].perfect_error
         off, guess = max(off_free + off_fine, unmarked), self._guess_error(marks.radius_mm)
         # What a tool does not reach costs as much after less work: k0 2.05 to 2.9, 23.6 to 24.0 dB on two pictures.
         adds = self.contact_share < _NEARLY_ALL and off > guess

@@ -69,8 +69,10 @@ def predict_designs(
 
     def shape_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
         made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
-        missed = made.best.caustic.irradiance - aim
-        return _Shaped(form=form_of(made.best.lens), missed=missed, fits=not made.is_shaped)
+        seen = made.best.caustic.irradiance
+        if settings.bench.back is not None:
+            seen = _light_of(made.best.lens, settings.bench.clear, aim)
+        return _Shaped(form=form_of(made.best.lens), missed=seen - aim, fits=not made.is_shaped)
 
     def redesign(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
         aim = _coarser(aim)

@@ -50,12 +50,12 @@ class Valleys:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shown:
     """A lens for one ball: its form, the waves (ny, nx) of the picture that it would show unmilled, were it not
-    sharpened, and the PSNR of that picture; what the ball leaves filled of it.
+    sharpened, and the mean square that this picture is off by; what the ball leaves filled of it.
     """
 
     form: LensForm
     waves: Array
-    perfect_db: float
+    perfect_error: float
     valleys: Valleys | None = None
 
 
@@ -80,9 +80,11 @@ class PictureLight:
         redesign: Redesign | None = None,
         goal: Array | None = None,
     ) -> None:
-        self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
+        self.target, self.bench, self.aims, self._redesign = target, bench.clear, aims, redesign
+        self.hazy_bench = bench
         self.goal = waves_of(target) if goal is None else goal
         self._peak, self._square = float(target.max()), float(np.square(target).mean())
+        self._lost_by_haze = float(np.square(bench.add_haze(target) - target).mean())
         ny, nx = target.shape
         self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
         self._along = Waves.of((ny, nx), self.pixel_mm)
@@ -106,7 +108,7 @@ class PictureLight:
         self.lenses[radius_mm] = Shown(
             form=form,
             waves=self.goal + waves_of(error),
-            perfect_db=self.psnr_of(self.target + error, 0.0),
+            perfect_error=float(np.square(error).mean()),
             valleys=valleys and replace(valleys, shares_past=resize(valleys.shares_past, self.target.shape)),
         )
 
@@ -116,7 +118,7 @@ class PictureLight:
 
     def retarget(self, target: Array) -> PictureLight:
         """Return the same lenses against the picture at another size, without what balls leave filled of them."""
-        light = PictureLight(target, self.bench, aims=self.aims)
+        light = PictureLight(target, self.hazy_bench, aims=self.aims)
         first: dict[Shown, float] = {}
         for radius_mm, shown in self.lenses.items():
             if shown in first:
@@ -175,15 +177,15 @@ class PictureLight:
         with ThreadPoolExecutor(thread_count()) as pool:
             designs = list(pool.map(self._redesign, wanted, map(self.aim, wanted)))
         for marks, put in zip(wanted, designs, strict=True):
-            before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
+            before = {radius: self.lenses[radius].perfect_error for radius in {marks.radius_mm, marks.smallest_mm}}
             put(self)
-            for radius, perfect_db in before.items():
-                self.lenses[radius] = replace(self.lenses[radius], perfect_db=perfect_db)
+            for radius, error in before.items():
+                self.lenses[radius] = replace(self.lenses[radius], perfect_error=error)
         self._halves.clear()
 
     def perfect_db(self, radius_mm: float) -> float:
         """Return what the lens for a ball would show without any mark of the tool."""
-        return self.lenses[radius_mm].perfect_db
+        return self.db_of_error(self.lenses[radius_mm].perfect_error)
 
     def grain(self, marks: Marks) -> float:
         """Return the standard deviation of a pixel's light over its mean: rows off in height, chords off in slope."""
@@ -205,6 +207,10 @@ class PictureLight:
         return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
 
     def picture(self, marks: Marks) -> Array:
+        """Return the irradiance (ny, nx) on the screen: `clear_picture` through a block as hazy as it is."""
+        return self.hazy_bench.add_haze(self.clear_picture(marks))
+
+    def clear_picture(self, marks: Marks) -> Array:
         """Return the irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the
         rows.
         """
@@ -313,8 +319,8 @@ class PictureLight:
         return self.db_of_error(error)
 
     def db_of_error(self, mean_square: float) -> float:
-        """Return PSNR of a picture that is off by so much."""
-        return float(10 * np.log10(self._peak**2 / max(mean_square, 1e-300)))
+        """Return PSNR of a picture that is off by so much before haze, which costs all the same."""
+        return float(10 * np.log10(self._peak**2 / max(mean_square + self._lost_by_haze, 1e-300)))
 
 
 def waves_of(picture: Array) -> Array:

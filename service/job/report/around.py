@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cam.posts.dialects import POSTS
-from cam.posts.post import HIGH_PRECISION_WORDS
+from cam.posts.post import HIGH_PRECISION_WORDS, Post
 from phrases.phrase import Phrase
 from service.job.finite_json import table
 from service.wording import duration, number
@@ -78,7 +78,7 @@ def _of_begin(machine: Mapping[str, Any]) -> Iterator[Phrase]:
 def _of_every_program(machine: Mapping[str, Any]) -> Iterator[Phrase]:
     coolant, post = machine.get("coolant", "none"), POSTS.get(str(machine.get("dialect")))
     if (offset := machine.get("work_offset", 1)) != 1:
-        name = f"G15 H{offset}" if machine.get("dialect") == "okuma" else f"G{53 + offset}"
+        name = post.name_offset(offset) if isinstance(post, Post) else f"G{53 + offset}"
         yield Phrase("Every program works in offset {name}: set X0 Y0 and Z0 there, not in the first one.", name=name)
     word = post.coolant.get(str(coolant)) if post else None
     if word:

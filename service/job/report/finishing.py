@@ -9,6 +9,7 @@ from typing import Any
 
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
+from service.job.report.milled import explain_flaws
 from service.wording import duration, number, psnr_in_words
 
 _WORTH_DB = 0.3
@@ -121,6 +122,7 @@ def _warnings(report: Mapping[str, Any], work: Mapping[str, Any]) -> Iterator[Ph
             finished_db=finished_db,
             milled_db=milled_db,
         )
+    yield from explain_flaws(table(report.get("as_finished")))
     minutes, least, most = (work.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
         yield Phrase(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from phrases.phrase import Phrase
@@ -22,6 +22,11 @@ CAUSES = {
     "screws": (
         Phrase("the machine's screws"),
         Phrase("better screws, or an axis that measures where it is, help"),
+    ),
+    "haze": (Phrase("the haze of the block"), Phrase("a clearer block, or a better polish of both sides, helps")),
+    "back": (
+        Phrase("the waves of the block's back"),
+        Phrase("a block whose back is flatter, or faced and polished flat, helps"),
     ),
     "rounding": (Phrase("the decimals of the program"), Phrase("a dialect with more of them helps")),
 }
@@ -69,6 +74,16 @@ def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
             others=others,
         )
     ]
+
+
+def explain_flaws(finished: Mapping[str, Any]) -> Iterator[Phrase]:
+    """Yield what of the block costs much behind a finish, which takes the marks of milling off; from report
+    `as_finished`.
+    """
+    for name, gain_db in (finished.get("gain_db_without") or {}).items():
+        if gain_db >= _WORTH_DB:
+            cause, remedy = CAUSES[name]
+            yield Phrase("{gain_db:.1f} dB are lost by {cause}: {remedy}.", gain_db=gain_db, cause=cause, remedy=remedy)
 
 
 def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase | None:

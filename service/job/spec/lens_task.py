@@ -12,6 +12,7 @@ import numpy as np
 from cam.materials import MATERIALS
 from optics.bench import Bench, Branch
 from optics.black import choose_branch
+from optics.block import Back
 from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
@@ -21,7 +22,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.finite_json import table
 from service.job.spec.finish import FinishSpec
-from service.job.spec.light import LIGHT_WORDS, name_spectrum, spectrum_of
+from service.job.spec.light import LIGHT_WORDS, kind_of, name_spectrum, spectrum_of
 from service.job.spec.model import JobSpec
 from service.job.spec.optics import OpticsSpec
 
@@ -31,8 +32,10 @@ _GAUSSIAN_NODES = 129  # from rim to rim: bilinear between them is within 2e-4 o
 
 
 def bench_of(spec: JobSpec) -> Bench:
-    """Return the set-up. Where light crosses the block straight, its thickness does not matter and is left out."""
-    optics = spec.optics
+    """Return the set-up. Where light crosses the block straight, its thickness does not matter and is left out; for a
+    mirror nothing of the block does.
+    """
+    optics, is_lens = spec.optics, spec.optics.surface == "lens"
     corners = optics.outline_mm
     block = {"thickness_mm": spec.stock.thickness_mm} if optics.light_crosses_block else {}
     return Bench.centre_on(
@@ -43,11 +46,25 @@ def bench_of(spec: JobSpec) -> Bench:
         dispersion=MATERIALS[spec.stock.material].dispersion or 0.0,
         screen_mm=optics.screen_size_mm,
         shift_mm=(optics.screen_shift_x_mm, optics.screen_shift_y_mm),
-        mirror=optics.surface == "mirror",
+        mirror=not is_lens,
+        haze=haze_of(spec) if is_lens else 0.0,
+        back=back_of(spec) if is_lens else None,
         light=light_of(optics),
         outline_mm=None if corners is None else np.array(corners),
         **block,
     )
+
+
+def haze_of(spec: JobSpec) -> float:
+    """Return the share of the light that the block scatters."""
+    stated, usual = spec.stock.haze_percent, MATERIALS[spec.stock.material].haze
+    return (usual or 0.0) if stated is None else stated / 100
+
+
+def back_of(spec: JobSpec) -> Back | None:
+    """Return the face that light enters by; None where it is flat, or not known."""
+    flatness_mm, period_mm = spec.stock.back_flatness_mm, spec.stock.back_period_mm
+    return Back(flatness_mm=flatness_mm, period_mm=period_mm) if flatness_mm else None
 
 
 def light_of(optics: OpticsSpec) -> Light:
@@ -176,7 +193,7 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
     """Return the diameter of the source's disc on the wall, of a thin lens; None where it has no size."""
     light = table(table(spec.get("optics")).get("light"))
-    kind = light.get("kind") or "collimated"
+    kind = kind_of(light)
     figures: dict[str, Any] = {
         name: float(light[name]) for name in LIGHT_WORDS[kind].figures if light.get(name) is not None
     }

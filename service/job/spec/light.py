@@ -17,6 +17,8 @@ from service.wording import number
 if TYPE_CHECKING:
     from optics.spectrum import Spectrum
 
+PARALLEL = "collimated"
+"""The kind of a light that says none, and the only one that comes square to the lens everywhere."""
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _LEAST_PROFILE = 1e-6  # the greatest of them is at least so much: no ratio of them overflows
@@ -40,6 +42,7 @@ class LightWords:
 
     label, hint : in the form
     figures     : that are its own
+    spectrum    : its own, one of SPECTRA, where the job says none
     describe    : sentence of the set-up sheet, of the light as plain data and whether it falls on a mirror
     """
 
@@ -47,11 +50,17 @@ class LightWords:
     hint: str
     describe: Callable[[Mapping[str, Any], bool], Phrase]
     figures: tuple[str, ...] = ()
+    spectrum: str = "white"
+
+
+def kind_of(light: Mapping[str, Any]) -> str:
+    """Return the kind of a light given as plain data, which in old reports says none."""
+    return light.get("kind") or PARALLEL
 
 
 def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> Phrase:
     """Say what the light must be like, for the person who sets it up; light as plain data."""
-    return LIGHT_WORDS[light.get("kind") or "collimated"].describe(light, is_mirror)
+    return LIGHT_WORDS[kind_of(light)].describe(light, is_mirror)
 
 
 def _describe_parallel(_light: Mapping[str, Any], is_mirror: bool) -> Phrase:
@@ -82,7 +91,7 @@ def _face(is_mirror: bool) -> Phrase:
 
 
 LIGHT_WORDS: dict[str, LightWords] = {
-    "collimated": LightWords(
+    PARALLEL: LightWords(
         label="Parallel",
         hint="a spotlight far away, or a collimated lamp",
         describe=_describe_parallel,
@@ -92,6 +101,7 @@ LIGHT_WORDS: dict[str, LightWords] = {
         hint="half a degree wide: about 1 mm of blur for every 110 mm to the wall",
         describe=_describe_sun,
         figures=("size_deg",),
+        spectrum="sun",
     ),
     "point": LightWords(
         label="Lamp",
@@ -151,7 +161,7 @@ class LightSpec(Section):
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 
-    kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = "collimated"
+    kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = PARALLEL
     size_deg: Annotated[
         Annotated[float, Field(ge=0.001, le=10)] | None,
         shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when=_when("size_deg")),
@@ -221,7 +231,8 @@ class LightSpec(Section):
     @classmethod
     def _known_spectrum(cls, spectrum: Any, info: ValidationInfo) -> Any:
         if spectrum is None:
-            return "sun" if info.data.get("kind") == "sun" else "white"
+            words = LIGHT_WORDS.get(info.data.get("kind", ""))  # none of a kind that is wrong itself, and said so
+            return words.spectrum if words else "white"
         if isinstance(spectrum, str) and spectrum in SPECTRA:
             return spectrum
         try:

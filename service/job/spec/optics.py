@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from cam.materials import PMMA
 from phrases.phrase import Phrase
-from service.job.spec.light import LightSpec
+from service.job.spec.light import PARALLEL, LightSpec
 from service.job.spec.section import Distance, Length, RuleError, Section, none_or_from, shown
 
 _SHAPES = ("rectangle", "ellipse")
@@ -181,7 +181,7 @@ class OpticsSpec(Section):
     @property
     def light_crosses_block(self) -> bool:
         """Whether the thickness of the block has a part in where light goes."""
-        return self.surface == "lens" and self.light.kind != "collimated"
+        return self.surface == "lens" and self.light.kind != PARALLEL
 
     @field_validator("outline", mode="before")
     @classmethod

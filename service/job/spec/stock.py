@@ -101,6 +101,9 @@ class StockSpec(Section):
     """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies.
 
     face, cut_out : what is milled beside the lens; left out: nothing
+    haze_percent  : of the light that the block scatters more than 2.5 degrees; left out: as of its material
+    back_flatness_mm, back_period_mm : of the face that light enters by, between two planes that hold its waves, and how
+                    long these are; left out: not known, and taken as flat
     clamps        : where they stand, if the check is to know; where they may stand is on the setup sheet
     """
 
@@ -111,6 +114,15 @@ class StockSpec(Section):
     material: Annotated[
         str, OneOf({name: {"title": one.label} for name, one in MATERIALS.items()}), shown("Material")
     ] = PMMA.name
+    haze_percent: Annotated[
+        Annotated[float, Field(ge=0, le=50), none_or_from(1e-3)] | None,
+        shown("Haze", "Share of the light that the block scatters: 1 % of new acrylic.", usual="of the material"),
+    ] = None
+    back_flatness_mm: Annotated[
+        Annotated[float, Field(ge=0, le=1), none_or_from(1e-5)] | None,
+        shown("Waves of the back", "Height of the waves of the face that light enters by.", usual="taken as flat"),
+    ] = None
+    back_period_mm: Annotated[float, Field(ge=1, le=1000), shown("Their length")] = 40.0
     face: FaceSpec | None = None
     cut_out: CutOutSpec | None = None
     clamps: Annotated[tuple[ClampSpec, ...], Field(max_length=MOST_CLAMPS, strict=False)] | None = None

@@ -17,7 +17,7 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.finish import Finish, Finished, finish_lens
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
-from optics.metrics import score_caustic, smallest_detail_mm
+from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
 from phrases.phrase import Phrase
 from service.job import arrays
 from service.job.files import (
@@ -78,7 +78,10 @@ def run_as_finished(context: StageContext) -> None:
         seen = light_through(finished.lens, bench, shape)
         if context.is_shown:
             save_light(context, LIGHT_AS_FINISHED, finished.lens, target)
-    _tell(context, finished, target, seen)
+        own_db, gains = psnr_db(seen.irradiance, target), {}
+        for cause, other in bench.without_each_flaw().items():
+            gains[cause] = psnr_db(light_through(finished.lens, other, shape).irradiance, target) - own_db
+    _tell(context, finished, target, seen, gains)
     _tell_of_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
@@ -142,7 +145,7 @@ def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
 
 
-def _tell(context: StageContext, finished: Finished, target: Array, seen: Caustic) -> None:
+def _tell(context: StageContext, finished: Finished, target: Array, seen: Caustic, gains: dict[str, float]) -> None:
     finish, score = finish_of(context.spec), asdict(score_caustic(seen.irradiance, target))
     assert finish is not None
     pixel_mm = bench_of(context.spec).screen.width_mm / target.shape[1]
@@ -155,6 +158,7 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
             "contact_share": finished.contact_share,
+            "gain_db_without": gains,
             "finish": {**context.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
         }
     )

@@ -163,13 +163,17 @@ def _gains(
     }
     if now["screws"] is not None:
         without["screws"] = {"screws": None}
-    scores = []
-    changes: list[dict[str, Any]] = [{}, *without.values()]
-    for number, change in enumerate(changes):
+    without[""] = {}
+    scores = {}
+    for cause, change in without.items():
         facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
-        scores.append(psnr_db(predict_light(designed.irradiance, facets, heightfield, bench), target))
-        on_progress((number + 1) / (len(without) + 1))
-    return {cause: score - scores[0] for cause, score in zip(without, scores[1:], strict=True)}
+        scores[cause] = psnr_db(predict_light(designed.irradiance, facets, heightfield, bench), target)
+        on_progress(len(scores) / len(without))
+    for cause, other in bench.without_each_flaw().items():
+        seen = simulate_caustic(heightfield, other, pixels=(target.shape[0], target.shape[1]))
+        scores[cause] = psnr_db(predict_light(seen.irradiance, facets, heightfield, other), target)
+    own = scores.pop("")
+    return {cause: score - own for cause, score in scores.items()}
 
 
 def _tell(

@@ -79,6 +79,7 @@ class StageContext:
     picture            : where the person's picture is; picture_name: on the setup sheet
     picture_called     : in messages; None: by its path
     picture_queue      : draws the pictures
+    plans              : folder of plans made before; None: no plan is kept
     desk               : values by file name, shared by the stages of one process; None: all goes through files
     """
 
@@ -94,6 +95,7 @@ class StageContext:
     picture_name: str = ""
     picture_called: str | None = None
     limits: PictureLimits = OWN_PICTURE
+    plans: Path | None = None
     desk: dict[str, Any] | None = None
     report: dict[str, Any] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)

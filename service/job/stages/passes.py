@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP, PLAN
-from service.job.planning.plan import Planned
-from service.job.planning.plan_report import plan_figures
-from service.job.planning.planner import plan_for_lens, plan_for_picture
-from service.job.planning.sentences import blur_warnings
+from service.job.planning.planner import plan_for_lens
 from service.job.spec.lens_task import facts_of_light
 from service.job.stages.context import StageContext
+from service.job.stages.kept_plans import KeptPlans, MadePlan, describe_plan
 from service.job.stages.lens import TARGET
 
 
@@ -24,21 +22,21 @@ def choose_passes(context: StageContext) -> None:
     if context.desk is not None:
         context.desk[TARGET] = target  # the lens is made from it as well
     with context.watch.stage("plan") as on_progress:
-        tell_of_plan(context, plan_for_picture(context.job, target, on_progress=on_progress))
+        plan = KeptPlans(context.plans).make(context.job, target, on_progress=on_progress)
+        _report_plan(context, plan)
 
 
 def plan_passes_for_lens(context: StageContext) -> None:
     """Plan passes for a lens that exists; report `plan`, plan.png."""
     lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
     with context.watch.stage("plan") as on_progress:
-        tell_of_plan(context, plan_for_lens(context.job, lens, target, on_progress=on_progress))
+        planned = plan_for_lens(context.job, lens, target, on_progress=on_progress)
+        _report_plan(context, describe_plan(planned, viewed_from=context.spec.optics.viewed_from))
 
 
-def tell_of_plan(context: StageContext, planned: Planned) -> None:
+def _report_plan(context: StageContext, plan: MadePlan) -> None:
     """Report `plan`, with the light that its scores hold under, and draw plan.png."""
-    from service.job.report.figures.plan import plan_png  # what it stands on is slow to import
-
-    context.report["plan"] = {**plan_figures(planned), "light": facts_of_light(context.spec)}
-    for sentence in blur_warnings(planned, milled_next=True):
+    context.report["plan"] = {**plan.figures, "light": facts_of_light(context.spec)}
+    for sentence in plan.notes:
         context.note("passes", sentence)
-    context.draw(PLAN, lambda: plan_png(planned, viewed_from=context.spec.optics.viewed_from))
+    context.draw(PLAN, plan.draw)

@@ -29,7 +29,6 @@ LATER = (
     "service.job.stages.programs",
     "service.job.stages.check",
     "service.job.stages.sheet",
-    "networkx",
     "trimesh",
     "manifold3d",
     *DRAWING,

@@ -23,8 +23,10 @@ from service.store.base import MissingObjectError, Store
 _PICTURE = ".picture"  # the person's own file
 
 
-def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], None]) -> StageResult:
-    """Do the whole work of a stage; returns what it made once all of it is in the store.
+def run_order(
+    order: StageOrder, store: Store, on_progress: Callable[[float], None], *, plans: Path | None = None
+) -> StageResult:
+    """Do the whole work of a stage; returns what it made once all of it is in the store. plans: of `StageContext`.
 
     JobError in words that name files as the person knows them. The scratch folder is gone afterwards, come what may.
     """
@@ -32,7 +34,7 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
     stage, scratch = stage_of(order.stage), Path(order.scratch)
     on_progress(0.0)
     with _hide_paths(scratch), _scratch_folder(scratch), PictureQueue() as picture_queue:
-        context = _make_context(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue)
+        context = _make_context(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue, plans)
         fetched = _fetch(order, stage, store, scratch)
         if stage.number:
             _require_space(context)
@@ -53,7 +55,7 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
 
 
 def _make_context(
-    order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
+    order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue, plans: Path | None
 ) -> StageContext:
     return StageContext(
         job=restore_job(order.spec, order.figures),
@@ -68,6 +70,7 @@ def _make_context(
         picture_name=order.image_name,
         picture_called=order.image_name,
         limits=order.limits,
+        plans=plans,
     )
 
 

@@ -31,7 +31,7 @@ _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.ma
 _BENCH = (
     "optics.width_mm", "optics.height_mm", "screen_mm", "optics.screen_shift_x_mm", "optics.screen_shift_y_mm",
     "optics.throw_mm", "optics.refractive_index", "optics.surface", "optics.outline", "optics.light", "light_path_mm",
-    "stock.material",
+    "stock.material", "stock.haze_percent", "stock.back_flatness_mm", "stock.back_period_mm",
 )  # fmt: skip
 _KINEMATICS = tuple(
     f"machine.{name}"
@@ -54,8 +54,7 @@ AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
 _LIBRARIES = (
-    "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "fonttools",
-    "jinja2",
+    "numpy", "scipy", "numba", "pyamg", "pillow", "trimesh", "manifold3d", "matplotlib", "fonttools", "jinja2",
 )  # fmt: skip
 
 

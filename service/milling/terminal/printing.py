@@ -14,7 +14,7 @@ from pathlib import Path
 from machines.driver import DriverFacts, MillState, MillStatus
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
-from machines.runs import RunView
+from machines.runs import RunReport
 from service.errors import printable
 from service.milling.terminal.screen import position_words
 from service.wording import duration
@@ -123,7 +123,7 @@ def left_words(status: MillStatus) -> str:
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"
 
 
-def took_words(run: RunView | None) -> str:
+def took_words(run: RunReport | None) -> str:
     """Return how long the run has taken by the clock on the wall, with all its holds."""
     if run is None or run.started_s is None or run.ended_s is None:
         return ""

@@ -20,7 +20,7 @@ from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
 from machines.recovery.needs import needs_of_standing_mill
 from machines.recovery.plan_model import Need, RecoveryPlan
-from machines.runs import RECOVERABLE, RunView
+from machines.runs import RECOVERABLE, RunReport
 from service.errors import FailedError, InputError
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from service.milling.terminal.orders import give_order
@@ -204,7 +204,7 @@ def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
     buffers.mark_empty()
 
 
-def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
+def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunReport:
     """Find the latest run of this very program that did not come to its end."""
     runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
     if not runs:
@@ -214,7 +214,7 @@ def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) ->
     return max(runs, key=lambda run: run.created_s)
 
 
-def prepare_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
+def prepare_plan(thread: MillThread, buffers: Buffers, run: RunReport, *, person: bool, vouched: bool) -> RecoveryPlan:
     """Return the plan, once all that must come first is done; FailedError names what is not.
 
     person : somebody is at the terminal and can be asked     vouched : --confirm-position was given
@@ -233,7 +233,7 @@ def prepare_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: 
     return plan
 
 
-def plan_lines(plan: RecoveryPlan, run: RunView) -> Iterator[str]:
+def plan_lines(plan: RecoveryPlan, run: RunReport) -> Iterator[str]:
     """Yield the plan for a person to check."""
     yield f"recovery:   run {run.id}, {run.state.value}{f': {run.words}' if run.words else ''}"
     for words in plan.words:

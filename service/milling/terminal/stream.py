@@ -28,7 +28,7 @@ from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
 from machines.recovery.plan_model import Reentry
-from machines.runs import START_CHECKS, Confirmation, RunView
+from machines.runs import START_CHECKS, Confirmation, RunReport
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
 from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
@@ -241,7 +241,7 @@ def _prepare_new_run(
     thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
     """Park a run, and return how it begins once the person has said that all is as it should be."""
-    run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
+    run: RunReport = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
     setup = None if order.confirmed else thread.snapshot.setup
     confirmation = _confirm(order)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)

@@ -1,7 +1,8 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
 import { t } from "../lib/language.js";
-import { ball, hours, mm, passName } from "../lib/words.js";
+import { ball, hours, mm, passName, within } from "../lib/words.js";
 import { eyeWords } from "./eye_words.js";
+import { valueWords } from "./setting_words.js";
 
 const WORTH_DB = 0.3;
 const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
@@ -10,6 +11,8 @@ const CAUSES = {
   steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
   noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
   screws: [t("the machine's screws"), t("better ones, or an axis that measures where it is, leave less of them")],
+  haze: [t("the haze of the block"), t("a clearer block, or a better polish of both sides, leaves less of it")],
+  back: [t("the waves of the block's back"), t("a block whose back is flatter leaves less of them")],
   rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
 };
 
@@ -190,8 +193,9 @@ export function setUpWords(spec) {
   const wall = t`wall at ${mm(optics.throw_mm)}`;
   const size = t`, picture ${round(screen.width)} × ${round(screen.height)} mm`;
   const enlarged = Math.abs(screen.width - optics.width_mm) > 0.5 ? size : "";
-  const lights = { collimated: t("parallel light"), point: t`lamp at ${mm(optics.light.distance_mm)}`, sun: t("sunlight") };
-  return `${block}, ${wall}${enlarged}, ${lights[optics.light.kind] ?? optics.light.kind}`;
+  const source = within(valueWords("optics.light.kind", optics.light.kind)), away = optics.light.distance_mm;
+  const light = away == null ? t`light: ${source}` : t`light: ${source}, ${mm(away)} away`;
+  return `${block}, ${wall}${enlarged}, ${light}`;
 }
 
 function round(length) {

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
+from typing import Any
 
 import structlog
 from fastapi import FastAPI
@@ -16,7 +17,7 @@ from starlette.responses import Response
 
 from phrases.phrase import Phrase, join
 from service.errors import FailedError, InputError, PictureError, SpecError
-from service.http.problems import Kind, Problem, problem_response
+from service.http.problems import Kind, Problem, make_value_problem, problem_response
 from service.server.database.records import KeyReusedError, UnknownArtifactError, UnknownJobError
 from service.server.database.states import JobStateError
 from service.store.base import MissingObjectError
@@ -64,12 +65,11 @@ def _of_spec(error: Exception) -> Problem:
 def _of_request(error: Exception) -> Problem:
     """Return the problem of FastAPI's own complaint about a parameter or a body."""
     details = error.errors() if isinstance(error, RequestValidationError) else []
-    first = details[0] if details else {"loc": (), "msg": "cannot be used"}
-    place = [str(step) for step in first["loc"]]
-    field = ".".join(place[1:]) if len(place) > 1 else (place or [""])[0]
+    first: Mapping[str, Any] = details[0] if details else {"loc": (), "msg": "cannot be used"}
     if first.get("type") == "json_invalid":
         return Problem(400, Phrase("the body is not valid JSON"), field="body")
-    return Problem(422, Phrase("{field}: {cause}", field=field, cause=first["msg"]), field=field)
+    place = first["loc"]
+    return make_value_problem(place[1:] if len(place) > 1 else place, first["msg"])
 
 
 def _of_http(error: Exception) -> Problem:

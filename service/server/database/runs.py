@@ -16,6 +16,7 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 
 from machines.runs import LIVE, RunState
 from phrases.phrase import Phrase, phrases_in
+from service.http.problems import Problem
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
@@ -40,41 +41,34 @@ _WORDS = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRow:
-    """A row of `runs`. state: the agent's word, or preparing, refused, lost. reason: `words` as code and values."""
+    """A run in the server's books, a row of `runs`: a program of a job for a mill, and what is known of it.
 
-    id: str
+    id     : empty until it is in the books
+    state  : the agent's word, or preparing, refused, lost; reason: `words` as code and values
+    view   : what the agent said last: `as_dict` of machines.runs.RunReport
+    away   : no column: why its agent could not be asked just now (None: it was asked, or need not be)
+    """
+
+    id: str = ""
     machine: str
     job_id: str
     program: str
     number: int
     sha256: str
-    agent_run: str | None
-    state: str
-    open: bool
-    view: Json | None
-    words: str | None
-    reason: Json | None
+    agent_run: str | None = None
+    state: str = PREPARING
+    open: bool = True
+    view: Json | None = None
+    words: str | None = None
+    reason: Json | None = None
     created_by: str
-    created_at: float
-    ended_at: float | None
+    created_at: float = 0.0
+    ended_at: float | None = None
+    away: Problem | None = None
 
     @classmethod
     def of(cls, row: sa.RowMapping) -> Self:
-        return cls(**{field.name: row[field.name] for field in fields(cls)})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NewRun:
-    """A program of a job for a mill; key: the caller's Idempotency-Key, request_sha256: what it stands for."""
-
-    machine: str
-    job_id: str
-    program: str
-    number: int
-    sha256: str
-    created_by: str
-    key: ClientKey | None = None
-    request_sha256: str = ""
+        return cls(**{field.name: row[field.name] for field in fields(cls) if field.name != "away"})
 
 
 class UnknownRunError(LookupError):
@@ -129,10 +123,11 @@ class RunBook:
                 raise KeyReusedError(key.text)
             return _get(connection, known["resource_id"])
 
-    def create(self, new: NewRun) -> tuple[RunRow, bool]:
+    def create(self, new: RunRow, key: ClientKey | None = None, request_sha256: str = "") -> tuple[RunRow, bool]:
         """Create a run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
 
-        The job's row is locked meanwhile, so that nobody deletes it and no retry begins.
+        key: the caller's Idempotency-Key, request_sha256: what it stands for. The job's row is locked meanwhile, so
+        that nobody deletes it and no retry begins.
         """
         run_id = str(uuid4())
         try:
@@ -141,14 +136,13 @@ class RunBook:
                 if not may_be_milled(connection, job):
                     raise JobNotReadyError(job)
                 at = clock(connection)
-                fresh = new.key is None or insert_new(connection, idempotency_keys, _key_row(new.key, new, run_id, at))
-                if fresh:
+                if key is None or insert_new(connection, idempotency_keys, _key_row(key, request_sha256, run_id, at)):
                     connection.execute(runs.insert().values(**_first_row(new, run_id, at)))
                     return _get(connection, run_id), True
         except IntegrityError:
             raise MachineTakenError(new.machine, self._open_id(new.machine)) from None
-        assert new.key is not None
-        before = self.find_made_before(new.key, new.request_sha256)
+        assert key is not None
+        before = self.find_made_before(key, request_sha256)
         if before is None:  # made and refused by another caller in the meantime
             raise MachineTakenError(new.machine, self._open_id(new.machine))
         return before, False
@@ -262,13 +256,13 @@ def _get(connection: sa.Connection, run_id: str) -> RunRow:
     return RunRow.of(row)
 
 
-def _first_row(new: NewRun, run_id: str, at: float) -> Json:
+def _first_row(new: RunRow, run_id: str, at: float) -> Json:
     given = {name: getattr(new, name) for name in ("machine", "job_id", "program", "number", "sha256", "created_by")}
     return given | {"id": run_id, "state": PREPARING, "open": True, "created_at": at}
 
 
-def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
-    row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": new.request_sha256}
+def _key_row(key: ClientKey, request_sha256: str, run_id: str, at: float) -> Json:
+    row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": request_sha256}
     return row | {"resource_id": run_id, "created_at": at}
 
 

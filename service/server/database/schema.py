@@ -1,7 +1,8 @@
 """The tables' version: workers bring a database up to date, everything else waits until one has.
 
+A database without tables gets those of `tables.py`, and their version; the migrations are for those that have some.
 There is a way back from each upgrade, since an older program refuses newer tables. Beside a SQLite file a copy of it is
-made first, which stays: causticmill.sqlite.before-0004. Of PostgreSQL a program cannot make one in good conscience: the
+made first, which stays: causticmill.sqlite.before-0006. Of PostgreSQL a program cannot make one in good conscience: the
 upgrade of tables that hold jobs waits until a person says with CAUSTICMILL_UPGRADE_TO that a dump of them is kept.
 
 alembic is imported only where there is something to do: it is slow to import and large, and mostly there is not.
@@ -18,7 +19,7 @@ import sqlalchemy as sa
 from service.errors import FailedError, InputError
 from service.processes.private import keep_private
 from service.server.database.connection import begin_reading, begin_writing, connect, copy_sqlite, is_sqlite
-from service.server.database.tables import jobs
+from service.server.database.tables import jobs, metadata
 from service.settings import ServerSettings
 
 if TYPE_CHECKING:
@@ -45,10 +46,15 @@ def upgrade_schema(database: sa.Engine, *, allowed: str | None = None) -> None:
     with begin_writing(database) as connection:
         if not is_sqlite(connection):
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
-        _require_known(connection, config)
-        _keep_way_back(connection, allowed)
         config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        found = _read_version(connection)
+        if found is None:
+            metadata.create_all(connection)
+            command.stamp(config, "head")
+        elif found != HEAD:  # another process may have been first
+            _require_known(found, config)
+            _keep_way_back(connection, found, allowed)
+            command.upgrade(config, "head")
 
 
 def await_schema(database: sa.Engine, timeout_s: float) -> None:
@@ -87,11 +93,8 @@ def _read_version(connection: sa.Connection) -> str | None:
     return connection.execute(sa.select(_TABLE.c.version_num)).scalar()
 
 
-def _keep_way_back(connection: sa.Connection, allowed: str | None) -> None:
+def _keep_way_back(connection: sa.Connection, found: str, allowed: str | None) -> None:
     """Make the copy, or see that a person has. Nobody else upgrades meanwhile: the connection holds the lock."""
-    found = _read_version(connection)
-    if found is None or found == HEAD:
-        return
     if is_sqlite(connection):
         path = Path(str(connection.engine.url.database))
         copy, part = (path.with_name(f"{path.name}.before-{HEAD}{end}") for end in ("", ".part"))
@@ -105,13 +108,14 @@ def _keep_way_back(connection: sa.Connection, allowed: str | None) -> None:
         )
 
 
-def _require_known(connection: sa.Connection, config: Config) -> None:
+def _require_known(found: str, config: Config) -> None:
     from alembic.script import ScriptDirectory
 
-    found = _read_version(connection)
-    known = {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}
-    if found is not None and found not in known:
-        raise FailedError(f"the database was made by a newer causticmill (its tables have version {found})")
+    if found not in {script.revision for script in ScriptDirectory.from_config(config).walk_revisions()}:
+        raise FailedError(
+            f"the database was made by another causticmill: its tables have version {found}, this program needs {HEAD} "
+            "and knows no way there"
+        )
 
 
 def open_database(settings: ServerSettings, *, migrate: bool = False) -> sa.Engine:

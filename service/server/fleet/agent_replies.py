@@ -7,34 +7,18 @@ here, once, as a problem of its own (502), and is neither written down nor shown
 from __future__ import annotations
 
 import json
-from math import isfinite
 from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from machines.runs import RunState
 from service.http.problems import Problem, ServerCode
-from service.server.schemas.base import Body, PhraseView
-from service.server.schemas.control import OrderView
-from service.server.schemas.runs import Holder
+from service.http.schema import Body, PhraseView
+from service.milling.api import RunReply
+from service.server.schemas.runs import Holder, OrderView
 
 MOST_BYTES = 4_000_000
 _MOST_LETTERS = 2000
-_STATES = frozenset(state.value for state in RunState)
 _LATEST_S = 4e9  # year 2096: what is later is no time
-_NUMBERS = {  # least, most; whole where the least is an int; None is allowed where a run has none of it yet
-    "share": (0.0, 1.0),
-    "executed_line": (0, 1e12),
-    "lines": (0, 1e12),
-    "recoveries": (0, 1e9),
-    "time_s": (0.0, 1e12),
-    "time_left_s": (0.0, 1e12),
-    "created_s": (0.0, _LATEST_S),
-    "started_s": (0.0, _LATEST_S),
-    "ended_s": (0.0, _LATEST_S),
-}
-_NEVER_NONE = ("share", "executed_line", "recoveries")
-
 Json = dict[str, Any]
 Reply = TypeVar("Reply", bound=Body)
 
@@ -54,21 +38,8 @@ def json_object(content: bytes, machine: str) -> Json:
 
 
 def run_view(values: Json, machine: str) -> Json:
-    """Return what the agent says of a run. Problem 502 where it cannot be so."""
-    wrong = [name for name, (least, most) in _NUMBERS.items() if not _is_number(values, name, least, most)]
-    wrong += [name for name in ("words", "code", "operator") if not isinstance(values.get(name, ""), str)]
-    warnings = values.get("warnings", [])
-    if not isinstance(warnings, list) or not all(isinstance(one, str) for one in warnings):
-        wrong.append("warnings")
-    wrong += [] if isinstance(values.get("values", {}), dict) else ["values"]
-    wrong += [] if phrases_of(values) is not None else ["phrases"]
-    wrong += [] if isinstance(values.get("travel_in_doubt", False), bool) else ["travel_in_doubt"]
-    if not isinstance(values.get("id"), str) or not 1 <= len(values["id"]) <= 100 or "/" in values["id"]:
-        wrong.append("id")
-    if values.get("state") not in _STATES:
-        wrong.append("state")
-    if wrong:
-        raise make_wrong_problem(machine, f"says what cannot be of its run: {', '.join(wrong)}")
+    """Return what the agent says of a run, whole: a newer agent may say more. Problem 502 where it cannot be so."""
+    _validate(RunReply, values, machine, "says what cannot be of its run")
     return values
 
 
@@ -80,11 +51,15 @@ def parse_reply(kind: type[Reply], values: Json, machine: str) -> Reply:
     """Return what the agent says, to be passed on; what only an agent of another version says is left out. Problem
     502.
     """
+    return _validate(kind, values, machine, "says what cannot be")
+
+
+def _validate(kind: type[Reply], values: Json, machine: str, fault: str) -> Reply:
     try:
         return kind.model_validate(values, extra="ignore")
     except ValidationError as error:
         wrong = dict.fromkeys(str(one["loc"][0]) for one in error.errors())
-        raise make_wrong_problem(machine, f"says what cannot be: {', '.join(wrong)}") from None
+        raise make_wrong_problem(machine, f"{fault}: {', '.join(wrong)}") from None
 
 
 def parse_holder(values: Json) -> Holder:
@@ -121,15 +96,6 @@ def list_values(values: Json) -> Json:
         name[:100]: value for name, value in table(values, "values").items() if isinstance(value, str | int | float)
     }
     return {name: cut_text(value) if isinstance(value, str) else value for name, value in list(plain.items())[:20]}
-
-
-def _is_number(values: Json, name: str, least: float, most: float) -> bool:
-    value = values.get(name, 0 if name in _NEVER_NONE else None)
-    if value is None:
-        return name not in _NEVER_NONE
-    if not isinstance(value, int | float) or isinstance(value, bool) or not isfinite(value):
-        return False
-    return least <= value <= most and (isinstance(least, float) or value == int(value))
 
 
 def make_order_view(machine: str, order: str, status: Json) -> OrderView:

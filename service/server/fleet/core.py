@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
@@ -26,14 +26,6 @@ from service.store.base import Store
 T = TypeVar("T")
 _THREADS = 8
 _MOST_KNOWN = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """A run as it is known now; `away`: why its agent could not be asked (None: it was asked, or need not be)."""
-
-    run: RunRow
-    away: Problem | None = None
 
 
 def not_handed_over(run: RunRow) -> Problem:
@@ -88,28 +80,28 @@ class FleetCore(AgentLinks):
         except Problem as gone:
             raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
-    async def look_at(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
+    async def look_at(self, run: RunRow, *, timeout_s: float = ASK_S) -> RunRow:
         """Return the run as its agent has it now, written down where that is news."""
-        seen = await self._look_at(run, timeout_s=timeout_s)
-        (self.live_runs.add if seen.run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
-        return seen
+        run = await self._look_at(replace(run, away=None), timeout_s=timeout_s)
+        (self.live_runs.add if run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
+        return run
 
-    async def _look_at(self, run: RunRow, *, timeout_s: float) -> Seen:
+    async def _look_at(self, run: RunRow, *, timeout_s: float) -> RunRow:
         self.remember(run)
         if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
-            return Seen(run)
+            return run
         try:
             link = await self.find_link(run)
             view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
         except AgentAwayError as away:
-            return Seen(run, away.problem())
+            return replace(run, away=away.problem())
         except Problem as problem:
             if problem.status != 404:
-                return Seen(run, problem)
+                return replace(run, away=problem)
             words = Phrase("its agent no longer knows this run")
             await self.do(self.runs.close, run.id, LOST, words, make_reason(ServerCode.RUN_LOST))
-            return Seen(await self.do(self.runs.get, run.id))
-        return Seen(await self.do(self.runs.record_report, run, view))
+            return await self.do(self.runs.get, run.id)
+        return await self.do(self.runs.record_report, run, view)
 
     async def await_end(self, seconds: float) -> bool:
         """Wait so long, or until the server ends: then True."""

@@ -13,6 +13,8 @@ from machines.mill.orders import Stop
 from phrases.phrase import Phrase
 from service.errors import printable
 from service.http.problems import Problem
+from service.http.schema import phrase_views
+from service.milling.api import PastOrders, RecoveryView
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
@@ -21,7 +23,7 @@ from service.server.fleet.agent_client import AgentAwayError, as_problem, requir
 from service.server.fleet.agent_feed import known_id
 from service.server.fleet.agent_replies import parse_reply
 from service.server.fleet.cameras import Cameras
-from service.server.fleet.core import FleetCore, Seen
+from service.server.fleet.core import FleetCore
 from service.server.fleet.handover import Handovers
 from service.server.fleet.machine_commands import ASK_S, Orders
 from service.server.fleet.machine_events import MachineEvents
@@ -32,8 +34,7 @@ from service.server.fleet.representation import Surroundings, make_machine_view,
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
-from service.server.schemas.base import phrase_views
-from service.server.schemas.runs import MachineList, MachineView, PastOrders, RecoveryView, RunView
+from service.server.schemas.runs import MachineList, MachineView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store
 
@@ -112,7 +113,7 @@ class Fleet:
         status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)
         try:
             status = await self._core.get_link(machine).get("/v1/status")
-            run = None if run is None else (await self._repair_and_look(run)).run
+            run = None if run is None else await self._repair_and_look(run)
         except (AgentAwayError, Problem) as error:
             away = as_problem(error)
         return make_machine_view(machine, status, away, run if run is not None and run.open else None)
@@ -141,7 +142,7 @@ class Fleet:
             )
         run = await self._handovers.begin(known, job_id, program, by, key)
         run = self._core.remember(await self._handovers.finish(run, known))
-        return await self._make_view(Seen(run)), run.state != PREPARING
+        return await self._make_view(run), run.state != PREPARING
 
     async def list_runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> list[RunView]:
         """Return runs, newest first; open ones as their agents have them now."""
@@ -150,7 +151,7 @@ class Fleet:
         except UnknownRunError as error:
             raise Problem(422, str(error), field="cursor") from None
         seen = await asyncio.gather(*(self._repair_and_look(run) if run.open else _keep_as_it_is(run) for run in rows))
-        around = await self._core.do(self._read_surroundings, [one.run for one in seen])
+        around = await self._core.do(self._read_surroundings, seen)
         return list(map(make_run_view, seen, around))
 
     async def get_run(self, run_id: str) -> RunView:
@@ -170,8 +171,8 @@ class Fleet:
         return await self._make_view(await self._controls.resume(run_id, context))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunView:
-        seen = await self.stops.stop_run(run_id, stop, context)
-        return make_run_view(seen, await self.stops.wait_briefly(self._read_around(seen.run), Surroundings()))
+        run = await self.stops.stop_run(run_id, stop, context)
+        return make_run_view(run, await self.stops.wait_briefly(self._read_around(run), Surroundings()))
 
     async def list_past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
         """Return who ordered what at this mill, newest first."""
@@ -182,10 +183,10 @@ class Fleet:
 
     async def follow_run(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """Return the run's server-sent events; None where it was over when the reader last heard of it."""
-        seen = await self._repair_and_look(await self._core.get_row(run_id))
-        if last_id and not seen.run.open and not seen.away:
+        run = await self._repair_and_look(await self._core.get_row(run_id))
+        if last_id and not run.open and not run.away:
             return None
-        return self._follow(RunEvents(self._core, seen, known_id(last_id)).stream())
+        return self._follow(RunEvents(self._core, run, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------
 
@@ -203,11 +204,11 @@ class Fleet:
         finally:
             self._followers -= 1
 
-    async def _repair_and_look(self, run: RunRow) -> Seen:
-        return await self._core.look_at((await self._handovers.repair(Seen(run))).run)
+    async def _repair_and_look(self, run: RunRow) -> RunRow:
+        return await self._core.look_at(await self._handovers.repair(run))
 
-    async def _make_view(self, seen: Seen) -> RunView:
-        return make_run_view(seen, await self._read_around(seen.run))
+    async def _make_view(self, run: RunRow) -> RunView:
+        return make_run_view(run, await self._read_around(run))
 
     async def _read_around(self, run: RunRow) -> Surroundings:
         """Return what is around a run, whose job may be gone by now."""
@@ -231,5 +232,5 @@ class Fleet:
         ]
 
 
-async def _keep_as_it_is(run: RunRow) -> Seen:
-    return Seen(run)
+async def _keep_as_it_is(run: RunRow) -> RunRow:
+    return run

@@ -13,11 +13,11 @@ from collections.abc import AsyncIterator, Iterator
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.database.records import ClientKey, Job, UnknownJobError
-from service.server.database.runs import JobNotReadyError, MachineTakenError, NewRun, RunRow, make_reason
+from service.server.database.runs import JobNotReadyError, MachineTakenError, RunRow, make_reason
 from service.server.database.states import PREPARING, REFUSED
 from service.server.fleet.agent_client import AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
-from service.server.fleet.core import FleetCore, Seen
+from service.server.fleet.core import FleetCore
 from service.server.fleet.programs import Program, programs_of
 from service.server.fleet.registry import KnownMachine
 from service.store.base import MissingObjectError
@@ -45,12 +45,12 @@ class Handovers:
         program = await self._choose_program(machine, job_id, wanted)
         if (other := await core.do(core.runs.open_on, machine.name)) is not None:
             await core.look_at(other)  # it may have ended since anybody asked
-        new = NewRun(
+        new = RunRow(
             machine=machine.name, job_id=job_id, program=program.name, number=program.number, sha256=program.sha256,
-            created_by=by, key=key, request_sha256=asked,
+            created_by=by,
         )  # fmt: skip
         try:
-            run, fresh = await core.do(core.runs.create, new)
+            run, fresh = await core.do(core.runs.create, new, key, asked)
         except MachineTakenError as error:
             raise Problem(409, str(error), field="machine") from None
         except JobNotReadyError as error:
@@ -83,18 +83,16 @@ class Handovers:
             task.add_done_callback(_look_at)
         return task
 
-    async def repair(self, seen: Seen) -> Seen:
+    async def repair(self, run: RunRow) -> RunRow:
         """Go on with a hand-over that was cut short; what the run is now is returned without waiting for that."""
-        if seen.run.state != PREPARING or not seen.run.open:
-            return seen
+        if run.state != PREPARING or not run.open:
+            return run
         try:
-            task = self.go_on(seen.run, await self._core.find_machine(seen.run.machine))
-        except Problem as gone:
-            return Seen(seen.run, gone)
+            task = self.go_on(run, await self._core.find_machine(run.machine))
+        except Problem:  # its profile is gone
+            return run
         await asyncio.wait({task}, timeout=0.2)
-        run = await self._core.do(self._core.runs.get, seen.run.id)
-        error = task.exception() if task.done() and not task.cancelled() else None
-        return Seen(run, error.problem() if isinstance(error, AgentAwayError) else None)
+        return await self._core.do(self._core.runs.get, run.id)
 
     async def close(self) -> None:
         for task in self._tasks.values():

@@ -14,11 +14,12 @@ from collections.abc import Callable
 from machines.clock import suspend_aware_clock_s
 from machines.mill.orders import LEASE_S, Refusal
 from service.http.problems import Problem
+from service.milling.api import GrantView
 from service.server.fleet.agent_client import AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import make_order_view, parse_holder, parse_reply
 from service.server.fleet.core import FleetCore
 from service.server.fleet.order_context import OrderContext
-from service.server.schemas.control import ControlView, GrantView, OrderView
+from service.server.schemas.runs import ControlView, OrderView
 
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back

@@ -18,7 +18,7 @@ from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, r
 from service.server.fleet.agent_links import AgentLinks
 from service.server.fleet.agent_replies import make_order_view
 from service.server.fleet.order_context import OrderContext
-from service.server.schemas.control import OrderView
+from service.server.schemas.runs import OrderView
 
 T = TypeVar("T")
 _LOOK_S = 0.2  # for a look at the profiles before the answer: a page that has none after 0.3 s says a stop again

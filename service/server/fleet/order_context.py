@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
+from service.http.problems import BY, CONTROL, FROM, GRANT
 
 AT_THE_SERVER = "somebody at the server's computer"  # a caller there without a token
 

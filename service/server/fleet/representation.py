@@ -9,15 +9,15 @@ from urllib.parse import quote
 from machines.profile import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
+from service.http.schema import phrase_views
+from service.milling.api import Check
 from service.server.database.records import Job
 from service.server.database.runs import RunRow
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_replies import Json, make_mill_view, parse_holder, phrases_of, table
-from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
-from service.server.schemas.base import phrase_views
-from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
+from service.server.schemas.runs import AgentView, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
 ORDER: Check = "order"
 CHECK_ORDER: tuple[Check, ...] = ("tool", "zero", "stock", "clear", "position", ORDER)
@@ -55,10 +55,9 @@ def has_started(run: RunRow) -> bool:
     return bool(run.view and run.view.get("started_s"))
 
 
-def make_run_view(seen: Seen, around: Surroundings) -> RunView:
+def make_run_view(run: RunRow, around: Surroundings) -> RunView:
     """Make a whole run."""
-    run = seen.run
-    following, live, setup = around.following(run.number), dict(make_live_run(seen)), _set_up(around, run)
+    following, live, setup = around.following(run.number), dict(make_live_run(run)), _set_up(around, run)
     return RunView(
         **live | {"phrases": live["phrases"] | phrase_views(setup)},
         job=run.job_id,
@@ -90,22 +89,22 @@ def _links(run: RunRow) -> dict[str, str]:
     return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
 
 
-def make_live_run(seen: Seen) -> LiveRun:
+def make_live_run(run: RunRow) -> LiveRun:
     """Make the part of a run that changes while it is on the mill."""
-    run, view = seen.run, seen.run.view or {}
+    view = run.view or {}
     return LiveRun(
         id=run.id,
         machine=run.machine,
         state=run.state,
         open=run.open,
-        unreachable=seen.away is not None,
-        unreachable_words="" if seen.away is None else seen.away.detail,
+        unreachable=run.away is not None,
+        unreachable_words="" if run.away is None else run.away.detail,
         recoveries=view.get("recoveries", 0),
         warnings=view.get("warnings", []),
         travel_in_doubt=view.get("travel_in_doubt", False),
         started_at=view.get("started_s"),
         ended_at=run.ended_at,
-        phrases=_phrases(run) | phrase_views(seen.away and seen.away.detail),
+        phrases=_phrases(run) | phrase_views(run.away and run.away.detail),
         **_why(run),
         **_how_far(view),
     )

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from machines.mill.orders import Refusal
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
+from service.milling.api import RecoveryView
 from service.server.database.runs import MachineTakenError, RunRow, word_state
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import parse_reply, run_view
-from service.server.fleet.core import FleetCore, Seen, not_handed_over
+from service.server.fleet.core import FleetCore, not_handed_over
 from service.server.fleet.order_context import OrderContext
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
-from service.server.schemas.runs import RecoveryView
 
 _MOST_KNOWN = 1000
 _PLAN_S = 30.0  # the controller is asked first
@@ -39,12 +39,12 @@ class Controls:
         self._core = core
         self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
 
-    async def resume(self, run_id: str, context: OrderContext) -> Seen:
+    async def resume(self, run_id: str, context: OrderContext) -> RunRow:
         run = await self._require_handed_over(run_id)
         went_on = ("running", "recovering")
         return await self._send_once(run, "resume", {}, context, went_on=lambda state: state in went_on)
 
-    async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> Seen:
+    async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> RunRow:
         run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
             raise Problem(
@@ -69,7 +69,7 @@ class Controls:
         body |= {"setup": said.seen} if said.seen else {}
         return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
-    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Seen:
+    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> RunRow:
         """Recover only as the plan says that the caller has read: the one named, or the one shown to them last."""
         plan = said.seen or self._plans_shown.get((context.name, run_id), "")
         if not plan:
@@ -79,7 +79,7 @@ class Controls:
         seen = await self._core.look_at(run)
         if seen.away:
             raise seen.away
-        was_open = seen.run.open
+        was_open = seen.open
         try:
             await self._core.do(self._core.runs.reopen, run)
         except MachineTakenError as error:
@@ -119,7 +119,7 @@ class Controls:
 
     async def _send_once(
         self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
-    ) -> Seen:
+    ) -> RunRow:
         """Send once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
         link = await self._find_link(run)
         try:
@@ -131,16 +131,13 @@ class Controls:
             seen = await self._core.look_at(run)
             if seen.away:
                 raise away.problem(action) from None
-            if went_on(seen.run.state):
+            if went_on(seen.state):
                 return seen
-            words = f"{away.words}; the {action} has not taken effect so far, the run is {seen.run.state}"
-            values = {"order": action, "state": seen.run.state}
+            words = f"{away.words}; the {action} has not taken effect so far, the run is {seen.state}"
+            values = {"order": action, "state": seen.state}
             raise Problem(504, words, field="machine", code=ServerCode.ORDER_WITHOUT_EFFECT, values=values) from None
         return await self._write_view(run, view)
 
-    async def _write_view(self, run: RunRow, view: Json) -> Seen:
-        return Seen(
-            await self._core.do(
-                self._core.runs.record_report, await self._core.get_row(run.id), run_view(view, run.machine)
-            )
-        )
+    async def _write_view(self, run: RunRow, view: Json) -> RunRow:
+        row = await self._core.get_row(run.id)
+        return await self._core.do(self._core.runs.record_report, row, run_view(view, run.machine))

@@ -19,7 +19,7 @@ from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentAwayError, Json, as_problem
 from service.server.fleet.agent_feed import AGAIN_S, Message, iterate_until, known_id
 from service.server.fleet.agent_replies import json_object, run_view, table
-from service.server.fleet.core import FleetCore, Seen
+from service.server.fleet.core import FleetCore
 from service.server.fleet.representation import make_live_run
 from service.server.schemas.runs import LiveRun
 
@@ -29,11 +29,11 @@ _LOOK_S = 1.0
 class RunEvents:
     """What one reader of a run is sent."""
 
-    def __init__(self, core: FleetCore, seen: Seen, last_id: str) -> None:
+    def __init__(self, core: FleetCore, run: RunRow, last_id: str) -> None:
         self._core = core
-        self._seen = seen
+        self._run = run
         self._last_id = last_id
-        self._shown = make_live_run(seen)
+        self._shown = make_live_run(run)
         self._looked_s = 0.0
         self._failures = 0
 
@@ -52,25 +52,25 @@ class RunEvents:
                 away = as_problem(error)
             await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
-            seen = self._seen = await self._look_again()
-            now = make_live_run(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else None)))
+            run = self._run = await self._look_again()
+            now = make_live_run(replace(run, away=away) if run.agent_run is None and not run.away else run)
             yield _run_event(now) if now != self._shown else PING
             self._shown = now
 
     async def _follow_live(self) -> AsyncIterator[bytes]:
         """Yield as long as the agent's stream goes on and the run has not ended."""
-        async for message in iterate_until(self._core.ending, _follow_agent(self._core, self._seen.run, self._last_id)):
+        async for message in iterate_until(self._core.ending, _follow_agent(self._core, self._run, self._last_id)):
             if message is None:
                 continue
             self._failures, self._last_id = 0, known_id(message.get("id", "")) or self._last_id
             if not message:
                 yield PING
                 continue
-            data = json_object(message.get("data", "").encode(), self._seen.run.machine)
+            data = json_object(message.get("data", "").encode(), self._run.machine)
             if message.get("event") != "status":
-                if _is_since(data, self._seen.run):
+                if _is_since(data, self._run):
                     yield event_bytes("log", compact_json(data), self._last_id)
-            elif (now := _told(self._seen.run, table(data, "run")) or await self._look()) != self._shown:
+            elif (now := _told(self._run, table(data, "run")) or await self._look()) != self._shown:
                 self._shown = now
                 if not now.open:
                     await self._look_again()  # written down before the reader learns of it
@@ -85,8 +85,8 @@ class RunEvents:
         self._looked_s = time.monotonic()
         return make_live_run(await self._look_again())
 
-    async def _look_again(self) -> Seen:
-        return await self._core.look_at(await self._core.do(self._core.runs.get, self._seen.run.id))
+    async def _look_again(self) -> RunRow:
+        return await self._core.look_at(await self._core.do(self._core.runs.get, self._run.id))
 
 
 async def _follow_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
@@ -108,7 +108,8 @@ def _told(run: RunRow, view: Json) -> LiveRun | None:
     if view.get("id") != run.agent_run:
         return None
     state = run_view(view, run.machine)["state"]
-    return make_live_run(Seen(replace(run, state=state, view=view, **read_reason(view), open=state not in ENDED)))
+    told = {"state": state, "view": view, "open": state not in ENDED, "away": None} | read_reason(view)
+    return make_live_run(replace(run, **told))
 
 
 def _is_since(entry: Json, run: RunRow) -> bool:

@@ -17,7 +17,7 @@ from service.server.database.runs import ENDED, RunRow, make_reason, read_reason
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import run_view
-from service.server.fleet.core import FleetCore, Seen, not_handed_over
+from service.server.fleet.core import FleetCore, not_handed_over
 from service.server.fleet.machine_stops import MachineStops, find_refusal
 from service.server.fleet.order_context import OrderContext
 
@@ -32,7 +32,7 @@ class Stops(MachineStops):
         super().__init__(core)
         self._core = core
 
-    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
+    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunRow:
         """Stop as `stop_machine` the mill that has this run. Problem 404, 409 where the run is not on its mill.
 
         An abort also gives up a run that never reached its mill, or that its agent is no longer about.
@@ -48,7 +48,7 @@ class Stops(MachineStops):
                 raise
             return await self._give_up(run_id, problem)
         writing = self._start_task(self._core.do(self._core.runs.record_report, run, run_view(view, run.machine)))
-        return Seen(await self.wait_briefly(writing, _apply_view(run, view)))
+        return await self.wait_briefly(writing, _apply_view(run, view))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:
         """Return what comes of work that may wait for a database; it goes on where that takes too long."""
@@ -75,19 +75,19 @@ class Stops(MachineStops):
             raise not_handed_over(run)
         raise find_refusal(run_id, stop, answers)
 
-    async def _give_up(self, run_id: str, problem: Problem) -> Seen:
+    async def _give_up(self, run_id: str, problem: Problem) -> RunRow:
         run = await self._core.get_row(run_id)
         if run.agent_run is None and run.open:
             await self._close(run, "taken back before it was handed over")
-            return Seen(await self._core.get_row(run_id))
+            return await self._core.get_row(run_id)
         seen = await self._core.look_at(run)
-        if seen.away or not seen.run.open or seen.run.state not in (PARKED, INTERRUPTED):
-            if not seen.away and not seen.run.open and run.agent_run is not None:
+        if seen.away or not seen.open or seen.state not in (PARKED, INTERRUPTED):
+            if not seen.away and not seen.open and run.agent_run is not None:
                 return seen
             raise problem
-        words, values = f"given up while its agent had it as {seen.run.state}", {"state": seen.run.state}
+        words, values = f"given up while its agent had it as {seen.state}", {"state": seen.state}
         await self._close(run, words, make_reason(ServerCode.RUN_GIVEN_UP, values))
-        return Seen(await self._core.get_row(run_id))
+        return await self._core.get_row(run_id)
 
     async def _close(self, run: RunRow, words: str, reason: Json | None = None) -> None:
         await self._core.do(self._core.runs.close, run.id, ABORTED, words, reason)
@@ -109,10 +109,8 @@ def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
         sha256=str(view.get("program", "")),
         agent_run=str(view.get("id", "")),
         state=str(view.get("state", "")),
-        open=True,
         view=view,
         **read_reason(view),
         created_by="",
         created_at=float(view.get("created_s") or 0.0),
-        ended_at=None,
     )

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from phrases.phrase import Phrase, phrases_in
-from service.server.schemas.base import Body, Phrases
+from service.http.schema import Body, Phrases
 from service.server.schemas.jobs import ProblemField
 
 _WALL = (  # 4 x 3 pixels

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.http.schema import Body, Phrases, Sha256, Time, one_of
 from service.server.database.records import PRIORITIES
 from service.server.database.states import JobState, StageState
-from service.server.schemas.base import Body, Phrases, Sha256, Time, one_of
 
 _ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 _HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from service.server.schemas.base import Body, Phrases
+from service.http.schema import Body, Phrases
 
 LOOK_EXAMPLE: dict[str, Any] = {
     "photo": {"name": "wall.jpg", "width": 4032, "height": 3024},

@@ -1,25 +1,19 @@
-"""What the routes about machines, runs and tokens take and answer."""
+"""What the routes about machines, their runs and control of them take and answer, as far as it is the server's own."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 from uuid import UUID
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from machines.runs import RunState
+from service.http.schema import Body, Phrases, Sha256, Time, one_of
+from service.milling.api import Check, Code, Values
 from service.server.database.states import LOST, PREPARING, REFUSED
-from service.server.schemas.base import Body, Phrases, Sha256, Time, one_of
 
 RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]
-Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
-ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
-Scopes = Annotated[list[ScopeWord], BeforeValidator(sorted)]
-
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
-
-Code = Annotated[str, Field(description="the same as `words`, for programs; empty: the words are all there is")]
-Values = Annotated[dict[str, Any], Field(description="what the words name, by `code`")]
 
 _JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 
@@ -32,46 +26,6 @@ class NewRunBody(Body):
         Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
         Field(description="number of the pass, or the program's file name", examples=[1]),
     ] = None
-
-
-class ConfirmationBody(Body):
-    """A person's word, by name, that these things were looked at at the mill."""
-
-    operator: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S", examples=["Ada"])]
-    checks: Annotated[
-        list[Check],
-        Field(max_length=12, description="as `required_checks`", examples=[["tool", "zero", "stock", "clear"]]),
-    ]
-
-
-class StartBody(ConfirmationBody):
-    setup: Annotated[
-        str, Field(max_length=100, description="the mill's `setup` as it was seen; refused where it is another by now")
-    ] = ""
-
-
-class RecoverBody(ConfirmationBody):
-    plan: Annotated[
-        str, Field(max_length=100, description="`plan` of the recovery that was read; else the one shown to you last")
-    ] = ""
-
-
-class PastOrder(Body):
-    number: int
-    at_s: float
-    kind: str
-    words: str
-    code: Code | None = None
-    values: Values | None = None
-    answer: dict[str, Any] | None = None
-    by: str | None = None
-    phrases: Phrases
-    from_: Annotated[str | None, Field(alias="from")] = None
-
-
-class PastOrders(Body):
-    orders: list[PastOrder]
-    next: Annotated[int | None, Field(description="`before` of the next page")]
 
 
 class ProgramOfRun(Body):
@@ -128,26 +82,6 @@ class RunList(Body):
     next: Annotated[str | None, Field(description="address of the next page; null: this is the last")]
 
 
-class RecoveryView(Body):
-    """How an interrupted run would go on: what has to be done first, and what would be sent."""
-
-    run: str
-    executed_line: int
-    resume_line: int
-    overlap_line: int
-    recut_lines: int
-    position_mm: list[float] | None
-    plan: Annotated[str, Field(description="to be said with :recover: the person's word is for this plan")]
-    blocks: list[str]
-    ready: bool
-    refusals: list[str]
-    needs: Annotated[list[dict[str, Any]], Field(description="what has to be done first: code, values, words")]
-    differences: list[str]
-    zero_back: Annotated[str, Field(description="a block that sets the work zero the run was cut at; or empty")] = ""
-    words: list[str]
-    phrases: Phrases
-
-
 class AgentView(Body):
     reachable: bool
     words: Annotated[str, Field(description="why it cannot be reached")]
@@ -200,26 +134,12 @@ class MachineList(Body):
     phrases: Phrases
 
 
-class NewTokenBody(Body):
-    name: Annotated[str, Field(min_length=1, max_length=80, examples=["shop-floor"])]
-    scopes: Annotated[list[ScopeWord], Field(min_length=1, max_length=4, examples=[["jobs:read", "jobs:write"]])]
-    expires_in_s: Annotated[float | None, Field(gt=0, le=3.1e9, description="null: never", examples=[2592000])] = None
+class ControlView(Holder):
+    control: Annotated[str, Field(description="to be shown as Causticmill-Control with each order; tell nobody")]
+    expires_s: Annotated[float, Field(description="without an order or another POST for so long, control is given up")]
 
 
-class TokenView(Body):
-    id: str
-    name: str
-    scopes: Scopes
-    created_at: Time
-    expires_at: Time | None
-    last_used_at: Time | None
-    revoked_at: Time | None
-    paired: Annotated[bool, Field(description="made by a page, for a code")]
-
-
-class NewTokenView(TokenView):
-    token: Annotated[str, Field(description="shown this once; only its SHA-256 is kept")]
-
-
-class TokenList(Body):
-    tokens: list[TokenView]
+class OrderView(Body):
+    machine: str
+    order: str
+    mill: Annotated[dict[str, Any], Field(description="as in GET of the machine, just after the order was taken")]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from service.server.schemas.base import Body
+from service.http.schema import Body
 
 _NAME = r"^[^\x00-\x1f\x7f]{1,40}$"
 

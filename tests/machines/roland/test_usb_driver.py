@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import dist
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -57,8 +56,8 @@ def library_device(mill: SimulatedMdx40a) -> RollingmillDevice:
     )
 
 
-def connected(mill: SimulatedMdx40a, **options: Any) -> RolandUsbDriver:
-    driver = RolandUsbDriver(library_device(mill), **options)
+def connected(mill: SimulatedMdx40a, dialect: str = "roland-nc") -> RolandUsbDriver:
+    driver = RolandUsbDriver(library_device(mill), dialect=dialect)
     driver.connect()
     driver.poll(0.5)
     assert driver.status.state is MillState.IDLE, driver.status

@@ -9,8 +9,8 @@ from starlette.routing import Route
 from machines.mill.orders import GRANT_S, LEASE_S
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
-from service.milling.agent.callers import read_control
-from service.milling.agent.request_fields import read_fields
+from service.milling.agent.requests import read_body, read_control
+from service.milling.api import GrantBody, GrantView, LeaseBody
 
 _MOST_ORDERS = 500
 
@@ -31,18 +31,14 @@ class OrderRoutes:
 
     async def grant(self, request: Request) -> Response:
         """Grant one order, which may be carried out under it for a moment from now on."""
-        fields = await read_fields(request)
-        stops = int(fields.number("stops", 0, 1 << 53)) if fields.has("stops") else None
-        fields.refuse_unknown()
-        grant = self._orders.issue_grant(read_control(request), stops_seen=stops)
-        return JSONResponse({"grant": grant.word, "valid_s": GRANT_S, "stops": grant.stops}, status_code=201)
+        body = await read_body(request, GrantBody)
+        grant = self._orders.issue_grant(read_control(request), stops_seen=body.stops)
+        view = GrantView(grant=grant.word, valid_s=GRANT_S, stops=grant.stops)
+        return JSONResponse(dict(view), status_code=201)
 
     async def take(self, request: Request) -> Response:
-        fields = await read_fields(request)
-        operator, principal = fields.text("operator", longest=100), fields.text("principal", longest=200)
-        take_over = fields.flag("take_over")
-        fields.refuse_unknown()
-        secret, lease, new = self._orders.take_lease(operator, principal, read_control(request), take_over=take_over)
+        body, shown = await read_body(request, LeaseBody), read_control(request)
+        secret, lease, new = self._orders.take_lease(body.operator, body.principal, shown, take_over=body.take_over)
         await self._agent.access.call(lambda mill: mill.publish())
         told = lease.as_dict() | {"control": secret, "expires_s": LEASE_S}
         return JSONResponse(told, status_code=201 if new else 200)

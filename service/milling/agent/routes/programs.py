@@ -14,7 +14,8 @@ from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.programs import StoredProgram, fetch_program, valid_sha256
-from service.milling.agent.request_fields import read_fields
+from service.milling.agent.requests import read_body
+from service.milling.api import FetchBody
 
 
 class ProgramRoutes:
@@ -65,11 +66,9 @@ class ProgramRoutes:
         return await self._agent.access.work(lambda: self._agent.store.entry(request.path_params["sha256"]))
 
     async def fetch(self, request: Request) -> Response:
-        fields = await read_fields(request)
-        url, sha256 = fields.text("url", longest=2000), valid_sha256(fields.text("sha256"))
-        token = fields.text("token") if fields.has("token") else None
-        fields.refuse_unknown()
-        return _program_response(*await fetch_program(self._agent.store, url, sha256, token=token))
+        body = await read_body(request, FetchBody)
+        sha256 = valid_sha256(body.sha256)
+        return _program_response(*await fetch_program(self._agent.store, body.url, sha256, token=body.token))
 
 
 async def _body(request: Request) -> AsyncIterator[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,13 +15,13 @@ from machines.codes import MillCode
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from machines.preflight.preflight import Preflight
-from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunReport
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.milling.agent.agent import Agent
-from service.milling.agent.callers import read_caller
 from service.milling.agent.mill_access import START_S
-from service.milling.agent.request_fields import Fields, read_fields
+from service.milling.agent.requests import read_body, read_caller
+from service.milling.api import ConfirmationBody, ParkBody, RecoverBody, StartBody
 
 
 class RunRoutes:
@@ -48,27 +49,24 @@ class RunRoutes:
         return JSONResponse(self._run(request).as_dict())
 
     async def park(self, request: Request) -> Response:
-        fields = await read_fields(request)
-        program = fields.text("program")
-        name = fields.text("name", program[:12], longest=200)
-        key = fields.text("key", longest=100) if fields.has("key") else ""
-        fields.refuse_unknown()
+        body = await read_body(request, ParkBody)
+        program, key, name = body.program, body.key, body.name or body.program[:12]
         path = await self._agent.access.work(lambda: self._agent.store.path_of(program))
         async with self._parking:  # a client that asks again must not overtake itself
             if (known := self._find_parked(key, program)) is not None:
                 return _run_response(known, status=200)
             facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
-            run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
+            run: RunReport = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
         return _run_response(run, status=201)
 
-    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
+    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunReport:
         """Park on the mill's thread, where removals run as well: the program is still there once the run is known."""
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
-    def _find_parked(self, key: str, program: str) -> RunView | None:
+    def _find_parked(self, key: str, program: str) -> RunReport | None:
         """Find the run that this key has parked; a Problem where it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
@@ -81,19 +79,16 @@ class RunRoutes:
         return run
 
     async def start(self, request: Request) -> Response:
-        run, fields = self._run(request), await read_fields(request)
-        said = _read_confirmation(fields, START_CHECKS)
-        setup = fields.text("setup", longest=100) if fields.has("setup") else None
-        fields.refuse_unknown()
+        run, body = self._run(request), await read_body(request, StartBody)
+        said, setup = _read_confirmation(body, START_CHECKS), body.setup or None
         await self._agent.access.order(
             "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
         )
         return self._answer(request)
 
     async def recover(self, request: Request) -> Response:
-        run, fields = self._run(request), await read_fields(request)
-        said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
-        fields.refuse_unknown()
+        run, body = self._run(request), await read_body(request, RecoverBody)
+        said, plan = _read_confirmation(body, RECOVER_CHECKS), body.plan
         await self._agent.access.order(
             "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
         )
@@ -126,7 +121,7 @@ class RunRoutes:
 
         return endpoint
 
-    def _require_present(self, run: RunView) -> None:
+    def _require_present(self, run: RunReport) -> None:
         """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
@@ -140,10 +135,10 @@ class RunRoutes:
     def _answer(self, request: Request) -> Response:
         return JSONResponse(self._run(request).as_dict(), status_code=202)
 
-    def _runs(self) -> tuple[RunView, ...]:
+    def _runs(self) -> tuple[RunReport, ...]:
         return self._agent.access.snapshot.runs
 
-    def _run(self, request: Request) -> RunView:
+    def _run(self, request: Request) -> RunReport:
         """Find a run by our own id, or by the key that the job server gave it."""
         wanted = request.path_params["run"]
         own = self._agent.keys.run_of(wanted) or wanted
@@ -153,9 +148,12 @@ class RunRoutes:
         raise Problem(404, Phrase("no run '{wanted}' here; GET /v1/runs lists them", wanted=wanted), field="run")
 
 
-def _run_response(run: RunView, *, status: int) -> Response:
+def _run_response(run: RunReport, *, status: int) -> Response:
     return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 
-def _read_confirmation(fields: Fields, allowed: frozenset[str]) -> Confirmation:
-    return Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))
+def _read_confirmation(body: ConfirmationBody, allowed: frozenset[str]) -> Confirmation:
+    if not allowed.issuperset(body.checks):
+        words = ", ".join(sorted(allowed))
+        raise Problem(422, f"checks is {json.dumps(body.checks)}; allowed: a list of {words}", field="checks")
+    return Confirmation(operator=body.operator, checks=frozenset(body.checks))

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Header, Request
 from starlette.requests import HTTPConnection
 
-from service.milling.agent.callers import CONTROL, GRANT
+from service.http.problems import CONTROL, GRANT
 from service.server.api.access.client_address import address_of
 from service.server.api.access.scopes import arrival_s, principal_of
 from service.server.api.services import services_of

@@ -20,6 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from service.http.schema import iso_time
 from service.http.streaming import (
     HEARTBEAT_S,
     PING,
@@ -32,7 +33,6 @@ from service.http.streaming import (
 from service.server.database.job_rows import BATCH, MOST_NEWS
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobEvent, News, Progress, UnknownJobError
-from service.server.schemas.base import iso_time
 
 _POLL_S = 0.25
 _AFTER_ERROR_S = 2.0

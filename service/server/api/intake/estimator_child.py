@@ -1,14 +1,15 @@
-"""The process that estimates jobs. One JSON line in, one out.
+"""The process that estimates jobs.
 
-In: {"path", "name", "max_pixels", "spec", "figures", "exactly"}. Out: {"estimate": {...}}, {"refused": [lines],
-"kind"} or {"fault": text}; first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody
-reads, which compiles whatever is not compiled yet; the mark of `kernel_cache` says for good that it was made.
+Request: {"path", "name", "max_pixels", "spec", "figures", "exactly", "plans"}. Result: the estimate. Request
+{"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever is not compiled yet; the mark of
+`kernel_cache` says for good that it was made.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,31 +22,24 @@ from PIL import Image  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
 from service.job.spec.loading import resolve_job, restore_job  # noqa: E402
-from service.processes.line_child import answer_lines, answer_or_refuse  # noqa: E402
+from service.job.stages.kept_plans import KeptPlans  # noqa: E402
+from service.processes.child_work import answer_requests  # noqa: E402
 
 _BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
 _BYTES_PER_PIXEL = 16
 
 
 def main() -> None:
-    answer_lines(
-        "cm-estimates",
-        _answer,
-        beside_bytes=_BESIDE_BYTES,
-        bytes_per_pixel=_BYTES_PER_PIXEL,
-    )
+    answer_requests("cm-estimates", _estimate, beside_bytes=_BESIDE_BYTES, bytes_per_pixel=_BYTES_PER_PIXEL)
 
 
-def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    return answer_or_refuse(lambda: _estimate(asked))
-
-
-def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
+def _estimate(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
     if "prepare" in asked:
         return _prepare(limits)
     job, path, exactly = restore_job(asked["spec"], asked["figures"]), Path(asked["path"]), asked["exactly"]
-    return {"estimate": estimate(job, path, limits=limits, name=asked["name"], exactly=exactly)}
+    plans = KeptPlans(Path(asked["plans"]))
+    return estimate(job, path, limits=limits, name=asked["name"], exactly=exactly, plans=plans)
 
 
 def _prepare(limits: PictureLimits) -> dict[str, Any]:
@@ -57,7 +51,7 @@ def _prepare(limits: PictureLimits) -> dict[str, Any]:
         estimate(resolve_job(preset="recommended", overrides=small), path, limits=limits, name=path.name)
     with contextlib.suppress(OSError):
         ready_mark(ESTIMATES).touch()
-    return {"estimate": {}}
+    return {}
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""The process that looks at photographs: of walls, and of test pieces, which it makes. One JSON line in, one out.
+"""The process that looks at photographs: of walls, and of test pieces, which it makes.
 
-In: {"path", "name", "max_pixels"} of a photograph, and {"job": folder with a job's files} or {"machine", "pieces":
-folder of test pieces}; without a photograph the test piece is only made. Out: {"look": {...}}, {"refused": [lines],
-"kind"} or {"fault": text}; first of all {"ready": true}.
+Request: {"path", "name", "max_pixels"} of a photograph, and {"job": folder with a job's files} or {"machine",
+"pieces": folder of test pieces}; without a photograph the test piece is only made.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from service.processes.kernel_cache import use_current_kernels
 use_current_kernels()  # before numba is imported
 
 import base64  # noqa: E402
+from collections.abc import Callable  # noqa: E402
 
 from service.job import files as job_files  # noqa: E402
 from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
@@ -25,18 +25,18 @@ from service.job.photo.looking import look_at  # noqa: E402
 from service.job.photo.predicted import load_predicted_light  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
-from service.processes.line_child import answer_lines, answer_or_refuse  # noqa: E402
+from service.processes.child_work import answer_requests  # noqa: E402
 
 _BESIDE_BYTES = 2_500_000_000  # kernels, arrays of a lens, of a test piece and of views of them, threads, the figure
 _BYTES_PER_PIXEL = 48
 
 
 def main() -> None:
-    answer_lines("cm-photographs", _answer, beside_bytes=_BESIDE_BYTES, bytes_per_pixel=_BYTES_PER_PIXEL)
+    answer_requests("cm-photographs", _answer, beside_bytes=_BESIDE_BYTES, bytes_per_pixel=_BYTES_PER_PIXEL)
 
 
-def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    return answer_or_refuse(lambda: {"look": _look(asked) if "job" in asked else _measure(asked)})
+def _answer(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, Any]:
+    return _look(asked) if "job" in asked else _measure(asked)
 
 
 def _look(asked: dict[str, Any]) -> dict[str, Any]:

@@ -1,25 +1,21 @@
-"""Checks uploaded pictures in a child process, so that no decoder ever runs in the process that serves.
-
-One thread, the keeper, owns the child: the kernel ties a process to the thread that started it, so that thread lives
-as long as the checker. Requests wait their turn.
-"""
+"""Checks uploaded pictures in a child process, so that no decoder ever runs in the process that serves."""
 
 from __future__ import annotations
 
-import queue
-import threading
-from concurrent.futures import Future
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from phrases.phrase import Phrase
 from service.errors import FailedError, PictureError
 from service.job.picture.limits import PictureFacts
-from service.processes.line_child import ChildDied, ChildLate, LineChild
+from service.processes.child import ChildCrashed, ChildDied, ChildError, ChildLate
+from service.processes.kept_child import ChildClosed, KeptChild
 
 __all__ = ["PictureChecker", "PictureFacts"]
 
 _MODULE = "service.server.api.intake.picture_child"
+_TRIES = 2  # a child that dies is no proof against a picture
 
 
 class PictureChecker:
@@ -27,79 +23,46 @@ class PictureChecker:
 
     def __init__(self, *, time_limit_s: float = 10.0) -> None:
         self._time_limit_s = time_limit_s
-        self._requests: queue.SimpleQueue[tuple[dict[str, Any], Future[PictureFacts]] | None] = queue.SimpleQueue()
-        self._child: LineChild | None = None
-        self._closed = False
-        self._gate = threading.Lock()
-        self._keeper = threading.Thread(target=self._keep, name="pictures", daemon=True)
-        self._keeper.start()
+        self._child = KeptChild(_MODULE, answer_s=time_limit_s)
+        self._child.start()
+        self._numbers = count()
 
     def check(self, path: Path, name: str, max_pixels: int) -> PictureFacts:
         """Decode the picture whole. PictureError, which calls it by `name`, where it cannot be used.
 
         FailedError where no picture can be checked: the checker is closed, or its process cannot be started.
         """
-        answer: Future[PictureFacts] = Future()
-        with self._gate:
-            if self._closed:
-                raise FailedError(Phrase("pictures are not checked any more: the server is ending"))
-            self._requests.put(({"path": str(path), "name": name, "max_pixels": max_pixels}, answer))
-        return answer.result()
+        try:
+            return PictureFacts(**self._ask({"path": str(path), "name": name, "max_pixels": max_pixels}))
+        except ChildLate:
+            limit_s = self._time_limit_s
+            words = Phrase("{name}: takes longer than {limit_s:g} s to decode", name=name, limit_s=limit_s)
+            raise PictureError(words) from None
+        except (ChildDied, ChildCrashed):
+            raise PictureError(
+                Phrase("{name}: the picture is damaged (decoding it ended the process that did it)", name=name)
+            ) from None
+        except ChildClosed:
+            raise FailedError(Phrase("pictures are not checked any more: the server is ending")) from None
+        except ChildError:
+            raise FailedError(Phrase("pictures cannot be checked: the process for it does not start")) from None
 
     def close(self) -> None:
-        """End the child, after the checks that were asked for."""
-        with self._gate:  # nothing comes after the None
-            self._closed = True
-            self._requests.put(None)
-        self._keeper.join()
+        """End the child."""
+        self._child.close()
 
-    def _keep(self) -> None:
-        try:
-            self._child = LineChild(_MODULE, lambda: self._closed)
-        except (OSError, ChildDied, ChildLate):
-            self._child = None  # the first check tries again, and tells
-        while (request := self._requests.get()) is not None:
-            asked, answer = request
+    @property
+    def child_pid(self) -> int | None:
+        """Of the process, while there is one."""
+        return self._child.child_pid
+
+    def _ask(self, asked: dict[str, Any]) -> dict[str, Any]:
+        for _ in range(_TRIES - 1):
             try:
-                answer.set_result(self._check(asked))
-            except Exception as error:
-                answer.set_exception(error)
-        self._drop()
+                return self._ask_once(asked)
+            except (ChildDied, ChildCrashed):
+                continue
+        return self._ask_once(asked)
 
-    def _check(self, asked: dict[str, Any]) -> PictureFacts:
-        """Check a picture. A child that dies is no proof against it: it is tried once more in a new one."""
-        name = asked["name"]
-        for _ in range(2):
-            child = self._ready_child()
-            try:
-                return _facts(child.ask(asked, self._time_limit_s))
-            except ChildLate:
-                self._drop()
-                limit_s = self._time_limit_s
-                words = Phrase("{name}: takes longer than {limit_s:g} s to decode", name=name, limit_s=limit_s)
-                raise PictureError(words) from None
-            except (ChildDied, OSError):
-                self._drop()
-        raise PictureError(
-            Phrase("{name}: the picture is damaged (decoding it ended the process that did it)", name=name)
-        )
-
-    def _ready_child(self) -> LineChild:
-        if self._child is None:
-            try:
-                self._child = LineChild(_MODULE)
-            except (OSError, ChildDied, ChildLate):
-                words = Phrase("pictures cannot be checked: the process for it does not start")
-                raise FailedError(words) from None
-        return self._child
-
-    def _drop(self) -> None:
-        if self._child is not None:
-            self._child.end()
-            self._child = None
-
-
-def _facts(answer: dict[str, Any]) -> PictureFacts:
-    if "refused" in answer:
-        raise PictureError(*answer["refused"])
-    return PictureFacts(**answer["facts"])
+    def _ask_once(self, asked: dict[str, Any]) -> dict[str, Any]:
+        return self._child.ask(f"check {next(self._numbers)}", asked).result()

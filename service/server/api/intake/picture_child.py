@@ -1,12 +1,13 @@
-"""The process that decodes uploaded pictures: small, limited, and expendable. One JSON line in, one out.
+"""The process that decodes uploaded pictures: small, limited, and expendable.
 
-In: {"path", "name", "max_pixels"}. Out: {"facts": {...}} or {"refused": [lines]}; first of all {"ready": true}.
+Request: {"path", "name", "max_pixels"}. Result: the fields of `PictureFacts`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import resource
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,31 +22,27 @@ from PIL import (  # noqa: F401
     WebPImagePlugin,
 )
 
-from service.errors import PictureError
 from service.job.picture.decoding import check_picture
 from service.job.picture.limits import PictureLimits
-from service.processes.line_child import answer_lines
+from service.processes.child_work import answer_requests
 
 _BYTES_PER_PIXEL = 16  # a progressive CMYK JPEG holds its coefficients beside its pixels; an animation two canvases
 _BESIDE_BYTES = 96_000_000  # the file, its notes, the decoder's tables
 
 
 def main() -> None:
-    answer_lines(
+    answer_requests(
         "cm-pictures",
-        _answer,
+        _check,
         beside_bytes=_BESIDE_BYTES,
         bytes_per_pixel=_BYTES_PER_PIXEL,
         barred=(resource.RLIMIT_CORE, resource.RLIMIT_FSIZE),  # it writes nothing but answers
     )
 
 
-def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+def _check(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
-    try:
-        return {"facts": dataclasses.asdict(check_picture(Path(asked["path"]), limits, asked["name"]))}
-    except PictureError as error:
-        return {"refused": error.lines}
+    return dataclasses.asdict(check_picture(Path(asked["path"]), limits, asked["name"]))
 
 
 if __name__ == "__main__":

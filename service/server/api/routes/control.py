@@ -9,29 +9,16 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.responses import StreamingResponse
 
 from machines.mill.orders import Stop
+from service.http.schema import Json, PassedOn
 from service.http.streaming import EVENT_HEADERS
+from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView
 from service.server.api.access.order_context import Order
 from service.server.api.access.scopes import Operator, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.routes.machines import MachineName
 from service.server.api.services import services_of
-from service.server.fleet.order_context import OrderContext
-from service.server.schemas.base import Body
-from service.server.schemas.control import (
-    BlockBody,
-    CheckBody,
-    ControlBody,
-    ControlView,
-    GrantBody,
-    GrantView,
-    JogBody,
-    OrderView,
-    OverrideBody,
-    ProbeBody,
-    ProbeCornerBody,
-    ZeroBody,
-)
 from service.server.schemas.examples import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
+from service.server.schemas.runs import ControlView, OrderView
 
 router = APIRouter(tags=["machines"])
 
@@ -43,6 +30,22 @@ _TOLD: Responses = {202: example(ORDER_EXAMPLE) | {"description": "the mill's ag
 _ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
 _STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
 _PATH = "/v1/machines/{machine}/control"
+_WITH_BODY = {
+    "jog": (
+        "Jog a mill",
+        "THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events.",
+    ),
+    "probe": ("Probe Z", "THE MILL MOVES down until it touches; work Z is set there, and it moves up again."),
+    "probe-corner": (
+        "Probe a block's corner",
+        "THE MILL MOVES down, aside, down and back, to the left and to the front of where it stands. Where a touch is\n"
+        "missing, or anything stops it, no zero is changed.",
+    ),
+    "zero": ("Set the work zero", "From now on the tool stands at zero of these axes."),
+    "override": ("Override feed, rapids or spindle", "At once, in the middle of a run too."),
+    "check": ("Switch check mode", "In check mode ($C) the controller reads everything and moves nothing."),
+    "block": ("Send one line of G-code", "THE MILL MAY MOVE."),
+}
 _PLAIN = {
     "home": "THE MILL MOVES to its switches.",
     "unlock": "Clear an alarm. The position may be wrong afterwards: look before you move.",
@@ -130,65 +133,18 @@ async def events(
     return StreamingResponse(stream, headers=EVENT_HEADERS)
 
 
-async def _give(
-    request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None
-) -> OrderView:
-    values = {} if body is None else body.model_dump()
-    return await services_of(request).fleet.orders.give(machine, what, values, context)
-
-
-@router.post(f"{_PATH}/jog", summary="Jog a mill", **_ORDER)
-async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, context: Order) -> OrderView:
-    """THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events."""
-    return await _give(request, machine, "jog", context, body)
-
-
-@router.post(f"{_PATH}/probe", summary="Probe Z", **_ORDER)
-async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> OrderView:
-    """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
-    return await _give(request, machine, "probe", context, body)
-
-
-@router.post(f"{_PATH}/probe-corner", summary="Probe a block's corner", **_ORDER)
-async def probe_corner(
-    request: Request, _: Operator, machine: MachineName, body: ProbeCornerBody, context: Order
-) -> OrderView:
-    """THE MILL MOVES down, aside, down and back, to the left and to the front of where it stands. Where a touch is
-    missing, or anything stops it, no zero is changed.
-    """
-    return await _give(request, machine, "probe-corner", context, body)
-
-
-@router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)
-async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, context: Order) -> OrderView:
-    """From now on the tool stands at zero of these axes."""
-    return await _give(request, machine, "zero", context, body)
-
-
-@router.post(f"{_PATH}/override", summary="Override feed, rapids or spindle", **_ORDER)
-async def override(
-    request: Request, _: Operator, machine: MachineName, body: OverrideBody, context: Order
-) -> OrderView:
-    """At once, in the middle of a run too."""
-    return await _give(request, machine, "override", context, body)
-
-
-@router.post(f"{_PATH}/check", summary="Switch check mode", **_ORDER)
-async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, context: Order) -> OrderView:
-    """In check mode ($C) the controller reads everything and moves nothing."""
-    return await _give(request, machine, "check", context, body)
-
-
-@router.post(f"{_PATH}/block", summary="Send one line of G-code", **_ORDER)
-async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, context: Order) -> OrderView:
-    """THE MILL MAY MOVE."""
-    return await _give(request, machine, "block", context, body)
-
-
 def _make_order(what: str) -> Endpoint:
     async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> OrderView:
-        return await _give(request, machine, what, context)
+        return await services_of(request).fleet.orders.give(machine, what, {}, context)
 
+    return order
+
+
+def _make_order_with_body(what: str) -> Endpoint:
+    async def order(request: Request, _: Operator, machine: MachineName, body: Json, context: Order) -> OrderView:
+        return await services_of(request).fleet.orders.give(machine, what, body, context)
+
+    order.__annotations__["body"] = Annotated[Json, PassedOn(ORDERS[what])]
     return order
 
 
@@ -199,6 +155,10 @@ def _make_stop(stop: Stop) -> Endpoint:
     return order
 
 
+for _what, (_summary, _words) in _WITH_BODY.items():
+    router.post(f"{_PATH}/{_what}", name=_what.replace("-", "_"), summary=_summary, description=_words, **_ORDER)(
+        _make_order_with_body(_what)
+    )
 for _what, _words in _PLAIN.items():
     router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_make_order(_what))
 for _name in Stop:

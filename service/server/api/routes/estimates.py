@@ -57,6 +57,7 @@ async def post_estimate(
             "spec": wanted.spec,
             "figures": wanted.figures,
             "exactly": exactly,
+            "plans": str(settings.plans),
         }
         caller = f"{principal.id or principal.name} {tab}"
         estimates = services.exact_estimates if exactly else services.estimates

@@ -18,7 +18,6 @@ from service.server.api.access.scopes import Admin, Principal, require
 from service.server.api.openapi import answers, example
 from service.server.api.services import services_of
 from service.server.database.pairing import NoCodeError, TooManyTriesError, WrongCodeError
-from service.server.schemas.control import PairingBody, PairingView, WhoamiView
 from service.server.schemas.examples import (
     NEW_TOKEN_EXAMPLE,
     PAIRING_EXAMPLE,
@@ -26,7 +25,15 @@ from service.server.schemas.examples import (
     TOKENS_EXAMPLE,
     WHOAMI_EXAMPLE,
 )
-from service.server.schemas.runs import NewTokenBody, NewTokenView, TokenList, TokenView
+from service.server.schemas.identity import (
+    NewTokenBody,
+    NewTokenView,
+    PairingBody,
+    PairingView,
+    TokenList,
+    TokenView,
+    WhoamiView,
+)
 
 router = APIRouter(tags=["operations"])
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 
+from service.milling.api import PastOrders
 from service.server.api.access.order_context import Order
 from service.server.api.access.scopes import Operator, Reader
 from service.server.api.intake.request import idempotency_key
@@ -18,7 +19,7 @@ from service.server.schemas.examples import (
     PREPARING_EXAMPLE,
     RUN_EXAMPLE,
 )
-from service.server.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, PastOrders, RunView
+from service.server.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
 
 router = APIRouter(tags=["machines"])
 

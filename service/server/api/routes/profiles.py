@@ -12,6 +12,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request, Response
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
+from service.http.schema import phrase_views
 from service.job.spec.minimal import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
 from service.server.api.access.scopes import Operator, Reader
@@ -21,7 +22,6 @@ from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
 from service.server.fleet.registry import KnownMachine, read_machines
-from service.server.schemas.base import phrase_views
 from service.server.schemas.jobs import (
     JOB_EXAMPLE,
     PROFILE_EXAMPLE,

@@ -1,1 +1,1 @@
-"""The database's tables, step by step from the first release on (alembic)."""
+"""How the tables of an earlier program become those of this one, step by step (alembic)."""

@@ -16,5 +16,5 @@ __all__ = ["LATER", "run_stage"]
 
 def run_stage(order: dict[str, Any], on_progress: Callable[[float], None]) -> dict[str, Any]:
     """Return the stage that `order` (StageOrder.plain) asks for, with the store of the environment's settings."""
-    store = open_store(ServerSettings.load())
-    return run_order(StageOrder.from_plain(order), store, on_progress).plain()
+    settings = ServerSettings.load()
+    return run_order(StageOrder.from_plain(order), open_store(settings), on_progress, plans=settings.plans).plain()

@@ -29,10 +29,11 @@ from service.job.planning.lens_facts import measure_lens
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec import lens_task
-from service.job.spec.lens_task import lens_settings, with_branch
+from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.stages import kept_plans
 from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import StagedJob, run_job
 
@@ -99,17 +100,18 @@ def test_a_finish_is_estimated_as_the_job_plans_it(monkeypatch: pytest.MonkeyPat
     spec = resolve_spec(preset="recommended", overrides=values)
     plans: list[tuple[ResolvedJob, Array, Array | None, Planned]] = []
 
-    def recorded(job: ResolvedJob, target: Array, *, whole: Array | None) -> Planned:
+    def recorded(job: ResolvedJob, target: Array, *, whole: Array | None = None, on_progress: None = None) -> Planned:
         plans.append((job, target, whole, plan_for_picture(job, target, whole=whole)))
         return plans[-1][-1]
 
-    monkeypatch.setattr(estimating, "plan_for_picture", recorded)
+    for module in (estimating, kept_plans):
+        monkeypatch.setattr(module, "plan_for_picture", recorded)
     found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
     job, target, whole, planned = plans[1]
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
     own = target_irradiance(read.linear, viewed_from="lens")
     np.testing.assert_array_equal(target, own)
-    assert (job, whole) == (look_up(with_branch(spec, own)), None)
+    assert (job, whole) == (look_up(spec), None)
     assert planned.finishing is not None
     assert (found["exact"], exact["exact"]) == (False, True)
     for one, apart_db in ((found, 0.75), (exact, 1e-9)):

@@ -150,6 +150,21 @@ def test_rows_off_in_height_cost_by_their_stripes() -> None:
     assert (speckled / target).std() == pytest.approx(grain, rel=0.05)
 
 
+def test_haze_is_in_a_predicted_picture_and_its_score_and_decides_nothing() -> None:
+    """It adds the same error to all plans, so that their order stays."""
+    target = waved(2, along="x") * waved(3, along="y")
+    clear, hazy = light(target), PictureLight(target, replace(BENCH, haze=0.2))
+    hazy.add(BALL, slanted(0.0), np.zeros_like(target))
+    several = [Marks(spec=SPEC, slopes=rows(NONE, off_mm=off)) for off in (0.0, 0.001, 0.002)]
+    for marks in several:
+        seen = hazy.picture(marks)
+        np.testing.assert_array_equal(hazy.clear_picture(marks), clear.picture(marks))
+        np.testing.assert_array_equal(seen, replace(BENCH, haze=0.2).add_haze(clear.picture(marks)))
+        assert hazy.psnr_db(marks) < clear.psnr_db(marks)
+        assert hazy.score(seen).psnr_db == pytest.approx(hazy.aimed_db(marks), abs=0.4)
+    assert sorted(several, key=hazy.psnr_db) == sorted(several, key=clear.psnr_db)
+
+
 @given(kept=st.floats(-0.3, 1.0))
 def test_sharpening_never_loses_more_and_cannot_bring_back_what_is_gone(kept: float) -> None:
     lost = float(lost_when_sharpened(np.array(kept)))

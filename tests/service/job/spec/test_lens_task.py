@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from optics.block import Back
 from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.light import meet, strength_on_face
@@ -31,9 +32,30 @@ def job(**optics: Any) -> JobSpec:
 
 
 def through_a_flat_lens(spec: JobSpec) -> NDArray[np.float64]:
-    """Irradiance on a screen as large as the lens, row 0 at the lowest y: of parallel light, the light itself."""
+    """Irradiance on a screen as large as the lens, row 0 at the lowest y: of parallel light, the light itself, as the
+    block is clear.
+    """
     flat = Heightfield.on_aperture(np.full((25, 25), -0.1), width_mm=30.0, height_mm=20.0)
-    return simulate_caustic(flat, bench_of(spec), pixels=(PIXELS, PIXELS)).irradiance
+    return simulate_caustic(flat, bench_of(spec).clear, pixels=(PIXELS, PIXELS)).irradiance
+
+
+@pytest.mark.parametrize(
+    ("stock", "optics", "haze", "back"),
+    [
+        ({}, {}, 0.01, None),  # as makers state it of cast acrylic; of its back nothing is known
+        ({"haze_percent": 0.0}, {}, 0.0, None),
+        ({"haze_percent": 5.0, "back_flatness_mm": 0.01}, {}, 0.05, Back(flatness_mm=0.01, period_mm=40.0)),
+        ({"back_flatness_mm": 0.0, "back_period_mm": 20.0}, {}, 0.01, None),
+        ({"haze_percent": 5.0, "back_flatness_mm": 0.01}, {"surface": "mirror"}, 0.0, None),
+    ],
+)
+def test_a_block_is_as_hazy_and_wavy_as_it_is_said_to_be(
+    stock: dict[str, Any], optics: dict[str, Any], haze: float, back: Back | None
+) -> None:
+    spec = resolve_spec(base={"stock": stock, "optics": optics})
+    bench = bench_of(spec)
+    assert (bench.haze, bench.back) == (haze, back)
+    assert (bench.flawless.haze, bench.flawless.back) == (0.0, None)
 
 
 def bilinear(rows: list[list[float]], right: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -102,6 +102,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("image.prepare", {"irradiance"}),
         ("stock.thickness_mm", {"heightfield", "pass-1", "pass-2", "check"}),
         ("stock.skim_mm", {"map"}),
+        *((f"stock.{key}", {"caustic", "as-milled"}) for key in ("haze_percent", "back_flatness_mm", "back_period_mm")),
         ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
         ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),

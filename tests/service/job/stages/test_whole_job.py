@@ -91,6 +91,21 @@ def test_screws_that_are_stated_are_part_of_what_is_milled(job: StagedJob, tmp_p
     assert list(seen["screw_error_mm"]) == [0.0, 0.0, 0.02]
 
 
+def test_what_a_block_is_like_costs_light_and_no_program(job: StagedJob, tmp_path: Path) -> None:
+    """Haze and a back that is not flat are causes where they are stated; lens and programs stay as they are."""
+    poor = staged_job(
+        tmp_path, "stock.haze_percent=10", "stock.back_flatness_mm=0.05", CORRECTED, preset="paper"
+    ).run_all()
+    plain, seen = (one.results["as-milled"].report["as_milled"] for one in (job, poor))
+    assert abs(plain["gain_db_without"]["haze"]) < 0.2
+    assert "back" not in plain["gain_db_without"]
+    assert seen["gain_db_without"]["haze"] > plain["gain_db_without"]["haze"]
+    assert set(seen["gain_db_without"]) == {*plain["gain_db_without"], "back"}
+    assert seen["psnr_db_designed"] < plain["psnr_db_designed"] - 1.0
+    for name in (one for one in job.outputs if one.endswith(".nc") or one == "heightfield.npz"):
+        assert poor.bytes(name) == job.bytes(name), name
+
+
 def test_the_parts_of_the_report_add_up_to_the_file(job: StagedJob) -> None:
     parts = [job.results[stage].report for stage in plan(job.spec)]
     merged = {key: value for key, value in merge_reports(parts).items() if key not in OWN_OF_A_RUN}

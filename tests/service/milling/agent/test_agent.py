@@ -95,7 +95,7 @@ def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: Ag
     ("path", "body", "status", "field"),
     [
         ("/v1/control/jog", {"by_mm": [1, 2]}, 422, "by_mm"),
-        ("/v1/control/jog", {"by_mm": [1, 2, "3"]}, 422, "by_mm"),
+        ("/v1/control/jog", {"by_mm": [1, 2, "3"]}, 422, "by_mm.2"),
         ("/v1/control/jog", {}, 422, "by_mm"),
         ("/v1/control/jog", {"by_mm": [1, 2, 3], "speed": 1}, 422, "speed"),
         ("/v1/control/override", {"what": "feed", "percent": 300}, 422, "percent"),

@@ -15,7 +15,7 @@ import pytest
 
 from machines.driver import MillState, MillStatus
 from machines.mill.view import MillSnapshot
-from machines.runs import RunState, RunView
+from machines.runs import RunReport, RunState
 from service.milling.terminal.follow import Ended, RunFollower
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from tests.service.mills import WITH_SWITCHES, Bench, bench, program
@@ -41,7 +41,7 @@ class Watched:
     def call(self, _: object) -> None: ...
 
     def shows(self, state: MillState, run: RunState, epoch: int) -> MillSnapshot:
-        view = RunView(id="r", name="p", program="", path="", state=run)
+        view = RunReport(id="r", name="p", program="", path="", state=run)
         self.snapshot = MillSnapshot(status=MillStatus(state=state, epoch=epoch), run=view)
         return self.snapshot
 

@@ -29,9 +29,9 @@ def main() -> None:
         if name == "refused":
             _say({"refused": ["refused: too dark"], "kind": "picture"})
         elif name == "fault":
-            _say({"fault": "IndexError: 7"})
+            _say({"crashed": "IndexError: 7"})
         else:
-            _say({"estimate": _ESTIMATE | {"warnings": [name]} if "spec" in asked else {"name": name}})
+            _say({"result": _ESTIMATE | {"warnings": [name]} if "spec" in asked else {"name": name}})
 
 
 def _say(word: dict[str, object]) -> None:

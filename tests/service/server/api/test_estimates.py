@@ -7,13 +7,18 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
 
+from phrases.phrase import Phrase
+from service.http.problems import Problem
+from service.job.stages.order import StageOrder
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 from service.server.api.intake.estimator import Estimator
+from service.server.worker.process import entry
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.service.server.api.test_estimating import STUB
 from tests.waiting import PATIENCE_S, until
@@ -114,6 +119,28 @@ def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: Api
     ready_mark(ESTIMATES).unlink(missing_ok=True)
     estimating.services.estimates.prepare()
     until(ready_mark(ESTIMATES).exists)
+
+
+def test_estimates_and_stages_keep_their_plans_in_the_same_folder(
+    estimating: ApiServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders: list[Path] = []
+
+    def ask(_: Estimator, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[dict[str, Any]]:
+        folders.append(Path(asked["plans"]))
+        raise Problem(503, Phrase("enough"))
+
+    def run(order: StageOrder, store: object, on_progress: object, *, plans: Path) -> StageOrder:
+        folders.append(plans)
+        return order
+
+    monkeypatch.setattr(Estimator, "ask", ask)
+    assert sent(estimating, "/v1/estimates", spec=SMALL).status_code == 503
+    monkeypatch.setattr(entry, "run_order", run)
+    monkeypatch.setattr(StageOrder, "from_plain", lambda plain: SimpleNamespace(plain=dict))
+    monkeypatch.setenv("CAUSTICMILL_DATA", str(estimating.services.settings.data))
+    entry.run_stage({}, print)
+    assert folders == [estimating.services.settings.data / "plans"] * 2
 
 
 def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -73,7 +72,7 @@ def test_it_is_made_ready_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ready_mark(ESTIMATES).touch()
     with closing(Estimator(module=STUB)) as estimator:
         estimator.prepare()
-        assert not [thread for thread in threading.enumerate() if thread.name == "estimates"]
+        assert not estimator.callers
 
 
 def test_too_many_callers_are_told_to_come_back(estimator: Estimator) -> None:

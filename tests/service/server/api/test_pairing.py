@@ -31,7 +31,7 @@ from service.server.database.pairing import (
 from service.server.database.tables import pairings, tokens
 from service.server.database.tokens import TokenBook
 from service.server.pairing_code import ALPHABET, code_of, new_offer, read_code
-from service.server.schemas.control import PairingBody
+from service.server.schemas.identity import PairingBody
 from service.settings import ServerSettings
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.service.server.supervisor.processes import CODE

@@ -82,8 +82,8 @@ def png(width: int, height: int, rows: bytes, *extra: bytes) -> bytes:
 
 
 def pid_of(checker: PictureChecker) -> int:
-    assert checker._child is not None
-    return checker._child._process.pid
+    assert checker.child_pid is not None
+    return checker.child_pid
 
 
 # --- what can be used ----------------------------------------------------------------------------------------------
@@ -305,8 +305,8 @@ def test_the_child_dies_with_a_killed_server(tmp_path: Path) -> None:
     code = (
         "import time; from pathlib import Path; from service.server.api.intake.picture_check import PictureChecker\n"
         "checker = PictureChecker()\n"
-        "while checker._child is None: time.sleep(0.01)\n"
-        "print(checker._child._process.pid, flush=True); time.sleep(60)"
+        "while checker.child_pid is None: time.sleep(0.01)\n"
+        "print(checker.child_pid, flush=True); time.sleep(60)"
     )
     server = subprocess.Popen(
         [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True

@@ -15,7 +15,7 @@ from service.server.database.claims import Claim, StageClose, WorkBook
 from service.server.database.connection import begin_writing
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
-from service.server.database.runs import NewRun, RunBook
+from service.server.database.runs import RunBook, RunRow
 from service.server.database.states import JobState, JobStateError, StageState
 from service.server.database.tables import artifacts
 from service.server.queue.engine import Fenced, Ticket
@@ -114,7 +114,7 @@ def test_what_the_table_of_states_forbids_is_refused(book: JobBook, work: WorkBo
 def test_a_job_that_a_mill_has_in_hand_is_not_deleted(book: JobBook, work: WorkBook, database: sa.Engine) -> None:
     claim = claimed(book, work)
     work.finish(claim, JobState.SUCCEEDED)
-    new = NewRun(machine="m", job_id=claim.job.id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
+    new = RunRow(machine="m", job_id=claim.job.id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
     run, _ = RunBook(database).create(new)
     with pytest.raises(JobStateError, match=run.id):
         book.delete(claim.job.id)

@@ -21,8 +21,8 @@ import pytest
 from machines.mill.orders import Stop
 from machines.preflight.limits import MillLimits
 from machines.preflight.preflight import Preflight
+from service.http.problems import GRANT
 from service.milling import preflight
-from service.milling.agent.callers import GRANT
 from service.milling.agent.card import AgentCard, read_card
 from service.milling.preflight_child import examine
 from service.server.database.tokens import TokenScope

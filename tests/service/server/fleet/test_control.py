@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from machines.mill.orders import LEASE_S, Stop
-from service.milling.agent.callers import GRANT
+from service.http.problems import GRANT
 from service.server.fleet.agent_launcher import start_agents
 from tests.service.milling.agent.client import AgentClient
 from tests.service.mills import Bench

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.milling.agent.callers import GRANT
+from service.http.problems import GRANT
 from service.server.api.access.guard import Limiter
 from tests.levels import mostly_thorough
 from tests.service.server.api.server import api_server, problem

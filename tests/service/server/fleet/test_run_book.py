@@ -13,9 +13,8 @@ from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.job_rows import open_run_of
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownJobError
-from service.server.database.runs import JobNotReadyError, MachineTakenError, NewRun, RunBook, RunRow, UnknownRunError
+from service.server.database.runs import JobNotReadyError, MachineTakenError, RunBook, RunRow, UnknownRunError
 from service.server.database.tables import jobs
-from service.server.fleet.core import Seen
 from service.server.fleet.representation import make_live_run
 
 
@@ -25,28 +24,28 @@ def book(database: sa.Engine) -> RunBook:
 
 
 @pytest.fixture
-def new(database: sa.Engine) -> NewRun:
+def new(database: sa.Engine) -> RunRow:
     """A program of a succeeded job."""
     job, _ = JobBook(database).create(
         NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
     )
     with begin_writing(database) as connection:
         connection.execute(jobs.update().values(state="succeeded"))
-    return NewRun(machine="m", job_id=job.id, program="pass-1-a.nc", number=1, sha256="a" * 64, created_by="me")
+    return RunRow(machine="m", job_id=job.id, program="pass-1-a.nc", number=1, sha256="a" * 64, created_by="me")
 
 
 def view(state: str, **more: Any) -> dict[str, Any]:
     return {"id": "20261121-1", "state": state, "words": "", **more}
 
 
-def made(book: RunBook, new: NewRun, state: str = "parked") -> RunRow:
+def made(book: RunBook, new: RunRow, state: str = "parked") -> RunRow:
     run, _ = book.create(new)
     assert book.confirm_parked(run.id, view("parked"))
     return book.record_report(book.get(run.id), view(state))
 
 
 def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_there_is_none(
-    book: RunBook, new: NewRun
+    book: RunBook, new: RunRow
 ) -> None:
     run = made(book, new, "running")
     lost = view("interrupted", words="alarm: ALARM:3", code="alarm", values={"alarm": 3})
@@ -54,10 +53,10 @@ def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_th
     of_before = book.record_report(book.get(run.id), view("held", words="by hand"))
     assert (of_before.words, of_before.reason) == ("by hand", None)
     book.close(run.id, "aborted", "given up", {"code": "run_given_up", "values": {"state": "held"}})
-    assert make_live_run(Seen(book.get(run.id))).code == "run_given_up"
+    assert make_live_run(book.get(run.id)).code == "run_given_up"
 
 
-def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: NewRun) -> None:
+def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: RunRow) -> None:
     def attempt(_: int) -> str:
         try:
             return book.create(new)[0].id
@@ -71,32 +70,32 @@ def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: NewRun) -> None:
     assert book.create(replace(new, machine="other"))[1]
 
 
-def test_one_key_makes_one_run(book: RunBook, new: NewRun) -> None:
-    keyed = replace(new, key=ClientKey("t", "k"), request_sha256="r")
-    run, first = book.create(keyed)
-    assert first and book.create(keyed) == (run, False)
+def test_one_key_makes_one_run(book: RunBook, new: RunRow) -> None:
+    keyed = new, ClientKey("t", "k"), "r"
+    run, first = book.create(*keyed)
+    assert first and book.create(*keyed) == (run, False)
     with pytest.raises(KeyReusedError):
-        book.create(replace(keyed, request_sha256="other"))
+        book.create(new, ClientKey("t", "k"), "other")
     assert book.find_made_before(ClientKey("another token", "k"), "r") is None
     book.close(run.id, "refused", "no", forget_key=True)
-    assert book.create(keyed)[0].id != run.id
+    assert book.create(*keyed)[0].id != run.id
 
 
 @pytest.mark.parametrize(("ended", "is_open"), [("finished", False), ("aborted", False), ("interrupted", True)])
-def test_the_mill_is_free_when_the_agent_says_so(book: RunBook, new: NewRun, ended: str, is_open: bool) -> None:
+def test_the_mill_is_free_when_the_agent_says_so(book: RunBook, new: RunRow, ended: str, is_open: bool) -> None:
     run = made(book, new, ended)
     assert (run.state, run.open) == (ended, is_open)
     assert (book.open_on("m") is None) is not is_open
     assert book.list_finished(new.job_id, "m") == ({new.sha256} if ended == "finished" else frozenset())
 
 
-def test_a_run_that_goes_on_again_takes_the_mill_again(book: RunBook, new: NewRun) -> None:
+def test_a_run_that_goes_on_again_takes_the_mill_again(book: RunBook, new: RunRow) -> None:
     run = made(book, new, "aborted")
     assert book.record_report(run, view("recovering")).open
     assert book.record_report(book.get(run.id), view("aborted")).open is False
 
 
-def test_it_does_not_where_another_has_the_mill(book: RunBook, new: NewRun) -> None:
+def test_it_does_not_where_another_has_the_mill(book: RunBook, new: RunRow) -> None:
     run = made(book, new, "aborted")
     other = made(book, new)
     told = book.record_report(run, view("recovering"))
@@ -105,14 +104,14 @@ def test_it_does_not_where_another_has_the_mill(book: RunBook, new: NewRun) -> N
         book.reopen(run)
 
 
-def test_what_was_given_up_stays_so(book: RunBook, new: NewRun) -> None:
+def test_what_was_given_up_stays_so(book: RunBook, new: RunRow) -> None:
     run = made(book, new, "interrupted")
     book.close(run.id, "aborted", "given up")
     assert book.record_report(book.get(run.id), view("interrupted")).open is False
     assert not book.confirm_parked(run.id, view("parked"))
 
 
-def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
+def test_news_only_are_written(book: RunBook, new: RunRow) -> None:
     """How far it is changes all the time: it is told, as the agent has it now, and not written down."""
     run = made(book, new, "running")
     seen = book.record_report(run, view("running", executed_line=5, share=0.5))
@@ -122,7 +121,7 @@ def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
 
 
 @pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
-def test_only_programs_that_have_been_checked(book: RunBook, new: NewRun, database: sa.Engine, state: str) -> None:
+def test_only_programs_that_have_been_checked(book: RunBook, new: RunRow, database: sa.Engine, state: str) -> None:
     with begin_writing(database) as connection:
         connection.execute(jobs.update().values(state=state))
     with pytest.raises(JobNotReadyError, match=state):
@@ -131,7 +130,7 @@ def test_only_programs_that_have_been_checked(book: RunBook, new: NewRun, databa
         book.create(replace(new, job_id="none"))
 
 
-def test_an_open_run_is_known_by_its_job(book: RunBook, new: NewRun, database: sa.Engine) -> None:
+def test_an_open_run_is_known_by_its_job(book: RunBook, new: RunRow, database: sa.Engine) -> None:
     run = made(book, new)
     with begin_reading(database) as connection:
         assert open_run_of(connection, new.job_id) == run.id
@@ -140,7 +139,7 @@ def test_an_open_run_is_known_by_its_job(book: RunBook, new: NewRun, database: s
         assert open_run_of(connection, new.job_id) is None
 
 
-def test_pages_are_newest_first_and_do_not_overlap(book: RunBook, new: NewRun) -> None:
+def test_pages_are_newest_first_and_do_not_overlap(book: RunBook, new: RunRow) -> None:
     ids = [made(book, new, "finished").id for _ in range(5)]
     first = [run.id for run in book.list_rows(machine="m", limit=2)]
     second = [run.id for run in book.list_rows(machine="m", limit=3, before=first[-1])]
@@ -150,7 +149,7 @@ def test_pages_are_newest_first_and_do_not_overlap(book: RunBook, new: NewRun) -
         book.list_rows(before="none")
 
 
-def test_what_cannot_be_written_down_is_told_all_the_same(book: RunBook, new: NewRun, database: sa.Engine) -> None:
+def test_what_cannot_be_written_down_is_told_all_the_same(book: RunBook, new: RunRow, database: sa.Engine) -> None:
     """A full disk must not hide from a person what the mill does; the next look writes it down."""
     run = made(book, new, "running")
 

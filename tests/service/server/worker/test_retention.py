@@ -15,7 +15,7 @@ from service.server.database.connection import begin_reading, begin_writing, clo
 from service.server.database.job_rows import ARTIFACT_BYTES, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.records import NewJob, UnknownJobError
-from service.server.database.runs import NewRun, RunBook
+from service.server.database.runs import RunBook, RunRow
 from service.server.database.states import JobState
 from service.server.database.tables import artifacts, jobs, stage_results
 from service.server.queue.dbos import DbosEngine
@@ -137,7 +137,7 @@ def test_the_quota_takes_the_oldest_first_and_no_more_than_needed(stand: Stand) 
 def test_a_job_that_a_mill_has_in_hand_stays(stand: Stand) -> None:
     """Also where the mill got it after the old jobs were looked up."""
     job_id, made = stand.job(1, ended_days_ago=8)
-    new = NewRun(machine="m", job_id=job_id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
+    new = RunRow(machine="m", job_id=job_id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
     RunBook(stand.database).create(new)
     stand.age_files()
     stand.turn(keep_days=7.0, quota_mb=1)

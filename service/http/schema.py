@@ -4,13 +4,18 @@ are told in the document and not held against it once more: what another version
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, PlainSerializer
+from pydantic_core import CoreSchema, core_schema
 
 from phrases.phrase import phrases_in
+
+Json = dict[str, Any]
 
 
 class Body(BaseModel):
@@ -45,3 +50,23 @@ Phrases = Annotated[
 ]
 Sha256 = Annotated[str, Field(json_schema_extra={"pattern": r"^[0-9a-f]{64}$"})]
 Time = Annotated[float, PlainSerializer(iso_time, return_type=str)]
+
+
+@dataclass(frozen=True)
+class PassedOn:
+    """Marks a body that is handed to another server as it came and validated there, by this model. Only what cannot be
+    sent as JSON again (no object, NaN, half a character) is validated, and so refused, here.
+    """
+
+    model: type[Body]
+
+    def __get_pydantic_core_schema__(self, _source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_wrap_validator_function(_pass_on, handler.generate_schema(self.model))
+
+
+def _pass_on(values: object, validate: Callable[[object], Any]) -> Json:
+    try:
+        json.dumps(values, allow_nan=False, ensure_ascii=False).encode()
+    except (TypeError, ValueError):
+        return dict(validate(values))
+    return values if isinstance(values, dict) else dict(validate(values))

@@ -1,0 +1,192 @@
+"""Events for any number of readers, none of whom can hold up the publisher or another reader.
+
+Theory of operation: every reader has a queue of its own, with room for so many. One whose queue is full is ended: it is
+sent what its queue holds, in order and without a gap, and then the end, so that its client comes back with
+Last-Event-ID and goes on where it was. Of statuses only the latest counts, so a late reader is spared some. A hub with
+a ring gives its messages ids `<life>-<number>`, `life` being new with each hub, and repeats to one that comes back what
+it missed as far as the ring reaches, and a `gap` event where it does not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from phrases.phrase import Phrase
+from service.http.problems import Problem, problem_response
+from service.http.streaming import (
+    HEARTBEAT_S,
+    PING,
+    begin_events,
+    compact_json,
+    event_bytes,
+    send_piece,
+    write_while_connected,
+)
+
+MOST_WAITING = 256
+_MOST_AT_ONCE = 64
+_STATUS = "status"
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """data: JSON in one line; id: what a reader comes back with, empty for one that is not repeated."""
+
+    kind: str
+    data: str
+    id: str = ""
+
+    def encode(self) -> bytes:
+        return event_bytes(self.kind, self.data, self.id)
+
+
+class Reader:
+    """One who reads. `queue` takes None as the end; error: why it came, where that is not the reader's own slowness."""
+
+    def __init__(self, most_waiting: int = MOST_WAITING) -> None:
+        self.most_waiting = most_waiting
+        self.queue: asyncio.Queue[Message | None] = asyncio.Queue(most_waiting + 1)  # and the end
+        self.error: Exception | None = None
+
+
+class Hub:
+    """Hands messages to readers; all calls from the event loop's thread."""
+
+    def __init__(self, *, ring: int = 0, readers: int) -> None:
+        self.life = secrets.token_hex(4)
+        self.readers: set[Reader] = set()
+        self._number = 0
+        self._ring: deque[tuple[int, Message]] = deque(maxlen=ring)
+        self._status: Message | None = None
+        self._forgotten = 0  # number of the last event that fell out of the ring
+        self._most = readers
+        self._closed = False
+
+    @property
+    def full(self) -> bool:
+        return self._closed or len(self.readers) >= self._most
+
+    def join(self, last_id: str = "", reader: Reader | None = None) -> tuple[Reader, list[Message]]:
+        """Add a reader, and return it with what it is to be sent first. Problem 503 where there are too many."""
+        if self.full:
+            raise Problem(
+                503,
+                Phrase(
+                    "{count} readers already; allowed: {most}. Close one and try again",
+                    count=len(self.readers),
+                    most=self._most,
+                ),
+            )
+        reader = reader or Reader()
+        self.readers.add(reader)
+        return reader, self._list_missed(last_id) + ([self._status] if self._status else [])
+
+    def leave(self, reader: Reader) -> None:
+        self.readers.discard(reader)
+
+    def publish_status(self, data: dict[str, object]) -> None:
+        self._status = self._make_message(_STATUS, data)
+        self.send(self._status, self.readers)
+
+    def publish_event(self, data: dict[str, object]) -> None:
+        message = self._make_message("event", data)
+        if self._ring and len(self._ring) == self._ring.maxlen:
+            self._forgotten = self._ring[0][0]
+        self._ring.append((self._number, message))
+        self.send(message, self.readers)
+
+    def send(self, message: Message, to: Iterable[Reader]) -> None:
+        for reader in [reader for reader in to if reader in self.readers]:
+            waiting = reader.queue.qsize()
+            if waiting >= reader.most_waiting:
+                self.end(reader)
+            elif message.kind != _STATUS or waiting < reader.most_waiting // 4:
+                reader.queue.put_nowait(message)
+
+    def end(self, reader: Reader, error: Exception | None = None) -> None:
+        """End a reader after what its queue holds."""
+        if reader in self.readers:
+            self.readers.discard(reader)
+            reader.error = error
+            reader.queue.put_nowait(None)
+
+    def close(self) -> None:
+        """End all readers, now and later."""
+        self._closed = True
+        for reader in list(self.readers):
+            self.end(reader)
+
+    def _list_missed(self, last_id: str) -> list[Message]:
+        life, _, number = last_id.partition("-")
+        if not last_id:
+            return []
+        if life != self.life or not number.isdigit():
+            return [_gap(Phrase("the agent was started anew")), *(message for _, message in self._ring)]
+        seen = int(number)
+        missed = [message for number, message in self._ring if number > seen]
+        return [_gap(Phrase("older events are no longer kept")), *missed] if self._forgotten > seen else missed
+
+    def _make_message(self, kind: str, data: dict[str, object]) -> Message:
+        self._number += 1
+        return Message(kind, compact_json(data), f"{self.life}-{self._number}")
+
+
+class HubStream(Response):
+    """An answer that is held open for a reader of a hub: ASGI of its own, because a stuck connection must be given up.
+
+    join     : returns the reader and what it is sent first
+    is_there : looked at with each heartbeat; the stream ends where what it is about is no more
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        join: Callable[[], tuple[Reader, list[Message]]],
+        *,
+        heartbeat_s: float = HEARTBEAT_S,
+        is_there: Callable[[], Awaitable[bool]] | None = None,
+    ) -> None:
+        super().__init__()
+        self._hub = hub
+        self._join = join
+        self._heartbeat_s = heartbeat_s
+        self._is_there = is_there
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            reader, first = self._join()
+        except Problem as problem:
+            await problem_response(problem)(scope, receive, send)
+            return
+        try:
+            await write_while_connected(receive, self._write(reader, first, send))
+        finally:
+            self._hub.leave(reader)
+
+    async def _write(self, reader: Reader, first: list[Message], send: Send) -> None:
+        await begin_events(send, b"".join(message.encode() for message in first))
+        going = True
+        while going:
+            try:
+                batch = [await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)]
+            except TimeoutError:
+                await send_piece(send, PING)
+                going = self._is_there is None or await self._is_there()
+                continue
+            while len(batch) < _MOST_AT_ONCE and not reader.queue.empty():
+                batch.append(reader.queue.get_nowait())
+            going = batch[-1] is not None
+            if text := b"".join(message.encode() for message in batch if message is not None):
+                await send_piece(send, text)
+        await send_piece(send, b"", more=False)
+
+
+def _gap(words: str) -> Message:
+    return Message("event", compact_json({"kind": "gap", "words": words}))

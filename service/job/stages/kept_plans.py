@@ -1,0 +1,134 @@
+"""Plans that were made before: an exact estimate and the job made after it, or two of either, plan once.
+
+A plan is kept in a folder under the key of the stage that plans: the same picture, spec, mill, tools, sources and
+libraries. Kept is what the stage reports and draws of it, and the light that an estimate shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from optics.heightfield import Array
+from phrases.phrase import Phrase, phrases_in, restore
+from service.errors import FailedError
+from service.job.arrays import npz_bytes
+from service.job.files import write_bytes
+from service.job.planning.estimate_light import ForetoldPicture, describe_light
+from service.job.planning.plan import Planned
+from service.job.planning.plan_report import plan_figures
+from service.job.planning.planner import Progress, plan_for_picture
+from service.job.planning.sentences import blur_warnings
+from service.job.spec.resolved import ResolvedJob
+from service.job.stages.lens import TARGET
+from service.job.stages.order import FileRef
+from service.job.stages.table import stage_key
+from service.processes.private import forget_oldest, make_private
+
+_STAGE = "passes"
+_KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MadePlan:
+    """What is wanted of a plan, made now or before.
+
+    figures : report `plan`
+    notes   : of the passes, for the setup sheet
+    draw    : returns plan.png
+    see     : returns what the wall will show
+    """
+
+    figures: dict[str, Any]
+    notes: list[Phrase]
+    draw: Callable[[], bytes]
+    see: Callable[[], ForetoldPicture]
+
+
+class KeptPlans:
+    """Finds, makes and keeps plans; folder: where, or None: nothing is kept."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+
+    def make(
+        self, job: ResolvedJob, target: Array, *, on_progress: Progress | None = None, at_once: bool = False
+    ) -> MadePlan:
+        """Return the plan of a job for a target (ny, nx), work frame, mean 1. A new one is kept when it is drawn, or
+        at once.
+        """
+        path = self._path(job, target)
+        if path is not None and (found := _load(path, target)) is not None:
+            return found
+        planned = plan_for_picture(job, target, on_progress=on_progress)
+        made = describe_plan(planned, viewed_from=job.spec.optics.viewed_from)
+        if path is None:
+            return made
+        if at_once:
+            _keep(path, made)
+            return made
+        return replace(made, draw=lambda: _keep(path, made))
+
+    def _path(self, job: ResolvedJob, target: Array) -> Path | None:
+        if self._folder is None:
+            return None
+        digest = hashlib.sha256(f"{target.shape} {target.dtype}".encode() + np.ascontiguousarray(target).data)
+        outputs = {TARGET: FileRef(sha256=digest.hexdigest(), bytes=target.nbytes)}
+        return self._folder / f"{stage_key(_STAGE, job, image_sha256='', image_name='', outputs=outputs)}.npz"
+
+
+NO_PLANS = KeptPlans(None)
+
+
+def describe_plan(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> MadePlan:
+    """Return what is wanted of a plan that was just made."""
+
+    def draw() -> bytes:
+        from service.job.report.figures.plan import plan_png  # what it stands on is slow to import
+
+        return plan_png(planned, viewed_from=viewed_from)
+
+    return MadePlan(
+        figures=plan_figures(planned),
+        notes=blur_warnings(planned, milled_next=True),
+        draw=draw,
+        see=lambda: describe_light(planned.light, planned.chosen.marks),
+    )
+
+
+def _load(path: Path, target: Array) -> MadePlan | None:
+    """Load a plan; None where there is none, or the file is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            words, picture, light = (stored[name] for name in ("words", "picture", "light"))
+        plain = json.loads(words.tobytes())
+        seen = ForetoldPicture(light=light, target=target, **plain["seen"])
+        found = restore(plain["plan"], plain["phrases"])
+        os.utime(path)  # in use: see `forget_oldest`
+        return MadePlan(figures=found["figures"], notes=found["notes"], draw=picture.tobytes, see=lambda: seen)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _keep(path: Path, made: MadePlan) -> bytes:
+    """Keep a plan, and return its picture; one that cannot be kept is made again."""
+    picture, seen = made.draw(), asdict(made.see())
+    light = seen.pop("light")
+    del seen["target"]  # who asks has it
+    plan = {"figures": made.figures, "notes": made.notes}
+    words = json.dumps({"plan": plan, "phrases": phrases_in(plan), "seen": seen}).encode()
+    kept = {"words": np.frombuffer(words, np.uint8), "picture": np.frombuffer(picture, np.uint8), "light": light}
+    with suppress(OSError, FailedError):
+        make_private(path.parent)
+        write_bytes(path, npz_bytes(kept))
+        forget_oldest(path.parent, _KEPT_BYTES)
+    return picture

@@ -1,0 +1,149 @@
+"""A plan is made once: for an exact estimate, the job after it, and whoever asks the same again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from optics.heightfield import Array
+from service.job.picture.limits import OWN_PICTURE
+from service.job.planning.estimate import estimate
+from service.job.planning.plan import Planned
+from service.job.planning.planner import plan_for_picture
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.stages import kept_plans
+from service.job.stages.kept_plans import KeptPlans
+from service.job.stages.run import run_order
+from tests.service.job.stages.jobs import StagedJob, staged_job
+
+CAMERA = Path(__file__).parents[4] / "examples" / "camera.png"
+SMALL = ("optics.width_mm=12", "optics.height_mm=12", "optics.throw_mm=30", "image.pixels=64", "finish.process=none")
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[ResolvedJob]:
+    """Of which jobs the planner has made a plan, in this order."""
+    jobs: list[ResolvedJob] = []
+
+    def count(job: ResolvedJob, target: Array, **more: Any) -> Planned:
+        jobs.append(job)
+        return plan_for_picture(job, target, **more)
+
+    monkeypatch.setattr(kept_plans, "plan_for_picture", count)
+    return jobs
+
+
+def small(*values: str) -> JobSpec:
+    return resolve_spec(preset="recommended", overrides=(*SMALL, *values))
+
+
+def estimate_exactly(spec: JobSpec, plans: Path) -> dict[str, Any]:
+    kept = KeptPlans(plans)
+    return estimate(look_up(spec), CAMERA, limits=OWN_PICTURE, name=CAMERA.name, exactly=True, plans=kept)
+
+
+def plan_stage(job: StagedJob, plans: Path | None) -> tuple[dict[str, Any], bytes]:
+    """Run the stage as the server does; its report but its times, and plan.png."""
+    result = run_order(job.order("passes"), job.store, lambda share: None, plans=plans)
+    report = {key: value for key, value in result.report.items() if key not in ("timings_s", "peak_rss_mb")}
+    return {"report": report, "notes": result.notes}, b"".join(job.store.open_range(result.outputs["plan.png"].sha256))
+
+
+def job_with_target(folder: Path, spec: JobSpec) -> StagedJob:
+    job = staged_job(folder, spec=spec)
+    job.image_sha256, job.image_name = job.store.put_file(CAMERA).sha256, CAMERA.name
+    job.run_all(until="passes")
+    return job
+
+
+def test_an_exact_estimate_and_the_job_after_it_plan_once(tmp_path: Path, planned: list[ResolvedJob]) -> None:
+    """And the job's plan is the one that it would have made by itself."""
+    spec, plans = small(), tmp_path / "plans"
+    job = job_with_target(tmp_path, spec)
+    first = estimate_exactly(spec, plans)
+    assert len(planned) == 1
+    found = plan_stage(job, plans)
+    assert estimate_exactly(spec, plans) == first
+    assert len(planned) == 1
+    assert plan_stage(job, None) == found
+    assert len(planned) == 2
+
+
+@pytest.mark.thorough
+def test_a_job_s_plan_serves_the_estimates_after_it(tmp_path: Path, planned: list[ResolvedJob]) -> None:
+    spec, plans = small(), tmp_path / "plans"
+    job = job_with_target(tmp_path, spec)
+    plan_stage(job, plans)
+    estimate_exactly(spec, plans)
+    assert len(planned) == 1
+
+
+def fake_plans(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Plans that cost nothing; the list grows with each that is made."""
+    made: list[str] = []
+
+    def describe(_: object, *, viewed_from: str) -> kept_plans.MadePlan:
+        made.append(viewed_from)
+        seen = kept_plans.ForetoldPicture(light=TARGET, target=TARGET, psnr_db=30.0, detail_mm=1.0)
+        return kept_plans.MadePlan(figures={"n": len(made)}, notes=[], draw=lambda: b"png", see=lambda: seen)
+
+    monkeypatch.setattr(kept_plans, "plan_for_picture", lambda job, target, on_progress=None: None)
+    monkeypatch.setattr(kept_plans, "describe_plan", describe)
+    return made
+
+
+TARGET = np.linspace(0.5, 1.5, 400).reshape(20, 20)
+OTHER = TARGET[::-1].copy()
+JOB = look_up(small())
+DIFFERENT = {
+    "the picture": (JOB, OTHER),
+    "its last bit": (JOB, np.nextafter(TARGET, 2.0)),
+    "its shape": (JOB, TARGET.reshape(10, 40)),
+    "the goal": (look_up(small("plan.hours=6")), TARGET),
+    "the block": (look_up(small("stock.thickness_mm=25")), TARGET),
+    "the side": (look_up(small("optics.viewed_from=behind")), TARGET),
+    "the mill": (look_up(small("machine.step_mm=0.01")), TARGET),
+    "the tools": (replace(JOB, figures=replace(JOB.figures, tools=JOB.figures.tools[1:])), TARGET),
+}
+
+
+@pytest.mark.parametrize("what", DIFFERENT)
+def test_what_a_plan_depends_on_makes_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    made, plans = fake_plans(monkeypatch), KeptPlans(tmp_path)
+    for job, target in ((JOB, TARGET), DIFFERENT[what], (JOB, TARGET), DIFFERENT[what]):
+        plans.make(job, target, at_once=True)
+    assert len(made) == 2
+
+
+def test_other_sources_make_another_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, plans = fake_plans(monkeypatch), KeptPlans(tmp_path)
+    plans.make(JOB, TARGET, at_once=True)
+    monkeypatch.setattr("service.job.stages.table.state_of_sources", lambda module: "changed")
+    plans.make(JOB, TARGET, at_once=True)
+    assert len(made) == 2
+
+
+def test_a_damaged_plan_is_made_again_and_a_folder_that_takes_none_hinders_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = fake_plans(monkeypatch)
+    for number, damage in enumerate((b"", b"PK\x03\x04", b"no plan"), 1):
+        (file,) = KeptPlans(tmp_path).make(JOB, TARGET, at_once=True) and tmp_path.iterdir()
+        file.write_bytes(damage)
+        assert len(made) == number
+    (tmp_path / "file").touch()
+    assert KeptPlans(tmp_path / "file").make(JOB, TARGET).draw() == b"png"
+
+
+def test_the_folder_does_not_grow_without_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_plans(monkeypatch)
+    monkeypatch.setattr(kept_plans, "_KEPT_BYTES", 20_000)
+    for number in range(20):
+        KeptPlans(tmp_path).make(JOB, TARGET + number, at_once=True)
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 20_000
