@@ -1,7 +1,7 @@
 """Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
 
 The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
-A shape says where stock is taken off. What is flat only roughs the block (`cam.surface.rough_surface`): a lens is made
+A shape says where stock is taken off. A flat cutter only roughs the block (`cam.surface.rough_surface`): a lens is made
 by balls (`cam.surface.contact`).
 """
 
@@ -43,7 +43,7 @@ class CutterShape:
 
 BALL = CutterShape(name="ball", corner_share=1.0, pitch_share=1 / 6)  # cusps of R / 288
 FLAT_STEP = 1.2
-"""Of the radius, 60 % of the diameter: rows of what is flat stand no farther apart."""
+"""Of the radius, 60 % of the diameter: rows of a flat cutter stand no farther apart."""
 
 
 def end_mill(corner_share: float) -> CutterShape:

@@ -116,7 +116,6 @@ class PassSpec:
 
     @property
     def shape(self) -> CutterShape:
-        """Of the cutter."""
         return cutter_shape(self.radius_mm, self.corner_radius_mm)
 
     @property

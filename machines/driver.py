@@ -126,7 +126,7 @@ class DriverFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MillStatus:
-    """The latest that is known of the mill. Positions in mm; None where the link does not report them.
+    """The latest status of the mill. Positions in mm; None where the link does not report them.
 
     position_trusted : machine coordinates still mean what they meant at homing or zero-setting
     overrides        : feed, rapid, spindle in percent

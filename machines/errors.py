@@ -49,7 +49,7 @@ class NotAllowedError(MachineError):
 
 
 class WrongStateError(NotAllowedError):
-    """It is the mill's state (MILL_STATE), or the run's (RUN_STATE), that does not allow it."""
+    """The state of the mill (MILL_STATE) or of the run (RUN_STATE) does not allow it."""
 
     def __init__(self, words: str, code: MillCode, state: Enum) -> None:
         super().__init__(words, code=code, values={"state": state.value})

@@ -51,7 +51,6 @@ class Facing:
 
     @property
     def cutter(self) -> CutterShape:
-        """Shape of the cutter."""
         return CUTTERS[self.shape]
 
     @property

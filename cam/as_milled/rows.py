@@ -1,4 +1,4 @@
-"""Tracks of a finishing pass that nobody has written yet: the same rows as its program would have, in memory."""
+"""Tracks of a finishing pass before its program is written: the same rows as the program will have, in memory."""
 
 from __future__ import annotations
 

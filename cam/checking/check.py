@@ -1,7 +1,7 @@
 """The check: a written program is read back and cut in the computer; its verdict decides whether it may be used.
 
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
-fine windows, contact with the exact surface move by move (`clearance`), track spacing (`coverage`, `path_quality`),
+fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
 stated, what stands beside them (`collision`), and the clamps (`clamps`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
@@ -20,11 +20,10 @@ import numpy as np
 from cam.checking.clamps import Clamps
 from cam.checking.clearance import Overlaps, witness_of
 from cam.checking.collision import Collisions, shank_of
-from cam.checking.coverage import Coverage
 from cam.checking.engagement import Engagement
 from cam.checking.flat_removal import removal_of
 from cam.checking.move_rules import MoveRules
-from cam.checking.path_quality import PathMeasures, PathQuality
+from cam.checking.path_quality import Coverage, PathMeasures, PathQuality
 from cam.checking.removal import Drops, deepest
 from cam.checking.windows import Window, place_windows
 from cam.duration import DurationModel, Kinematics

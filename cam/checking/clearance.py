@@ -21,7 +21,7 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
 _CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
 _TRIES = 12
-_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # of places on the underside of what is flat; the rim, just inside
+_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # of places on the underside of a flat cutter; the rim, just inside
 _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, when the usual one is clear
 
 
@@ -212,7 +212,7 @@ class SurfaceWitness:
 
 
 class FlatWitness:
-    """Watches one pass of what is flat: its underside is tried at some places, at every stretch of a move."""
+    """Watches one pass of a flat cutter: its underside is tried at some places, at every stretch of a move."""
 
     def __init__(self, heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> None:
         radius_mm, shape = spec.radius_mm, spec.shape
@@ -237,7 +237,7 @@ class FlatWitness:
 
 
 def witness_of(heightfield: Heightfield, spec: PassSpec, *, near_mm: float) -> SurfaceWitness | FlatWitness:
-    """Return who watches the pass's cutter. near_mm: see `SurfaceWitness`."""
+    """Return the witness for the pass's cutter. near_mm: see `SurfaceWitness`."""
     if spec.is_ball:
         return SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=near_mm)
     return FlatWitness(heightfield, spec, near_mm=near_mm)

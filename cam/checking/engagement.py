@@ -46,7 +46,7 @@ _SLOT_LENGTH, _SLOT_DEPTH, _FAST_LENGTH, _FAST_FEED, _FAST_LINE, _FAST_X, _FAST_
 
 @njit(cache=True, nogil=True)
 def _slot_section(depth, radius, corner):  # type: ignore[no-untyped-def]
-    """Return the section of a full-width cut this deep: segments of the corner's circle beside what is flat, walls
+    """Return the section of a full-width cut this deep: segments of the corner's circle beside the flat part, walls
     above.
     """
     flat = 2.0 * (radius - corner) * depth

@@ -37,7 +37,7 @@ def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-de
 
 def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
     """Return what a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5
-    %. What is flat leaves stairs, and its moves between them keep off as much.
+    %. A flat cutter leaves stairs, and its moves between them keep off as much.
 
     steepest : greatest slope |grad h| of the lens
     """
@@ -46,7 +46,6 @@ def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
 
 
 def say_spindle_off(depth_mm: float) -> Phrase:
-    """Return the words of a `Finding`."""
     return Phrase("cuts {depth_mm:.3f} mm with the spindle off (allowed: only after M3)", depth_mm=depth_mm)
 
 

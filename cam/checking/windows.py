@@ -12,7 +12,7 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield
 
 _SIZE_MM, _FINEST_MM, _COARSEST_MM = 1.0, 0.0025, 0.01
-_FLAT_MM = 0.05  # after what is flat: its stairs are tenths of a millimetre
+_FLAT_MM = 0.05  # after a flat cutter: its stairs are tenths of a millimetre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from cam.contour.dubins import draw, shortest
 from cam.contour.field import coarseness
+from cam.contour.joints import draw, shorten, shortest
 from cam.contour.tracer import ContourLines
-from cam.contour.two_opt import shorten
 from cam.moves import Array
 
 TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.48

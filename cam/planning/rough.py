@@ -1,4 +1,4 @@
-"""The quickest way from a block to a lens's finish: one rough pass in layers, of a ball or of what is flat, or two."""
+"""The quickest way from a block to a lens's finish: one rough pass in layers, of a ball or of a flat cutter, or two."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ class Roughing:
         return min(ways, key=lambda way: self._count_s(way, finish), default=None)
 
     def _count_s(self, way: Before, finish: PassSpec) -> float:
-        """Return the seconds by which ways are compared: what is flat does not finish, and so is one tool more."""
+        """Return the seconds by which ways are compared: a flat cutter does not finish, so it is one tool more."""
         change_s = 0.0 if way.passes[0].is_ball else _CHANGE_S
         return sum(way.seconds) + way.layers_s(self.form, finish, self.shop) + change_s
 
     def _plan_roughs(self, finish: PassSpec) -> list[Before]:
-        """Plan the rough by the quickest ball, and by the quickest of what is flat; beside its walls the shank of the
+        """Plan the rough by the quickest ball, and by the quickest flat cutter; beside its walls the shank of the
         finish must have room.
         """
         if finish.radius_mm not in self._roughs:

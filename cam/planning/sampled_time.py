@@ -91,8 +91,8 @@ def first_pass_s(
 def layers_after_s(
     form: LensForm, spec: PassSpec, first: PassSpec, mill: Kinematics, *, safe_z_mm: float = SAFE_Z_MM
 ) -> float:
-    """Return the seconds of a pass's layers after a first pass of what is flat, which leaves stairs, hollows and a step
-    at the rim.
+    """Return the seconds of a pass's layers after a first pass of a flat cutter, which leaves stairs, hollows and a
+    step at the rim.
     """
     first = replace(first, max_rate_mm_per_min=mill.max_rate_mm_per_min)
     spec = replace(

@@ -10,7 +10,6 @@ _CORNER = "X0 Y0: lower left corner of the lens aperture"
 
 
 def describe_pass(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
-    """Return the remarks of a pass of the lens."""
     block = f"{n(stock.width_mm + 2 * stock.margin_mm)} x {n(stock.height_mm + 2 * stock.margin_mm)}"
     return (
         f"pass {spec.name}: {name_cutter(spec)} radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",

@@ -1,4 +1,4 @@
-"""G-code text back to moves, in a stream: the reader that does not trust who wrote the program.
+"""G-code text back to moves, in a stream: the reader that does not trust the writer of the program.
 
 Of each control's language the subset is read that a finishing program needs: straight moves, dwell, spindle, comments.
 Everything else is refused with its line, because a word that is skipped here and obeyed by the mill is a broken cutter.

@@ -122,7 +122,7 @@ class LayerPlan:
     """Layers from the top down, on every stride-th row, and whether exact rows follow over everything: all of them, or
     only those between the rows of the layers.
 
-    stair_mm : height of the stairs that layers of what is flat leave between their rows on a slope
+    stair_mm : height of the stairs that layers of a flat cutter leave between their rows on a slope
     """
 
     layers: tuple[Layer, ...]
@@ -169,7 +169,7 @@ def plane_row_distance_mm(spec: PassSpec) -> float:
 
 
 def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, float]:
-    """Return the widest stride of rows between which what is flat leaves no higher stairs on a slope, and their
+    """Return the widest stride of rows between which a flat cutter leaves no higher stairs on a slope, and their
     height; PassValueError where every row is too far from the next.
     """
     target = field.target_mm

@@ -154,7 +154,7 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
 
 
 def sampled_rows(surface: RoughSurface, rows: Rows, sag_mm: float) -> Iterator[Array]:
-    """Yield all rows of what is flat there and back on one unbroken path, row by row, each with the turn after it."""
+    """Yield all rows of a flat cutter there and back on one unbroken path, row by row, each with the turn after it."""
     x = on_ticks(np.linspace(rows.left_mm, rows.right_mm, math.ceil(rows.length_mm / surface.node_step_mm) + 1))
     angle = np.pi * np.arange(1, turn_parts(rows.turn_mm)) / turn_parts(rows.turn_mm)
     for j, y in enumerate(rows.y_mm):

@@ -93,7 +93,7 @@ def surface_under(heightfield: Heightfield, spec: PassSpec) -> Surface:
 
 
 def left_by_flat(lens: Heightfield, spec: PassSpec) -> Array:
-    """Return heights (ny, nx) at the lens's vertices that a pass of what is flat leaves: where its end comes, and on
+    """Return heights (ny, nx) at the lens's vertices that a pass of a flat cutter leaves: where its end comes, and on
     slopes stairs.
     """
     surface = RoughSurface.over(lens, spec, nodes=_FEW_NODES)

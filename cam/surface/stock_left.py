@@ -20,7 +20,7 @@ _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface else
 _PHASES, _ALONG, _ALONG_SHARE = 8, 21, 0.3  # places across and along rows that are tried; how far along, in radii
 _BESIDE_A_CREASE = 4.0
 """Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
-be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.coverage` to say."""
+be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.path_quality` to say."""
 
 
 @njit(cache=True, nogil=True)

@@ -100,7 +100,7 @@ class ToolSurface:
 
     @property
     def node_step_mm(self) -> float:
-        """Of the lattice."""
+        """Distance of the nodes of its lattice."""
         return float(self.kernel.node_step)
 
     def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:

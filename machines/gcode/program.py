@@ -31,7 +31,6 @@ LONGEST_LINE = 500  # a line is the unit of feeding, of progress and of what is 
 
 
 def piece_digest(data: bytes | memoryview) -> str:
-    """Return the digest of one piece of a program."""
     return hashlib.blake2b(data, digest_size=DIGEST_BYTES).hexdigest()
 
 

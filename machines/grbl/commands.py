@@ -100,7 +100,6 @@ class CommandChannel:
             self.run(make_sequence(command, link.view.settings, link.view.modes), self._end_command, now_s, require)
 
     def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float, require: Require = allow_always) -> None:
-        """Begin a sequence."""
         self._sequence, self._on_end, self._require = sequence, on_end, require
         self._advance(None, now_s)
 

@@ -84,7 +84,6 @@ class Follower:
             self.lost = True
 
     def take_position(self, work_mm: Triple) -> None:
-        """Take a reported position."""
         if self.lost:
             return
         for index, (_, ways) in enumerate(self._pending):

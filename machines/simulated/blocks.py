@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from machines.simulated import reports
-from machines.simulated.controller import EMPTY, NEVER, ROOM, Controller, Task
+from machines.simulated.controller import EMPTY, NEVER, ROOM, Controller, Task, find_contact, is_touching
 from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple, chords
 from machines.simulated.interruptions import apply_overrides, raise_alarm
-from machines.simulated.touching import find_contact, is_touching
 
 
 def carry_out_gcode(fw: Controller, code: bytes) -> Task:

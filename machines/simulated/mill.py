@@ -189,7 +189,6 @@ class SimulatedMill:
                 self._look_for_line()
 
     def call_at(self, when_s: float, what: Callable[[], None]) -> None:
-        """Call this at that simulated time."""
         self._order += 1
         heappush(self._events, (when_s, self._order, what))
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from optics.paper.flow_darts import flow_with_darts
 from optics.paper.flow_even import flow_on_even_grids
-from optics.paper.flow_record import (
+from optics.paper.flow_rules import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
@@ -36,13 +36,11 @@ from optics.paper.flow_record import (
     PaperFlow,
     Progress,
     Remeshing,
-    pixel_vertices,
-)
-from optics.paper.flow_rules import (
     check_target,
     face_intensities,
     floor_notes,
     judge_convergence,
+    pixel_vertices,
     project_to_frame,
     rms_over,
 )

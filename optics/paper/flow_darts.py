@@ -6,16 +6,20 @@ import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Delaunay
 
-from optics.paper.flow_record import (
+from optics.paper.flow_rules import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
     FlowStep,
     PaperFlow,
     Progress,
+    excess_on_faces,
+    floor_notes,
+    judge_convergence,
     pixel_vertices,
+    raise_to_floor,
+    rms_over,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_notes, judge_convergence, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import neighbours_of
 from optics.paper.poisson import NeumannPoisson

@@ -22,16 +22,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from optics.paper.flow_record import (
+from optics.paper.flow_rules import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
     FlowStep,
     PaperFlow,
     Progress,
+    excess_on_faces,
+    floor_notes,
     pixel_vertices,
+    project_to_frame,
+    raise_to_floor,
+    rms_over,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_notes, project_to_frame, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import Neighbours, neighbours_of
 from optics.paper.poisson import NeumannPoisson

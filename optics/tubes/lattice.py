@@ -113,7 +113,7 @@ def trace_rows(
 ) -> None:  # fmt: skip
     """Compute hit_x, hit_y (rows + 1, columns + 1): where lattice rows row_lo..row_hi - 1 light the screen; NaN: not.
 
-    The same rays as follow_tubes follows, for those who need them again.
+    The same rays as follow_tubes follows, for callers that need them again.
     """
     columns, rows = hit_x.shape[1] - 1, coefs.shape[0] - 3
     jet, hit, face = np.empty((3, columns + 1)), np.empty((2, columns + 1)), np.empty((3, columns + 1))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from optics.metrics import score_caustic
-from optics.paper.flow_record import FlowStep, PaperFlow
+from optics.paper.flow_rules import FlowStep, PaperFlow
 from tests.paper import figures
 from tests.paper.cases import (
     INDEX,

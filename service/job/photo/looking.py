@@ -1,4 +1,6 @@
-"""Looking at a photograph of the wall: found in it, fitted, judged, and drawn."""
+"""Looking at a photograph of the wall: found in it, fitted, judged, and drawn; and what it is compared with: the lens
+of a job, its set-up, and the best picture of the light on its wall that there is in its folder.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
-from optics.irradiance import picture_from_irradiance
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.heightfield import Heightfield
+from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame, picture_from_irradiance
 from optics.photograph import Registration, register
 from optics.photograph.rays import ORDERS
 from optics.photograph.views import area_average
 from optics.photograph.wall import Estimate, WallFit, fit_wall, surface_error_um
 from optics.spline import Array
-from service.errors import printable
+from phrases.phrase import Phrase
+from service.errors import InputError, printable
+from service.job import arrays
+from service.job.files import HEIGHTFIELD, MAP
 from service.job.finite_json import plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
-from service.job.photo.predicted import PredictedLight, load_predicted_light
+from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import WallPhoto, read_wall_photo
+from service.job.report.pictures import PREDICTED, PredictedKind
+from service.job.spec.lens_task import bench_of
+from service.job.spec.loading import load_stored_spec
 from service.progress import QuietReporter, Reporter, Stopwatch
 
 LOOK_PICTURE, LOOK_FIGURES = "look.png", "look.json"
@@ -32,6 +44,57 @@ _ODD_TONE = 0.15
 _TURNED_DEG, _LEANT_DEG = 0.3, 0.5
 _SURE, _SURER, _SUREST = 2.0, 3.0, 4.0  # deviations: of a distance, a tilt, one of many errors of the surface
 _CAMERA_PX = 1.2  # pixels of the photograph: its own softness
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedLight:
+    """irradiance (ny, nx): work frame, mean about 1; NaN where its file holds no more than "white or brighter"."""
+
+    kind: PredictedKind
+    lens: Heightfield
+    bench: Bench
+    irradiance: Array
+    viewed_from: ViewedFrom
+
+    @property
+    def bounded(self) -> Array:
+        """The irradiance with the brightest known one in place of what is brighter."""
+        return np.nan_to_num(self.irradiance, nan=float(np.nanmax(self.irradiance)))
+
+
+def load_predicted_light(folder: Path) -> PredictedLight:
+    """Load the predicted light of a job that has a lens; InputError where it has none, or another program's files."""
+    if not folder.is_dir():
+        raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
+    spec = load_stored_spec(folder)
+    lens = arrays.load_heightfield(folder / HEIGHTFIELD)
+    target = arrays.load_target(folder / MAP)
+    bench, viewed_from = bench_of(spec), spec.optics.viewed_from
+    for kind, name in PREDICTED.items():
+        seen = _picture(folder / name, target)
+        if seen is not None:
+            irradiance = flip_between_picture_and_work_frame(seen, viewed_from)
+            return PredictedLight(kind=kind, lens=lens, bench=bench, irradiance=irradiance, viewed_from=viewed_from)
+    light = simulate_caustic(lens, bench, pixels=(target.shape[0], target.shape[1])).irradiance
+    return PredictedLight(kind="designed", lens=lens, bench=bench, irradiance=light, viewed_from=viewed_from)
+
+
+def _picture(path: Path, target: Array) -> Array | None:
+    """Return the irradiance of a picture of ours, whose white is the target's brightest pixel; None where there is
+    none.
+    """
+    try:
+        with Image.open(path, formats=("PNG",)) as image:
+            levels = np.asarray(image.convert("L"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, SyntaxError):
+        words = Phrase("{path}: not a picture of this program; `causticmill make` writes a new one", path=path)
+        raise InputError(words) from None
+    if levels.shape != target.shape:
+        return None
+    linear = srgb_to_linear(levels / 255.0) * float(target.max())
+    return np.where(levels == 255, np.nan, linear)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

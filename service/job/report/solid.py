@@ -76,7 +76,7 @@ def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], 
 
 
 def _mesh(vertices: Array, faces: Indices) -> Any:
-    import trimesh  # slow to import, which nobody waits for who asks only whether a lens fits
+    import trimesh  # slow to import; a caller that only asks whether a lens fits does not need it
 
     return trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cam.contour.dubins import WORDS, draw, shortest
+from cam.contour.joints import WORDS, draw, shortest
 
 PLACE, HEADING, RADIUS = st.floats(-5, 5), st.floats(-math.pi, math.pi), st.floats(0.1, 2)
 POSE = st.tuples(PLACE, PLACE, HEADING)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from machines.simulated.touching import find_contact
+from machines.simulated.controller import find_contact
 from machines.simulated.traits import GRBL_11, CornerPlate
 
 LEFT_MM, FRONT_MM, TOP_MM, RADIUS_MM = -10.0, -20.0, -5.0, 1.5

@@ -21,8 +21,7 @@ from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
 from service.job.coupon.programs import keep_coupon  # noqa: E402
 from service.job.finite_json import plain  # noqa: E402
-from service.job.photo.looking import look_at  # noqa: E402
-from service.job.photo.predicted import load_predicted_light  # noqa: E402
+from service.job.photo.looking import load_predicted_light, look_at  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
 from service.processes.child_work import answer_requests  # noqa: E402

@@ -19,8 +19,7 @@ from service.cli import main as cli
 from service.errors import InputError, PictureError
 from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.photo.findings import REFUSALS, SENTENCES, PhotoFinding, UselessPhotoError
-from service.job.photo.looking import _find_tilt, look_at
-from service.job.photo.predicted import load_predicted_light
+from service.job.photo.looking import _find_tilt, load_predicted_light, look_at
 from service.job.picture.light_png import picture_png
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import WallPhoto, read_wall_photo
