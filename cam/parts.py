@@ -18,8 +18,8 @@ import numpy as np
 
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Motion, Path, cut, rapid
 from cam.posts.dialects import Dialect
+from cam.posts.post import ProgramSetup
 from cam.posts.remarks import describe_part
-from cam.posts.setup import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.rows.entries import RAMP_SLOPE, leave
 

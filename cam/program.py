@@ -16,15 +16,24 @@ from cam.moves import SAFE_Z_MM, Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import Dialect
+from cam.posts.post import ProgramSetup
 from cam.posts.remarks import describe_pass
-from cam.posts.setup import ProgramSetup
 from cam.rows.entries import enter, enter_onward, leave
 from cam.rows.layers import CUSP_MM, Field, Layer, LayerPlan, layer_paths, plan_layers
 from cam.rows.loads import first_row, most_feed_mm_per_min, row_cuts
-from cam.rows.raster import Rows, climbs_rightward, continuous_rows, sampled_rows, separate_rows
+from cam.rows.raster import (
+    Rows,
+    climbs_rightward,
+    continuous_rows,
+    sampled_rows,
+    separate_rows,
+    turn_block,
+    turn_lens,
+    turn_paths,
+    turn_stock,
+)
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
-from cam.rows.turned import turn_block, turn_lens, turn_paths, turn_stock
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
 from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm

@@ -161,20 +161,20 @@ def test_a_kind_is_named_in_its_tables_only(names: tuple[str, ...], tables: set[
 def test_a_dialect_is_added_in_three_files_that_share_nothing(tmp_path: Path) -> None:
     """The post, the reader that does not trust it, and what a mill's side takes: a job for a mill that speaks it is
     accepted, a program is written, read back and taken line by line."""
-    post = "ISO = (LINUXCNC, FANUC, OKUMA, ROLAND_NC)"
+    post = "_ALL: tuple[Dialect, ...] = ("
     reader = '        Language(name="rml-1", kind="rml", digit_mm=0.01),\n'
     mill = '        Dialect(name="grbl", title="GRBL",'
     copy_tree(
         tmp_path,
         {
-            "cam/posts/iso.py": (
+            "cam/posts/dialects.py": (
                 post,
                 "MACH = Post(\n"
                 '    name="mach", suffix=".tap", start=("G21G90G94G17G54", "G0Z{safe_z}"),\n'
                 '    spin=("M3S{rpm}", "G4P{dwell_s}"), end=("G0Z{safe_z}", "M5", "M30"),\n'
                 '    coolant={"mist": "M7"}, z_decimals=4,\n'
                 ")\n"
-                "ISO = (LINUXCNC, FANUC, OKUMA, ROLAND_NC, MACH)",
+                "_ALL: tuple[Dialect, ...] = (MACH, ",
             ),
             "cam/reading/gcode_languages.py": (
                 reader,
@@ -240,9 +240,9 @@ def test_a_cutter_s_shape_is_added_in_one_file(tmp_path: Path) -> None:
         + """
 import numpy as np
 from cam.around.check import CheckedMill, check_facing
-from cam.around.facing import make_facing_paths
+from cam.around.paths import make_facing_paths
 from cam.parts import PassFrame, programs
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.surface.stock_grid import StockGrid
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_stock_of, facing_task_of

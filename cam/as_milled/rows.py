@@ -7,14 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
-from cam.as_milled.screws import Screws
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Screws, Tracks
 from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
-from cam.rows.raster import Rows, continuous_rows, map_in_order
-from cam.rows.turned import turn_lens
+from cam.rows.raster import Rows, continuous_rows, map_in_order, turn_lens
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield

@@ -1,7 +1,7 @@
 """Tracks: level lines of f, each less its own level, as polylines, as far as places are wanted beside them.
 
 Several lines cross one cell: the grid need not resolve the pitch. Triangles are listed per line; a walk from any of
-them goes both ways until the line closes or ends. Raw points lie where edges are crossed, see `triangles`, and most of
+them goes both ways until the line closes or ends. Raw points lie where edges are crossed, see `levels`, and most of
 them are left out: the farthest is kept whose chord passes all between within the sag.
 """
 
@@ -16,8 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cam.contour.field import REACH_PITCHES, ContourField
-from cam.contour.levels import level_tree
-from cam.contour.triangles import fill_corners, follow, other_edge, sort_by_line
+from cam.contour.levels import fill_corners, follow, level_tree, other_edge, sort_by_line
 from cam.moves import Array
 from cam.rows.raster import THREAD_NAME, THREADS
 from cam.rows.vertices import TICKS_PER_MM

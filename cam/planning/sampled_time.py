@@ -28,9 +28,8 @@ from cam.program import layer_paths_alone, pass_paths
 from cam.reading.gcode import MoveBatch
 from cam.rows.layers import STAIR_SHARE, layer_row_distance_mm, plane_row_distance_mm
 from cam.rows.loads import feed_at_load, most_feed_mm_per_min
-from cam.rows.raster import on_ticks, turn_parts
+from cam.rows.raster import on_ticks, turn_lens, turn_parts
 from cam.rows.rounding import Rounding, on_raster
-from cam.rows.turned import turn_lens
 from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule, march_row, most_vertices
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface

@@ -1,6 +1,10 @@
 """Every dialect that programs can be written in, by the name that machine profiles give it, and what each can do.
 
-The figures of each (digits, words, line ends) are in `cam.posts.iso` and `cam.posts.post`.
+G-code is read by GRBL 1.1, grblHAL and FluidNC; and by controls that once read ISO code from a tape: LinuxCNC,
+Fanuc-like, Okuma OSP and Roland NC. RML-1 is in `cam.posts.post`. No control is sent a tool's length: Z0 is set with
+the very tool, and what is active then stays. G40 and G80 end what an earlier program may have left on. Where the least
+input is 0.001 mm, positions have three decimals and always a point: without one, 5 means 0.005 mm. On machining centres
+M8 is coolant everywhere; which word opens the air or the mist is the builder's choice, so none is guessed.
 
 Plain data without arrays; `cam.posts.writers` writes.
 """
@@ -8,16 +12,100 @@ Plain data without arrays; `cam.posts.writers` writes.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import reduce
 
-from cam.posts.iso import GRBL_FAMILY, ISO
-from cam.posts.post import RML, Post, RmlPost
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import RML, Post, ProgramSetup, RmlPost
 from phrases.phrase import Phrase
+
+# No `%`, no tool change, no tool compensation. What a tool-length probe has set (G43.1) is left as it is.
+GRBL = Post(
+    name="grbl",
+    suffix=".nc",
+    start=("G21G90G94G17{offset}",),
+    zero="zero: {offset}, with G92 and tool length G43.1 as they were when it was set",
+    spin=("M3S{rpm}", "G4P{dwell_s}"),
+    end=("M5", "M2"),
+    coolant={"air": "M8", "mist": "M7", "flood": "M8"},  # stock GRBL has one output, M8, and M7 only where built in
+)
+GRBLHAL = replace(GRBL, name="grblhal")
+FLUIDNC = replace(GRBL, name="fluidnc")
+
+# G64 P: corners rounded by 1 µm at most unless told otherwise; Q0: no vertex left out because it lies near a straight
+# line. G61.1: an exact stop.
+LINUXCNC = Post(
+    name="linuxcnc",
+    suffix=".ngc",
+    start=("G21G90G94G17G40G80{offset}", "{blend}"),
+    zero="zero: {offset}, with G92 and tool length G43 as they were when it was set",
+    spin=("M3S{rpm}", "G4P{dwell_s}"),
+    blend=("G64P{tolerance}Q0", "G61.1"),
+    coolant={"air": "M7", "mist": "M7", "flood": "M8"},
+    end=("M5", "M2"),
+)
+# The dwell by X, in seconds: P is milliseconds on most of these and seconds on some.
+FANUC = Post(
+    name="fanuc",
+    suffix=".nc",
+    tape=("%", "O{number:04d}"),
+    start=("G21G90G94G17G40G80{offset}",),
+    zero="zero: {offset}, with G52, G92 and G43 as they were when it was set",
+    spin=("S{rpm}M3", "G4X{dwell_s}"),
+    coolant={"flood": "M8"},
+    high_precision=True,
+    end=("M5", "M30", "%"),
+    capitals=True,
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=0,
+    number_every=100,
+)
+# G15 H1 to H6 are what G54 to G59 are elsewhere, G16 H0 is G53: machine coordinates for one block. The dwell is by F.
+OKUMA = Post(
+    name="okuma",
+    suffix=".min",
+    tape=("%", "O{number:04d}"),
+    start=("G21G90G94G17G40G80", "G15H{offset_number}"),
+    offset_name="G15 H{offset_number}",
+    zero="zero: G15 H{offset_number}, with tool length G56 as it was when it was set",
+    top="G16H0G0Z{top}",
+    spin=("S{rpm}M3", "G4F{dwell_s}"),
+    coolant={"flood": "M8"},
+    end=("M5", "M2", "%"),
+    capitals=True,
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=1,
+    number_every=100,
+    line_end="\r\n",
+)
+# It faults on a cut before S and M03. P of G04 without a point: were it milliseconds, the dwell would only be short.
+ROLAND_NC = Post(
+    name="roland-nc",
+    suffix=".nc",
+    tape=("%", "O{number:08d}"),
+    start=("G21G90G17G40G80{offset}", "S{rpm}M03"),
+    zero="zero: {offset}, with EXOFS as it was when it was set",
+    lift="G00Z{safe_z}",
+    top="G53G00Z{top}",
+    spin=("G04P{whole_dwell_s}",),
+    faster=("S{rpm}M03", "G04P{whole_dwell_s}"),
+    end=("M05", "M02", "%"),
+    rapid="G00",
+    cut="G01",
+    capitals=True,
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=1,
+    line_end="\r\n",
+)
 
 Dialect = Post | RmlPost
 
-_ALL: tuple[Dialect, ...] = (*GRBL_FAMILY, *ISO, RML)
+_ALL: tuple[Dialect, ...] = (GRBL, GRBLHAL, FLUIDNC, LINUXCNC, FANUC, OKUMA, ROLAND_NC, RML)
 POSTS: dict[str, Dialect] = {post.name: post for post in _ALL}
 
 

@@ -1,10 +1,15 @@
-"""Rows along X (`cam.rows.turned` makes them rows along Y): where they lie, and the exact surface along them."""
+"""Rows along X: where they lie, and the exact surface along them. For rows along Y, X and Y are exchanged: of the lens,
+the block and the stock before, and of the paths after.
+
+Exchanging axes is exact (no rotation, no rounding), so what holds for rows along X holds for rows along Y. It turns
+left into right as well: climb milling is decided by `PassSpec.direction`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,12 +17,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from cam.moves import Array
+from cam.moves import Array, Path
 from cam.passes import PassSpec, Stock
 from cam.rows.vertices import TICKS_PER_MM, VertexRule, march_row, most_vertices, thin_points
 from cam.surface.contact import touch
 from cam.surface.rough_surface import RoughSurface
+from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
+from optics.heightfield import Heightfield
 
 THREADS = 2
 THREAD_NAME = "cam-rows"
@@ -130,7 +137,7 @@ def climbs_rightward(spec: PassSpec) -> bool:
     """Return whether rows cut one way, each beyond the last in Y, climb when they run in +X.
 
     The spindle turns clockwise, so a cutter climbs with the stock on its right: rows in -X, the next one farther in +Y.
-    Rows along Y are made with the axes exchanged (cam.rows.turned), which makes right of left.
+    Rows along Y are made with the axes exchanged (`turn_lens`), which makes right of left.
     """
     return spec.direction == "y"
 
@@ -176,3 +183,20 @@ def map_in_order(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def turn_lens(heightfield: Heightfield) -> Heightfield:
+    return replace(heightfield, x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
+
+
+def turn_block(stock: Stock) -> Stock:
+    return replace(stock, width_mm=stock.height_mm, height_mm=stock.width_mm)
+
+
+def turn_stock(stock_top: StockGrid) -> StockGrid:
+    return replace(stock_top, x0_mm=stock_top.y0_mm, y0_mm=stock_top.x0_mm, top_mm=stock_top.top_mm.T)
+
+
+def turn_paths(paths: Iterable[Path]) -> Iterator[Path]:
+    for path in paths:
+        yield replace(path, points_mm=path.points_mm[:, [1, 0, 2]])

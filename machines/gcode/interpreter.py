@@ -14,7 +14,7 @@ from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.modal import ModalState, Position, state_of, vector_of
 from machines.gcode.step import Arc, Step
-from machines.gcode.words import BadTextError, shown, split_words, strip_block
+from machines.gcode.text import BadTextError, shown, split_words, strip_block
 from phrases.phrase import Phrase
 
 _NUMBER = rb"([-+]?(?:\d{1,9}(?:\.\d{0,8})?|\.\d{1,8}))"

@@ -21,7 +21,7 @@ from machines.errors import ProgramChangedError, ProgramRefusedError
 from machines.gcode.dialects import DIALECTS, RML
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.gcode.words import shown, strip_block, strip_ends
+from machines.gcode.text import shown, strip_block, strip_ends
 from phrases.phrase import Phrase
 
 DIGEST_BYTES = 16

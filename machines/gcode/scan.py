@@ -19,7 +19,7 @@ from machines.gcode.dialects import DIALECTS, Dialect
 from machines.gcode.modal import ModalState, state_of, vector_of
 from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
 from machines.gcode.scan_moves import MOST_CHORDS
-from machines.gcode.words import shown
+from machines.gcode.text import shown
 
 EVERY_LINES = 20_000
 PIECE_BYTES = 1 << 19  # a piece ends here even if it has fewer lines, so that a reader's memory stays small

@@ -31,7 +31,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import JournalError, NotAllowedError, WrongStateError
-from machines.gcode.words import strip_block
+from machines.gcode.text import strip_block
 from machines.mill.link import get_settings
 from machines.mill.orders import NOBODY, Caller, Order
 from machines.mill.unattended import UnattendedRuns

@@ -16,7 +16,7 @@ from machines.driver import Triple
 from machines.errors import ProgramRefusedError
 from machines.gcode.modal import UNKNOWN, Position
 from machines.gcode.step import Step
-from machines.gcode.words import shown, strip_ends
+from machines.gcode.text import shown, strip_ends
 from machines.preflight.way_in import Motion
 from machines.profile import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, NO_HEIGHT, UNIT_MM, Command, RmlFault, parse, spindle_rpm

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from machines.gcode.words import shown
+from machines.gcode.text import shown
 from phrases.phrase import Phrase
 
 UNIT_MM = 0.01

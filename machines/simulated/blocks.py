@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from machines.simulated import reports
-from machines.simulated.alarms import raise_alarm
-from machines.simulated.arcs import chords
 from machines.simulated.controller import EMPTY, NEVER, ROOM, Controller, Task
-from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple
-from machines.simulated.suspending import apply_overrides
+from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple, chords
+from machines.simulated.interruptions import apply_overrides, raise_alarm
 from machines.simulated.touching import find_contact, is_touching
 
 

@@ -1,8 +1,9 @@
-"""The simulated mill behind a pty or a TCP port, in real time times a factor.
+"""Ends of the wire to a simulated mill: a port in the same process, on its simulated clock; and a pty or a TCP port, in
+real time times a factor.
 
-One loop: let simulated time catch up, hand over what is due, sleep until the next event or byte. Idle costs nothing.
-A pty has no modem lines: opening it cannot pulse DTR, so `resets_on_open` works with MemoryPort and TCP only.
-Replies that nobody reads are dropped when the pty's buffer is full, as by a serial chip.
+The pty and the TCP port have one loop: let simulated time catch up, hand over what is due, sleep until the next event
+or byte. Idle costs nothing. A pty has no modem lines: opening it cannot pulse DTR, so `resets_on_open` works with
+MemoryPort and TCP only. Replies that nobody reads are dropped when the pty's buffer is full, as by a serial chip.
 """
 
 from __future__ import annotations
@@ -18,12 +19,78 @@ from math import inf
 from pathlib import Path
 from types import TracebackType
 
+from machines.errors import PortError, PortLostError
 from machines.simulated.mill import SimulatedMill
 
-_BYTE_BITS = 10
+_BITS_PER_BYTE = 10  # 8N1
 _LONGEST_SLEEP_S = 0.2
 _SHORTEST_SLEEP_S = 0.0005
 _MOST_WAITING = 65536
+
+
+class MemoryPort:
+    """Implements machines.port.Port. No time passes but in `read`, which ends as soon as something has come.
+
+    baud      : of the host's side; None: no pacing. Not the mill's: both sides read garbage
+    latency_s : a USB adapter hands bytes over so much after the first of them
+    """
+
+    def __init__(self, mill: SimulatedMill, baud: int | None = 115200, *, latency_s: float = 0.0) -> None:
+        self.url = "memory://mill"
+        if not mill.connected:
+            raise PortError(self.url, "no such port: the cable is unplugged")
+        self.mill = mill
+        self.wire_bytes_per_s = baud / _BITS_PER_BYTE if baud else None
+        self._garbage = baud is not None and baud != mill.traits.baud
+        self._latency_s = latency_s
+        self._cable = mill.cable
+        self._woken = threading.Event()
+        self._closed = False
+        mill.use_wire(_BITS_PER_BYTE / baud if baud else 0.0)
+        mill.pulse_dtr()
+
+    def clock(self) -> float:
+        return self.mill.now_s
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come, at once; else time passes until something comes or the timeout is over (then b"")."""
+        mill = self.mill
+        self._check()
+        data = mill.output()
+        if not data and not self._woken.is_set():
+            mill.advance(mill.now_s + max(timeout_s, 0.0), until_output=True)
+            if self._latency_s and mill.output_s() <= mill.now_s:
+                mill.advance(mill.now_s + self._latency_s)
+            data = mill.output()
+        self._woken.clear()
+        if not data:
+            self._check()
+        return self._noise(data) if self._garbage else data
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        self.mill.receive(self._noise(data) if self._garbage else data)
+
+    def write_realtime(self, data: bytes) -> bool:
+        if self._closed or self.mill.cable != self._cable or not self.mill.connected:
+            return False
+        self.write(data)
+        return True
+
+    def wake(self) -> None:
+        self._woken.set()
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _check(self) -> None:
+        if self._closed:
+            raise PortError(self.url, "is closed")
+        if self.mill.cable != self._cable or not self.mill.connected:
+            raise PortLostError(self.url, "the device is gone (cable or power)")
+
+    def _noise(self, data: bytes) -> bytes:
+        return bytes(self.mill.chance.randrange(0x80, 0x100) if b & 1 else b ^ 0x55 for b in data)
 
 
 class Endpoint:
@@ -45,7 +112,7 @@ class Endpoint:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._waiting = b""
-        mill.use_wire(_BYTE_BITS / mill.traits.baud)
+        mill.use_wire(_BITS_PER_BYTE / mill.traits.baud)
 
     # -- what a kind of endpoint provides --------------------------------------------------------------------------
     def _files(self) -> list[int]:

@@ -1,7 +1,7 @@
 """The simulated mill: UART, firmware and axes on one clock of simulated seconds, with the faults of a plan.
 
 `advance` carries out what happens up to a time, in order: arrivals, the main loop, motion, timers, faults. Nothing
-happens by itself: whoever holds the mill (MemoryPort, an endpoint, a test) moves its clock.
+happens by itself: the holder of the mill (MemoryPort, an endpoint, a test) moves its clock.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from collections.abc import Callable
 from heapq import heappop, heappush
 from math import inf
 
-from machines.simulated.fault_wire import FaultWire
-from machines.simulated.faults import Fault, Faults
+from machines.simulated.faults import Fault, Faults, FaultWire
 from machines.simulated.firmware import Firmware
-from machines.simulated.main_loop import MainLoop
 from machines.simulated.recording import Recording
 from machines.simulated.serial_side import SerialSide
 from machines.simulated.traits import GRBL_11, Traits
@@ -24,6 +22,44 @@ _OK = b"ok\r\n"
 MOST_AT_ONCE = 200_000
 _CAUSES = ("axes", "main loop", "timer of a line", "realtime byte", "event")
 BUTTONS = ("hold", "start", "reset", "door", "close-door", "limit")
+
+
+class MainLoop:
+    """Takes lines from the receive ring where the firmware is not busy.
+
+    due_s : when the line now being parsed is carried out; inf where there is none
+    """
+
+    def __init__(self, firmware: Firmware, serial: SerialSide, lines_per_s: float | None) -> None:
+        self.due_s = inf
+        self._firmware = firmware
+        self._serial = serial
+        self._parse_s = 1.0 / lines_per_s if lines_per_s else 0.0
+
+    def look_for_line(self, now_s: float) -> None:
+        """Begin to parse the next line, or with nothing to read, cycle start."""
+        fw, serial = self._firmware, self._serial
+        if self.due_s != inf or fw.task is not None or fw.busy():
+            return
+        serial.admit(now_s)
+        free_s = serial.may_go_on_s()
+        if free_s < now_s:
+            free_s = now_s
+        line_s = serial.next_line_s()
+        if line_s > now_s:
+            fw.start_cycle()
+            if line_s == inf:
+                return
+        self.due_s = (line_s if line_s > free_s else free_s) + self._parse_s
+
+    def carry_out_line(self) -> None:
+        self.due_s = inf
+        self._firmware.take_line(self._serial.take_line())
+
+    def forget_received(self, now_s: float) -> None:
+        """Forget what was received and not carried out, as in a reset or without power."""
+        self._serial.clear_received(now_s)
+        self.due_s = inf
 
 
 class SimulatedMill:

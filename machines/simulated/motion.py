@@ -1,12 +1,218 @@
-"""From planned blocks to motion: the axes execute what the segment buffer holds, one segment after the other."""
+"""From planned blocks to motion: the segment buffer, and the axes that execute one segment after the other.
+
+The buffer holds the planner's oldest blocks, cut into pieces of at most 10 ms, each with its speeds. A block is freed
+in the planner when its last piece goes in here, not when it is cut: with short blocks, as many as there are segments
+are still to come. A hold brakes behind what this buffer already holds.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
-from math import inf
+from math import inf, sqrt
 
 from machines.simulated.planner import PlannedBlock, Planner
-from machines.simulated.segments import SegmentBuffer
+
+_Phase = tuple[float, float, float]  # acceleration, remaining mm at its end, speed at its end
+
+
+class SegmentBuffer:
+    """Filled from a planner, emptied by the stepper.
+
+    queue   : block, mm of it that are left at begin and end of the segment, seconds, speed at its end
+    speed   : mm/s at the end of the segment prepared last
+    freed   : a planner slot came free since somebody looked
+    holding : it brakes, and takes nothing more from the planner
+    """
+
+    def __init__(self, planner: Planner, capacity: int, segment_s: float) -> None:
+        self.queue: deque[tuple[PlannedBlock, float, float, float, float]] = deque()
+        self.speed = 0.0
+        self.freed = False
+        self.holding = False
+        self._planner = planner
+        self._capacity = capacity
+        self._segment_s = segment_s
+        self._block: PlannedBlock | None = None  # being cut into segments
+        self._partial = False  # the oldest block is partly in here
+        self._phases: list[_Phase] = []
+        self._exit = 0.0
+        self._braking_into_next = False
+        self._halted = False  # a hold has put its last segment in
+
+    def begin(self) -> None:
+        """Fill anew after a stop."""
+        self.holding = self._halted = False
+        self.fill()
+
+    def hold(self) -> None:
+        """Brake along the path behind what is in here already."""
+        self.reload()
+        self.holding = True
+        self.fill()
+
+    def clear(self) -> None:
+        self.queue.clear()
+        self._block = None
+        self._partial = self._halted = self.holding = self._braking_into_next = False
+        self.speed = 0.0
+
+    def give_back(self) -> None:
+        """Put what is in here back into the planner, to start from rest."""
+        blocks = self._planner.blocks
+        for b, start, _, _, _ in reversed(self.queue):
+            b.remaining = start
+            if b not in blocks:
+                blocks.insert(0, b)
+        for b in blocks:
+            b.gain = 2.0 * b.accel * b.remaining
+            b.entry2 = 0.0 if b is blocks[0] else b.entry2
+        self.queue.clear()
+        self._block = None
+        self._partial = True
+        self.speed = 0.0
+        self._planner.replan()
+
+    def reload(self) -> None:
+        """Give the block being cut up a new speed profile from here, as the plan beyond it has changed."""
+        b = self._block
+        if b is not None:
+            b.entry2 = self.speed * self.speed
+            self._block = None
+            self._partial = True
+
+    def fill(self) -> None:
+        """Take from the planner what there is room for."""
+        queue, blocks = self.queue, self._planner.blocks
+        while len(queue) < self._capacity and not self._halted:
+            b = self._block
+            if b is None:
+                if not blocks:
+                    return
+                b = blocks[0]
+                if self._partial:
+                    self._partial = False
+                elif self.holding or self._braking_into_next:
+                    b.entry2 = self._exit * self._exit
+                    self._braking_into_next = False
+                start = b.remaining
+                if not self.holding and (took := self._take_whole(b, blocks)) >= 0.0:
+                    b.remaining = 0.0
+                    b.gain = 0.0
+                    queue.append((b, start, 0.0, took, self._exit))
+                    self.speed = self._exit
+                    self._planner.discard()
+                    self.freed = True
+                    continue
+                self.speed = sqrt(b.entry2)
+                if self.holding:
+                    self._brake(b)
+                else:
+                    self._plan_profile(b, blocks[1].entry2 if len(blocks) > 1 else 0.0)
+                self._block = b
+            self._cut(b)
+
+    def _take_whole(self, b: PlannedBlock, blocks: list[PlannedBlock]) -> float:
+        """Time of the whole block if it goes into one segment, else -1; sets the exit speed."""
+        exit2 = blocks[1].entry2 if len(blocks) > 1 else 0.0
+        entry2, accel, nominal = b.entry2, b.accel, b.nominal
+        nominal2 = nominal * nominal
+        if entry2 > nominal2 or exit2 > nominal2:
+            return -1.0
+        length = b.remaining
+        if entry2 == nominal2 and exit2 == nominal2:
+            took = length / nominal
+            if took > self._segment_s:
+                return -1.0
+            self._exit = nominal
+            return took
+        if exit2 > entry2 + b.gain:
+            exit2 = entry2 + b.gain
+        peak2 = 0.5 * (entry2 + exit2) + accel * length
+        v0, v1 = sqrt(entry2), sqrt(exit2)
+        if peak2 <= nominal2:
+            took = (2.0 * sqrt(peak2) - v0 - v1) / accel
+        else:
+            took = (2.0 * nominal - v0 - v1) / accel
+            took += (length - (2.0 * nominal2 - entry2 - exit2) / (2.0 * accel)) / nominal
+        if took > self._segment_s or peak2 < entry2:
+            return -1.0
+        self._exit = v1
+        return took
+
+    def _plan_profile(self, b: PlannedBlock, exit2: float) -> None:
+        """Set the phases of a block longer than a segment: to its speed, along, and to its exit speed."""
+        accel, length, entry2, nominal = b.accel, b.remaining, b.entry2, b.nominal
+        nominal2, half = nominal * nominal, 0.5 / b.accel
+        phases: list[_Phase] = []
+        if entry2 > nominal2:  # an override was lowered
+            until = length - half * (entry2 - nominal2)
+            if until <= 0.0:
+                self._exit = sqrt(max(0.0, entry2 - 2.0 * accel * length))
+                self._braking_into_next = True
+                self._phases = [(-accel, 0.0, self._exit)]
+                return
+            phases.append((-accel, until, nominal))
+            peak, brake_at = nominal, half * (nominal2 - exit2)
+        else:
+            exit2 = min(exit2, entry2 + 2.0 * accel * length)
+            peak2 = 0.5 * (entry2 + exit2) + accel * length
+            peak2 = max(min(peak2, nominal2), entry2, exit2)
+            peak, brake_at = sqrt(peak2), half * (peak2 - exit2)
+            if peak2 > entry2:
+                phases.append((accel, max(brake_at, length - half * (peak2 - entry2)), peak))
+        self._exit = sqrt(exit2)
+        at = phases[-1][1] if phases else length
+        if at > brake_at:
+            phases.append((0.0, min(brake_at, at), peak))
+        if brake_at > 0.0:
+            phases.append((-accel, 0.0, self._exit))
+        self._phases = phases
+
+    def _brake(self, b: PlannedBlock) -> None:
+        """Brake in full; the stop lies in this block if its length allows."""
+        left = b.remaining - b.entry2 * 0.5 / b.accel
+        if left >= 0.0:
+            self._exit = 0.0
+            self._phases = [(-b.accel, left, 0.0)]
+        else:
+            self._exit = sqrt(b.entry2 - b.gain)
+            self._phases = [(-b.accel, 0.0, self._exit)]
+
+    def _cut(self, b: PlannedBlock) -> None:
+        """Put the next segment of the loaded block into the buffer."""
+        start = left = b.remaining
+        v = speed = self.speed
+        time_left, phases = self._segment_s, self._phases
+        while phases:
+            accel, until, v_end = phases[0]
+            total = v + v_end
+            took = 2.0 * (left - until) / total if total > 0.0 else 0.0
+            if took > time_left:
+                left -= time_left * (v + 0.5 * accel * time_left)
+                v += accel * time_left
+                time_left = 0.0
+                break
+            time_left -= took
+            left, v = until, v_end
+            del phases[0]
+        if phases and left <= 0.0:  # rounding
+            phases.clear()
+        done = not phases and (left <= 0.0 or not self.holding)
+        left = 0.0 if done else left
+        b.remaining = left
+        b.gain = 2.0 * b.accel * left
+        self.speed = v
+        if start > left or done:
+            self.queue.append((b, start, left, self._segment_s - time_left, v))
+        if done:
+            self._block = None
+            self._planner.discard()
+            self.freed = True
+        elif not phases:
+            self._halted = True  # stopped within the block
+        elif left == start and v == speed:
+            raise AssertionError(f"the axes make no way: block of line {b.line}, {left} mm left at {v} mm/s")
 
 
 class Stepper:

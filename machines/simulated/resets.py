@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import inf
 
-from machines.simulated.alarms import PROBING, cut_off, stop_spindle
 from machines.simulated.blocks import carry_out_gcode
 from machines.simulated.controller import NEVER, Controller, Task
 from machines.simulated.interpreter import Triple
+from machines.simulated.interruptions import PROBING, cut_off, open_door, stop_spindle
 from machines.simulated.recording import CutSegment
 from machines.simulated.reports import status_report
-from machines.simulated.suspending import open_door
 from machines.simulated.words import GcodeError
 
 CRITICAL = (1, 2)  # wait for a reset

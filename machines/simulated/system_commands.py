@@ -9,8 +9,8 @@ from machines.simulated import reports
 from machines.simulated.blocks import carry_out_gcode, eeprom, is_out_of_travel, plan
 from machines.simulated.controller import Controller, Task
 from machines.simulated.interpreter import ZERO
+from machines.simulated.interruptions import sleep
 from machines.simulated.resets import home, reset
-from machines.simulated.suspending import sleep
 from machines.simulated.words import GcodeError
 
 _HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"

@@ -43,10 +43,6 @@ class NeumannPoisson:
         """Return (n, n) integrals of grad(v_i) . grad(v_j) over the mesh [1]."""
         return self._filled(_stiffness(mesh.points_mm, mesh.triangles, self._slots, self._pattern.nnz))
 
-    def mass(self, mesh: TriangleMesh) -> sparse.csr_matrix:
-        """Return (n, n) integrals of v_i v_j over the mesh [mm^2]; its row sums are the median dual areas."""
-        return self._filled(_mass(mesh.areas(), self._slots, self._pattern.nnz))
-
     def factor(self, mesh: TriangleMesh) -> FactoredPoisson:
         """Return the problem on `mesh`, ready for one or more loads."""
         return FactoredPoisson(self.stiffness(mesh))
@@ -146,16 +142,6 @@ def _stiffness(points: Array, triangles: Triangles, slots: NDArray[np.int32], nn
         for p in range(3):
             for q in range(3):
                 data[slots[t, p, q]] += scale * (ex[p] * ex[q] + ey[p] * ey[q])
-    return data
-
-
-@njit(cache=True, nogil=True)
-def _mass(areas: Array, slots: NDArray[np.int32], nnz: int) -> Array:
-    data = np.zeros(nnz)
-    for t in range(areas.size):
-        for p in range(3):
-            for q in range(3):
-                data[slots[t, p, q]] += areas[t] * (2.0 if p == q else 1.0) / 12.0
     return data
 
 

@@ -1,13 +1,25 @@
-"""The picture that a grid of heights makes, and which way each height should move: what polish descends on."""
+"""The picture that a grid of heights makes, and which way each height should move: what polish descends on.
+
+Theory of the second: the transpose of the derivative of a lens's picture (spread.py) by its heights. Of a picture error
+r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes f W / A to dE. With
+rho = f / A and rbar = W / A, moving its border by v gains  rho * integral over the border of (r - rbar) v . n ds, so a
+tube that lies within one pixel pulls on nothing. W comes from Green's formula as well: the integral of R dy along the
+border, R being r summed from the left.
+
+The light that a tube carries is held as the lens first had it: even collimated light makes it the same for all anyhow,
+and where it does depend on the heights, what polish changes moves it less than a percent of what refraction does.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from optics.bench import Bench
 from optics.caustic import aim_at, find_covered_cells
@@ -15,10 +27,9 @@ from optics.heightfield import Heightfield
 from optics.light import Beam
 from optics.spline import Array
 from optics.threads import run_on_rows, thread_count
-from optics.tubes.gradient import pull_tubes
 from optics.tubes.lattice import fill_light, is_even, trace_rows
-from optics.tubes.rays import fit_transposed
-from optics.tubes.spread import spread_tubes
+from optics.tubes.rays import fit_transposed, push_row
+from optics.tubes.spread import POINT_AREA, spread_tubes, triangle_area
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
 
@@ -131,3 +142,104 @@ class TubePicture:
         light = np.empty((self.rows, 2, self.columns))
         run_on_rows(fill_light, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
         return light
+
+
+@njit(cache=True, nogil=True)
+def _along_edge(r: Array, summed: Array, xa: float, ya: float, xb: float, yb: float) -> tuple[float, float, float]:
+    """Return integrals along a -> b, s from 0 to 1: R dy, r (1 - s) ds, r s ds. summed (ny, nx + 1) is R: r from the
+    left.
+    """
+    ny, nx = r.shape
+    dx, dy = xb - xa, yb - ya
+    i, j = int(math.floor(xa)), int(math.floor(ya))
+    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = (i + (dx > 0.0) - xa) / dx if dx != 0.0 else math.inf
+    next_y = (j + (dy > 0.0) - ya) / dy if dy != 0.0 else math.inf
+    green = first = second = s = 0.0
+    while True:
+        end = min(next_x, next_y, 1.0)
+        if 0 <= j < ny and i >= 0:
+            if i >= nx:
+                green += summed[j, nx] * (end - s)
+            else:
+                here = r[j, i]
+                half = 0.5 * (end - s) * (end + s)
+                green += (end - s) * (summed[j, i] + here * (xa + 0.5 * (s + end) * dx - i))
+                second += here * half
+                first += here * (end - s - half)
+        if end >= 1.0:
+            return green * dy, first, second
+        s = end
+        if next_x <= next_y:
+            i += step_x
+            next_x += abs(1.0 / dx)
+        else:
+            j += step_y
+            next_y += abs(1.0 / dy)
+
+
+@njit(cache=True, nogil=True)
+def _pull_on_corners(
+    r: Array, summed: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return the gain by moving the corners of one tube: (ax, ay, bx, by, cx, cy)."""
+    area = triangle_area(xa, ya, xb, yb, xc, yc)
+    if not math.isfinite(area) or abs(area) < POINT_AREA:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    i, j = math.floor(xa), math.floor(ya)
+    if i == math.floor(xb) and i == math.floor(xc) and j == math.floor(yb) and j == math.floor(yc):
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ny, nx = r.shape
+    if max(xa, xb, xc) <= 0.0 or min(xa, xb, xc) >= nx or max(ya, yb, yc) <= 0.0 or min(ya, yb, yc) >= ny:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ab, ab0, ab1 = _along_edge(r, summed, xa, ya, xb, yb)
+    bc, bc0, bc1 = _along_edge(r, summed, xb, yb, xc, yc)
+    ca, ca0, ca1 = _along_edge(r, summed, xc, yc, xa, ya)
+    rho = light / area
+    half = 0.5 * (ab + bc + ca) / area
+    ab0, ab1, bc0 = rho * (ab0 - half), rho * (ab1 - half), rho * (bc0 - half)
+    bc1, ca0, ca1 = rho * (bc1 - half), rho * (ca0 - half), rho * (ca1 - half)
+    return (
+        ab0 * (yb - ya) + ca1 * (ya - yc),
+        ab0 * (xa - xb) + ca1 * (xc - xa),
+        ab1 * (yb - ya) + bc0 * (yc - yb),
+        ab1 * (xa - xb) + bc0 * (xb - xc),
+        bc1 * (yc - yb) + ca0 * (ya - yc),
+        bc1 * (xb - xc) + ca0 * (xc - xa),
+    )
+
+
+@njit(cache=True, nogil=True)
+def pull_tubes(
+    row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Array, r: Array, summed: Array,
+    coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int, beam: Beam, throw: float,
+    inv_px: float, inv_py: float, by_coefs: Array,
+) -> None:  # fmt: skip
+    """Add to by_coefs (as coefs) the gain of tube rows row_lo..row_hi - 1, where the pixels' gain is r (ny, nx)."""
+    columns = hit_x.shape[1] - 1
+    below, above = np.zeros((2, columns + 1)), np.zeros((2, columns + 1))
+    work = np.empty((4, coefs.shape[1]))
+    many = light.shape[0] > 1
+    for k in range(row_lo, row_hi):
+        above[:] = 0.0
+        for c in range(columns):
+            xa, ya, xb, yb = hit_x[k, c], hit_y[k, c], hit_x[k, c + 1], hit_y[k, c + 1]
+            xc, yc, xd, yd = hit_x[k + 1, c], hit_y[k + 1, c], hit_x[k + 1, c + 1], hit_y[k + 1, c + 1]
+            own, other = (light[k, 0, c], light[k, 1, c]) if many else (light[0, 0, 0], light[0, 0, 0])
+            lower = _pull_on_corners(r, summed, own, xa, ya, xb, yb, xd, yd)
+            over = _pull_on_corners(r, summed, other, xa, ya, xd, yd, xc, yc)
+            below[0, c] += lower[0] + over[0]
+            below[1, c] += lower[1] + over[1]
+            below[0, c + 1] += lower[2]
+            below[1, c + 1] += lower[3]
+            above[0, c + 1] += lower[4] + over[2]
+            above[1, c + 1] += lower[5] + over[3]
+            above[0, c] += over[4]
+            above[1, c] += over[5]
+        push_row(
+            coefs, k, x0, y0, dx, dy, sub, beam, throw, inv_px, inv_py, below[0], below[1], by_coefs, work
+        )  # fmt: skip
+        below, above = above, below
+    push_row(
+        coefs, row_hi, x0, y0, dx, dy, sub, beam, throw, inv_px, inv_py, below[0], below[1], by_coefs, work
+    )  # fmt: skip

@@ -60,9 +60,9 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
     from cam.duration import DurationModel, Kinematics
     from machines.gcode import tally
     from machines.gcode.scan import ProgramScan
+    from machines.gcode.text import require_plain_text
     from machines.preflight import rules
     from machines.preflight.preflight import Preflight
-    from machines.preflight.text import require_plain_text
     from machines.preflight.way_in import read_way_in
 
     model = DurationModel(
@@ -132,9 +132,9 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
 
 def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
     from machines.gcode.program import TextIndex
+    from machines.gcode.text import require_plain_text
     from machines.preflight import rules
     from machines.preflight.preflight import Bounds, Preflight
-    from machines.preflight.text import require_plain_text
     from machines.profile import MachineProfile
     from machines.roland.rml import check_rml
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cam.passes import PAPER_PASSES, PassSpec, Stock
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import MoveBatch, read_program
 from cam.surface.stock_grid import StockGrid

@@ -22,7 +22,7 @@ import numpy as np
 from cam.checking.check import PassCheck, check_program
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.planning.shop import pitches_mm
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile

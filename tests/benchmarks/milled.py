@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from optics.design import design_lens

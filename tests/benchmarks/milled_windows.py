@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, tip_error_mm
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Tracks
 from cam.checking.removal import RemovalGrid
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid

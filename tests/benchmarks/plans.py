@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, tip_error_mm
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Tracks
 from cam.contour.path import contour_path
 from cam.moves import cut, rapid
 from cam.passes import PassSpec

@@ -13,7 +13,7 @@ import numpy as np
 
 from cam.moves import cut
 from cam.passes import PAPER_PASSES, Stock
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.posts.writers import create_writer
 from cam.program import generate_program
 from cam.reading.gcode import read_program

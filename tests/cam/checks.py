@@ -5,7 +5,7 @@ from __future__ import annotations
 from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.passes import PassSpec, Stock
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield

@@ -15,8 +15,7 @@ from cam.duration import Kinematics
 from cam.moves import CLEARANCE_MM, Path, cut, rapid
 from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
-from cam.posts.dialects import POSTS
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL, POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_program
 from cam.surface.stock_grid import StockGrid

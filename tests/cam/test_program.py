@@ -14,7 +14,7 @@ from gcodeparser import parse_gcode_lines
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import CHUNK_BYTES, generate_program, pass_paths
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface

@@ -16,7 +16,7 @@ from cam.moves import Path, cut, rapid
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock
 from cam.posts.dialects import POSTS, find_unsupported
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.gcode.interpreter import Interpreter

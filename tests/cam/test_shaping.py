@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from cam.checking.check import check_program
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.posts.post import Digits
 from cam.program import generate_parts
 from cam.rows.rounding import Rounding, nearest, on_raster

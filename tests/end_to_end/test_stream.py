@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cam.passes import Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import read_program
 from cam.surface.stock_grid import StockGrid

@@ -14,7 +14,7 @@ import numpy as np
 from playwright.sync_api import Page, Route
 
 from service.job.page_data.header import header_line
-from service.job.page_data.level import Level
+from service.job.page_data.path import Level
 from service.job.page_data.points import HIDDEN, RAPID, Points
 
 FEED_MM_PER_S = 25.0

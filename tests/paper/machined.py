@@ -13,7 +13,7 @@ from cam.checking.path_quality import PathMeasures, measure_program
 from cam.checking.removal import RemovalGrid
 from cam.duration import DurationModel
 from cam.passes import PAPER_PASSES, PassSpec, Stock
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import MoveBatch, read_program
 from cam.surface.stock_grid import StockGrid

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, tip_error_mm
 from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Noise
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations

@@ -24,7 +24,7 @@ from cam.moves import SAFE_Z_MM
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock, paper_passes
 from cam.posts.dialects import POSTS
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import ProgramSetup
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid

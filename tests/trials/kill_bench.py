@@ -11,7 +11,7 @@ from machines.journal.disk import RealDisk, RealFile
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
 from machines.recovery.plan_model import Reentry
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, GRBLHAL
 from tests.machines.inline_syncer import InlineSyncer

@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from cam.as_milled.heights import mill_heights
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Tracks
 from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid

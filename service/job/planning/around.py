@@ -7,11 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 
-from cam.around.cut_out import cut_out_paths
-from cam.around.facing import make_facing_paths
 from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
+from cam.around.paths import make_cut_out_paths, make_facing_paths, make_witness_paths
 from cam.around.specs import CutOut
-from cam.around.witness import make_witness_paths
 from cam.moves import Array
 from cam.moves import Path as ToolPath
 from cam.posts.dialects import POSTS
@@ -33,7 +31,7 @@ def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]
             yield WITNESS, marks.radius_mm, list(make_witness_paths(marks, top_mm=0.0, safe_z_mm=machine.safe_z_mm))
     if (task := cut_out_of(spec)) is not None:
         loop = cut_out_ways(job, task)[1]
-        paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
+        paths = make_cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
         yield CUT_OUT, task.radius_mm, list(paths)
 
 

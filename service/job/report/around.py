@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cam.posts.dialects import POSTS
-from cam.posts.post import Post
-from cam.posts.setup import HIGH_PRECISION_WORDS
+from cam.posts.post import HIGH_PRECISION_WORDS, Post
 from phrases.phrase import Phrase
 from service.job.finite_json import table
 from service.wording import duration, number

@@ -1,4 +1,6 @@
-"""What the setup sheet says of finishing by hand, made from report.json alone."""
+"""What the setup sheet says of finishing by hand, made from report.json alone: the work, how exactly it has to be hit,
+and the witness marks: where they are, how to look at them, which is gone when.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,36 @@ from typing import Any
 
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
-from service.job.report.finish_tolerance import tolerance_sentences
 from service.job.report.milled import explain_flaws
-from service.job.report.witness import describe_witness
 from service.wording import duration, number, psnr_in_words
 
 _WORTH_DB = 0.3
 _SENTENCES = ("needs", "steps", "donts")
+_SIDES = {
+    "front": Phrase("in front of the lens, mark 1 at its left end"),
+    "back": Phrase("behind the lens, mark 1 at its left end"),
+    "left": Phrase("left of the lens, mark 1 at its front end"),
+    "right": Phrase("right of the lens, mark 1 at its front end"),
+}
+_OBSTACLES = {
+    "room": Phrase(
+        "There are no witness marks beside this lens: its margin has no free strip for them that a pad reaches into "
+        "and the mill travels to. A wider stock.margin_mm makes room, or clamps elsewhere."
+    ),
+    "steps": Phrase(
+        "There are no witness marks beside this lens: the mill's steps in height are higher than the ripples on which "
+        "this pad stays in touch."
+    ),
+    "noise": Phrase(
+        "There are no witness marks beside this lens: the mill's errors from row to row are as high as the ripples on "
+        "which this pad stays in touch."
+    ),
+    "slope": Phrase(
+        "There are no witness marks beside this lens: on ripples that this pad stays in touch with, a lamp shows too "
+        "little."
+    ),
+}
+_STOP = 1.0
 
 
 def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -28,9 +53,9 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     return {
         "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
-        "tolerance": list(tolerance_sentences(report)),
+        "tolerance": list(list_finish_tolerance(report)),
         "rims": [advice] if (advice := table(report.get("rim_room")).get("advice")) else [],
-        "witness": describe_witness(report),
+        "witness": _describe_witness(report),
         "rows": [*_work_rows(told), *_check_rows(report), *_light_rows(report)],
         "warnings": list(_warnings(report, told)),
         **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},
@@ -113,3 +138,111 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Ph
 
 def _mm(length_mm: float) -> str:
     return f"{length_mm:.2g} mm" if length_mm < 10 else f"{length_mm:.0f} mm"
+
+
+def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
+    """Yield the minutes first, then what too little and too much show, then the tool; nothing where it is not known.
+
+    report : of it the parts `finish_tolerance` and `finishing`
+    """
+    found, told = table(report.get("finish_tolerance")), table(report.get("finishing"))
+    minutes = told.get("minutes")
+    if not found:
+        return
+    (low, high), (little, planned, much) = found["within_ratio"], found["psnr_db"]
+    values = {"loss_db": found["loss_db"], "planned_db": planned, "little_db": little, "much_db": much}
+    if minutes is None:
+        less, more = (abs(100 * (ratio - 1)) for ratio in (low, high))
+        yield Phrase(
+            "Do the planned work; up to {less:.0f} % less or {more:.0f} % more keep the wall within about {loss_db:g} "
+            "dB of the {planned_db:.1f} dB foreseen.",
+            less=less,
+            more=more,
+            **values,
+        )
+        parts = [str(Phrase("{percent:.0f} % of the work", percent=100 * one)) for one in found["minutes_ratio"]]
+    else:
+        yield Phrase(
+            "Finish for {minutes}; up to {less} less or {more} more keep the wall within about {loss_db:g} dB of the "
+            "{planned_db:.1f} dB foreseen.",
+            minutes=duration(60 * minutes),
+            less=duration(60 * minutes * (1 - low)),
+            more=duration(60 * minutes * (high - 1)),
+            **values,
+        )
+        parts = [duration(60 * minutes * one) for one in found["minutes_ratio"]]
+    yield Phrase(
+        "The pictures show, from left to right, too little ({before}: {little_db:.1f} dB), the plan, and too much "
+        "({after}: {much_db:.1f} dB).",
+        before=parts[0],
+        after=parts[1],
+        **values,
+    )
+    if little >= much:
+        yield Phrase("Too little is the safer side: work can be added, and never taken back.")
+    if (pad_mm := told.get("pad_mm")) is not None:
+        yield Phrase(
+            "All this is for a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and everywhere "
+            "alike: what presses less leaves the hollows, and what is harder levels the ridges alone.",
+            pad_mm=number(pad_mm, 1),
+        )
+
+
+def _describe_witness(report: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return rows (when, what is to be seen) and sentences; None for a job without marks and without a reason.
+
+    report : of it the parts `witness` and `finishing`
+    """
+    made, minutes = table(report.get("witness")), table(report.get("finishing")).get("minutes")
+    if obstacle := made.get("obstacle"):
+        return {"rows": [], "sentences": [_OBSTACLES[obstacle]]}
+    marks = made.get("marks") or []
+    if not marks or minutes is None:
+        return None
+    return {"rows": list(_rows(marks, minutes)), "sentences": list(_sentences(made, marks, minutes))}
+
+
+def _rows(marks: list[Mapping[str, Any]], minutes: float) -> Iterator[tuple[str, Phrase]]:
+    for number_, mark in enumerate(marks, 1):
+        gone = Phrase(
+            "mark {number}, ripples {period_mm:.2g} mm apart, has just disappeared",
+            number=number_,
+            period_mm=mark["period_mm"],
+        )
+        if mark["share"] == _STOP:
+            gone = Phrase("{gone}: stop now", gone=gone)
+        elif mark["share"] > _STOP:
+            gone = Phrase("{gone}: too far", gone=gone)
+        yield duration(60 * minutes * mark["share"]), gone
+
+
+def _sentences(made: Mapping[str, Any], marks: list[Mapping[str, Any]], minutes: float) -> Iterator[Phrase]:
+    stop = 1 + next(k for k, mark in enumerate(marks) if mark["share"] == _STOP)
+    yield Phrase(
+        "A strip of {count} witness marks lies {side}. Finish the strip exactly as the lens, from the first minute on: "
+        "the same pad, pressure, rounds and pace.",
+        count=len(marks),
+        side=_SIDES[str(made["side"])],
+    )
+    yield Phrase(
+        "Look first after {first}, then every {every}: wash and dry the strip, hold a lamp almost flat along it, so "
+        "that the light crosses the ripples, and look at the middle of each mark, not at the ends of its ripples. A "
+        "ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm ({slope_um_per_mm:g} mrad).",
+        first=duration(60 * minutes * marks[0]["share"]),
+        every=duration(60 * minutes * 0.1),
+        slope_um_per_mm=1000 * made["visible_slope_rad"],
+    )
+    if made["wall_mm"] is not None:
+        yield Phrase(
+            "A photograph says it to a few percent: cover all but the strip with tape, put one small bright LED 2 m or "
+            "more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph the paper from "
+            "its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
+            wall_mm=made["wall_mm"],
+        )
+    yield Phrase(
+        "The marks count, not the clock: stop as soon as mark {stop} cannot be seen any more. If mark 1 goes earlier "
+        "or later than the table says, all others do in the same ratio. Mark {after} must still be plain: too little "
+        "can be mended, too much cannot.",
+        stop=stop,
+        after=stop + 1,
+    )

@@ -15,7 +15,7 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from cam.posts.dialects import find_unsupported
-from cam.posts.setup import Coolant, HighPrecision, ProgramSetup
+from cam.posts.post import Coolant, HighPrecision, ProgramSetup
 from cam.tools import Tool
 from machines.profile import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from phrases.phrase import Phrase

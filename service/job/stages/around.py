@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing, check_witness
-from cam.around.cut_out import cut_out_paths, highest_along
-from cam.around.facing import make_facing_paths
+from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths, make_witness_paths
 from cam.around.specs import CutOut, Facing, WitnessCut
-from cam.around.witness import make_witness_paths
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
@@ -92,8 +90,8 @@ def run_cut_out(context: StageContext) -> None:
     assert task is not None and context.spec.stock.cut_out is not None  # by the plan of stages
     top = context.receive(LAST_STOCK, arrays.load_stock)
     loop = cut_out_ways(context.job, task)[1]
-    top_mm = highest_along(loop, task.radius_mm, top)
-    paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
+    top_mm = find_highest_along(loop, task.radius_mm, top)
+    paths = make_cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
     written = _write(context, len(context.spec.passes) + context.spec.finish.witnessed + 1, CUT_OUT, paths, task)
     verdict = _check(context, written, task, top)
     depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm

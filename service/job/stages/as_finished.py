@@ -1,9 +1,14 @@
-"""The stage that levels the milled surface as the finish will, and shines light through it: the picture of the job."""
+"""The stage that levels the milled surface as the finish will, and shines light through it: the picture of the job; and
+what too little and too much of the finish show, and within how many minutes the picture stays.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import numpy as np
 
 from cam.as_milled.height_map import DepartureMap, map_departure
 from cam.materials import MATERIALS
@@ -18,20 +23,21 @@ from service.job import arrays
 from service.job.files import (
     AS_FINISHED,
     COMPARED_FINISHED,
+    FINISH_TOLERANCE,
     HEIGHTFIELD,
     LIGHT_AS_FINISHED,
     MAP,
     THUMBNAIL_AS_FINISHED,
 )
 from service.job.finite_json import plain
-from service.job.picture.light_png import picture_png, thumbnail_png
+from service.job.picture.light_png import picture_png, row_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
 from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
 from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolved import ResolvedJob
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
-from service.job.stages.finish_tolerance import report_tolerance
 from service.job.stages.light import save_light
 
 _STEPPING_MM = 0.05  # an axis steps within moves, and a finish leaves the terraces; shorter ones it takes off
@@ -39,6 +45,10 @@ _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k
 _SEEN_MM = 0.1  # of a rim
 _ALL_TOUCHED = 0.98  # of the lens: what is lost on the rest is hardly seen
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
+K0_TIMES = (1.25, 0.8)
+"""Of the planned k0: too little work, and too much."""
+
+LOSS_DB = 1.0
 
 
 def run_as_finished(context: StageContext) -> None:
@@ -174,3 +184,50 @@ def _draw(context: StageContext, target: Array, finished: Array) -> None:
     if context.is_shown:
         context.draw(THUMBNAIL_AS_FINISHED, lambda: thumbnail_png(view, white=white))
     context.draw(COMPARED_FINISHED, lambda: comparison_png(aim, view, title="As finished"))
+
+
+def report_tolerance(
+    context: StageContext, finish: Finish, target: Array, planned: Array, light_of: Callable[[Finish], Array]
+) -> None:
+    """Report `finish_tolerance` and draw what the wall shows after too little of the finish, as planned, and too much.
+
+    planned  : irradiance (ny, nx) as finished; light_of: the same behind another finish
+    """
+    ratios = [minutes_ratio(context.job, finish, times) for times in K0_TIMES]
+    lights = [light_of(work_longer(finish, times, ratio)) for times, ratio in zip(K0_TIMES, ratios, strict=True)]
+    little, much = (float(score_caustic(light, target).psnr_db) for light in lights)
+    usual = float(score_caustic(planned, target).psnr_db)
+    context.report["finish_tolerance"] = {
+        "light": facts_of_light(context.spec),
+        "k0_times": list(K0_TIMES),
+        "minutes_ratio": ratios,
+        "psnr_db": [little, usual, much],
+        "loss_db": LOSS_DB,
+        "within_ratio": [
+            find_limit(usual - loss_from, ratio) for loss_from, ratio in zip((little, much), ratios, strict=True)
+        ],
+    }
+    viewed_from, white = context.spec.optics.viewed_from, float(target.max())
+    views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (lights[0], planned, lights[1])]
+    context.draw(FINISH_TOLERANCE, lambda: row_png(views, white=white))
+
+
+def minutes_ratio(job: ResolvedJob, finish: Finish, k0_times: float) -> float:
+    """Return how many times the planned minutes lead to so many times the planned k0."""
+    process = job.figures.processes.get(job.spec.finish.process)
+    exponent = 1 / finish.order if process is None else process.k0_exponent
+    return float(k0_times ** (-1 / exponent))
+
+
+def work_longer(finish: Finish, k0_times: float, minutes_times: float) -> Finish:
+    """Return the finish after another time, at the same pressure: what comes off grows with the minutes."""
+    depth_mm = None if finish.depth_mm is None else finish.depth_mm * minutes_times
+    return replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * k0_times, depth_mm=depth_mm)
+
+
+def find_limit(loss_db: float, ratio: float) -> float:
+    """Return the ratio of minutes at which LOSS_DB is lost, of a loss that grows with the square of its logarithm and
+    is loss_db at `ratio`; never beyond that, where nothing was simulated.
+    """
+    share = 1.0 if loss_db <= LOSS_DB else math.sqrt(LOSS_DB / loss_db)
+    return float(np.exp(share * math.log(ratio)))

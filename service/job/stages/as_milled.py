@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import find_touched_surface, sample_facets, tip_error_mm
-from cam.as_milled.screws import Screws
 from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Noise, Screws, Tracks
 from cam.passes import PassSpec
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, read_parts

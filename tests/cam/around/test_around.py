@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
-from cam.around.cut_out import cut_out_paths, highest_along
-from cam.around.facing import make_facing_paths
 from cam.around.outline import aperture_corners, offset_loop, segment_distances
+from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths
 from cam.around.specs import CutOut, Facing
 from cam.cutters import CUTTERS, CutterShape
 from cam.errors import OutlineError, PassValueError, SafeHeightError
@@ -80,8 +79,8 @@ def cut_free(
     top = stock_top or raw(0.0)
     loop = offset_loop(corners, cut_out.radius_mm, allowance_mm=0.005 + POSTS[dialect].digits.xy_mm)
     if paths is None:
-        high = highest_along(loop, cut_out.radius_mm, top)
-        paths = list(cut_out_paths(cut_out, STOCK, loop, top_mm=high, safe_z_mm=SAFE_Z))
+        high = find_highest_along(loop, cut_out.radius_mm, top)
+        paths = list(make_cut_out_paths(cut_out, STOCK, loop, top_mm=high, safe_z_mm=SAFE_Z))
     return check_cut_out(
         written(paths, dialect=dialect, **more), cut_out, stock=STOCK, stock_top=top, mill=mill_of(dialect),
         corners_mm=corners, loop_mm=loop,
@@ -199,7 +198,7 @@ def test_a_cut_out_that_is_wrong_is_found() -> None:
     loop = offset_loop(corners, CUT_OUT.radius_mm)
 
     def paths_of(task: CutOut, way: np.ndarray = loop) -> list[Path]:
-        return list(cut_out_paths(task, STOCK, way, top_mm=0.0, safe_z_mm=SAFE_Z))
+        return list(make_cut_out_paths(task, STOCK, way, top_mm=0.0, safe_z_mm=SAFE_Z))
 
     def faults(paths: list[Path]) -> str:
         return "\n".join(cut_free(CUT_OUT, corners, paths).faults)
@@ -261,9 +260,9 @@ def test_a_pocket_behind_a_narrow_mouth_cannot_be_cut_out_in_one_line() -> None:
 def test_what_cannot_be_is_refused_before_the_first_move() -> None:
     loop = offset_loop(ELLIPSE, 1.5)
     with pytest.raises(PassValueError, match=r"tabs = 9 .*at most"):
-        list(cut_out_paths(replace(CUT_OUT, tabs=9), STOCK, loop, top_mm=0.0, safe_z_mm=SAFE_Z))
+        list(make_cut_out_paths(replace(CUT_OUT, tabs=9), STOCK, loop, top_mm=0.0, safe_z_mm=SAFE_Z))
     with pytest.raises(SafeHeightError):
-        list(cut_out_paths(CUT_OUT, STOCK, loop, top_mm=0.0, safe_z_mm=0.5))
+        list(make_cut_out_paths(CUT_OUT, STOCK, loop, top_mm=0.0, safe_z_mm=0.5))
     with pytest.raises(SafeHeightError, match=r"at least 2\.2"):
         list(make_facing_paths(FACING, STOCK, safe_z_mm=2.0))
     with pytest.raises(PassValueError, match="pitch_mm"):

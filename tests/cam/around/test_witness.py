@@ -9,8 +9,8 @@ import pytest
 
 from cam.around.check import AroundCheck, check_witness
 from cam.around.outline import aperture_corners
+from cam.around.paths import make_witness_paths
 from cam.around.specs import WitnessCut
-from cam.around.witness import make_witness_paths
 from cam.errors import PassValueError, SafeHeightError
 from cam.moves import Path
 from cam.passes import Clamp, Stock

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cam.as_milled.height_map import map_departure
 from cam.as_milled.rows import row_tracks
-from cam.as_milled.screws import Screws
+from cam.as_milled.tracks import Screws
 from optics.heightfield import Heightfield
 
 amplitudes = st.tuples(*3 * [st.floats(0.0, 0.02)])

@@ -12,7 +12,7 @@ from cam.as_milled.rows import row_tracks
 from cam.as_milled.stepping import measure_spread
 from cam.as_milled.tracks import Tracks
 from cam.moves import cut, rapid
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.rows.rounding import Rounding, on_raster
 from tests.cam.as_milled.test_as_milled import facets_of, lens, surface_of
 from tests.cam.as_milled.test_as_milled_brute_force import HIGH, LOW, brute_slopes, near_the_window

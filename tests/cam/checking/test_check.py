@@ -17,7 +17,7 @@ import pytest
 from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
 from cam.passes import Clamp, PassSpec, Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program
 from cam.reading import gcode
 from cam.reading.gcode import ProgramError, read_program

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cam.contour.chords import SHORTEST_MM, tips_along
+from cam.contour.path import SHORTEST_MM, tips_along
 from cam.rows.vertices import finish_rule, rough_rule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield

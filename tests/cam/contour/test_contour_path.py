@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from cam.contour import chords, field, tracer
-from cam.contour.path import contour_path, plan_path
+from cam.contour import field, tracer
+from cam.contour.path import SHORTEST_MM, contour_path, plan_path
 from cam.passes import PassSpec
 from cam.rows.vertices import finish_rule, rough_rule
 from cam.surface.tool_surface import ToolSurface
@@ -225,7 +225,7 @@ def test_the_chords_keep_the_rule_of_slope_and_sag():
     for t in (0.25, 0.5, 0.75):
         between = a + t * (b - a)
         off = between[:, 2] - surface.tip_heights_mm(between[:, 0], between[:, 1])
-        cuttable = np.hypot(*(b - a)[:, :2].T) > 2 * chords.SHORTEST_MM
+        cuttable = np.hypot(*(b - a)[:, :2].T) > 2 * SHORTEST_MM
         inside = np.all((between[:, :2] > RADIUS) & (between[:, :2] < SIDE - RADIUS), axis=1)
         assert np.abs(off[cuttable & inside]).max() < 20e-6
 
@@ -234,7 +234,7 @@ def test_the_chords_keep_the_rule_of_slope_and_sag():
 def test_the_same_lens_gives_the_same_path_on_one_thread_and_on_two(monkeypatch):
     heightfield = lens(WAYS["egg box"])
     twice = [tips_of(heightfield)]
-    for module in ("cam.contour.tracer", "cam.contour.cover", "cam.rows.raster"):
+    for module in ("cam.contour.tracer", "cam.contour.holes", "cam.rows.raster"):
         monkeypatch.setattr(f"{module}.THREADS", 1)
     twice.append(tips_of(heightfield))
     np.testing.assert_array_equal(*twice)

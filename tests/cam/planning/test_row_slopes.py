@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Noise
 from cam.planning.row_slopes import lowest_rows, row_slopes
 from optics.heightfield import Heightfield
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from cam.moves import Path as ToolPath
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.preflight.limits import limits_of

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from cam.errors import LineTooLongError
 from cam.moves import cut, rapid
-from cam.posts import gcode_writer
-from cam.posts.gcode_writer import ProgramWriter
-from cam.posts.iso import GRBL
+from cam.posts import writers
+from cam.posts.dialects import GRBL
 from cam.posts.post import Post
+from cam.posts.writers import ProgramWriter
 
 POSITION = st.tuples(st.floats(-500, 500), st.floats(-500, 500), st.floats(-80, 20))
 WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d+)?)")
@@ -73,7 +73,7 @@ def test_pieces_do_not_show_in_the_text(monkeypatch, at_once):
     points = np.cumsum(np.random.default_rng(1).normal(size=(50, 3)), axis=0)
     whole = text([cut(points, 600.0)])
     assert text([cut(points[:20], 600.0), cut(points[20:], 600.0)]) == whole
-    monkeypatch.setattr(gcode_writer, "POINTS_AT_ONCE", at_once)
+    monkeypatch.setattr(writers, "POINTS_AT_ONCE", at_once)
     assert text([cut(points, 600.0)]) == whole
 
 

@@ -12,8 +12,7 @@ from cam.around.outline import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock
 from cam.posts.dialects import POSTS
-from cam.posts.post import RmlPost
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import ProgramSetup, RmlPost
 from cam.posts.writers import create_writer
 from machines.driver import Triple
 from machines.simulated.interpreter import SimulatedInterpreter

@@ -14,7 +14,7 @@ from cam.checking.removal import RemovalGrid
 from cam.materials import SLOT_FEED
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Motion
 from cam.passes import Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
 from cam.rows.entries import RAMP_SLOPE, enter, make_ramp

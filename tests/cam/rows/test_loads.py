@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cam.checking.flat_removal import removal_of
 from cam.checking.sweep import LEFT, RIGHT
 from cam.passes import PassSpec, Stock, ball_pass
-from cam.posts.iso import GRBL
+from cam.posts.dialects import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
 from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, choose_feeds, feed_at_load, measure_cuts

@@ -9,7 +9,7 @@ import pytest
 
 from cam.passes import Stock, ball_pass
 from cam.program import pass_paths
-from cam.rows.turned import turn_block, turn_lens, turn_stock
+from cam.rows.raster import turn_block, turn_lens, turn_stock
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
 

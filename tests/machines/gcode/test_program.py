@@ -13,7 +13,7 @@ from machines.errors import ProgramChangedError, ProgramRefusedError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.program import ProgramIndex, ProgramReader
 from machines.gcode.scan import ProgramScan
-from machines.gcode.words import strip_block
+from machines.gcode.text import strip_block
 from tests.machines.gcode.conftest import programs
 
 RATES = (5000.0, 5000.0, 1500.0)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from machines.driver import Event, MillState, ProgramLine
 from machines.grbl.driver import GrblDriver
 from machines.grbl.options import GrblOptions
+from machines.simulated.endpoints import MemoryPort
 from machines.simulated.faults import Fault, Faults
-from machines.simulated.memory_port import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, Traits
 

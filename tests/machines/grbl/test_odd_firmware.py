@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from machines.driver import Faulted, MillState, ProgramDone
 from machines.grbl.driver import GrblDriver
 from machines.grbl.replies import LineSplitter, name_foreign, parse
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 
 Say = Callable[[bytes, int], list[bytes]]
 """A line without its end, and how many `ok` came so far -> the lines that are said instead."""

@@ -10,7 +10,7 @@ from grbl_bench import Bench, Tap, numbered
 from machines.clock import make_running_clock
 from machines.driver import CheckMode, CommandDone, Faulted, MillState, Notice, ProgramDone, Stopped
 from machines.grbl.driver import GrblDriver
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL
 
 UNTRUE = ("no answer", "does not confirm", "not understood", "no banner", "restarted by itself")

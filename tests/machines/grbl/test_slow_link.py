@@ -16,7 +16,7 @@ from machines.grbl.driver import GrblDriver
 from machines.mill.mill import Mill
 from machines.recovery.plan_model import Reentry
 from machines.runs import START_CHECKS, Confirmation, RunState
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
 

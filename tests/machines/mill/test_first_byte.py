@@ -12,7 +12,7 @@ from machines.driver import CheckMode, Jog, MillState, Override, ProbeCorner, Pr
 from machines.gcode.program import ProgramReader
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, Caller, OrderRefusedError, Permit, Stop
 from machines.runs import RunState
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 from tests.machines.shop import YES, YES_ALL, Shop
 
 CORNER = ProbeCorner(depth_mm=10, plate_mm=1, wall_x_mm=1, wall_y_mm=1, cutter_radius_mm=1, margin_mm=8)

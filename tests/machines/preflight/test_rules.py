@@ -19,7 +19,7 @@ from cam.moves import Path as ToolPath
 from cam.moves import cut, rapid
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
-from cam.posts.setup import ProgramSetup
+from cam.posts.post import ProgramSetup
 from cam.program import generate_program
 from machines.errors import ProgramRefusedError
 from machines.preflight.limits import MillLimits, limits_of

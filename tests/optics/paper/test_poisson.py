@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from optics.paper.mesh import TriangleMesh
 from optics.paper.poisson import NeumannPoisson, divergence_load
@@ -20,6 +21,14 @@ def cosines(p):
     return np.cos(np.pi * p[:, 0]) * np.cos(2 * np.pi * p[:, 1])
 
 
+def mass_of(mesh: TriangleMesh) -> sparse.coo_matrix:
+    """(n, n) integrals of v_i v_j over the mesh."""
+    corners = mesh.triangles
+    rows, columns = np.repeat(corners, 3, axis=1), np.tile(corners, 3)
+    values = np.outer(mesh.areas() / 12, (np.ones((3, 3)) + np.eye(3)).ravel())
+    return sparse.coo_matrix((values.ravel(), (rows.ravel(), columns.ravel())))
+
+
 def lumped_error(mesh: TriangleMesh, found, exact) -> float:
     faces = mesh.dual_areas()
     error = found - exact
@@ -31,7 +40,7 @@ def test_matrices_integrate_what_they_say():
     """v' M v and v' K v of a linear field are its exact integrals; rows of K sum to 0, rows of M to the dual faces."""
     mesh = moved_square(12)
     problem = NeumannPoisson(mesh)
-    stiffness, mass = problem.stiffness(mesh), problem.mass(mesh)
+    stiffness, mass = problem.stiffness(mesh), mass_of(mesh)
     plane = mesh.points_mm @ np.array([2.0, 1.0])
     assert plane @ (stiffness @ plane) == pytest.approx(5.0, rel=1e-12)
     assert plane @ (mass @ plane) == pytest.approx(4 / 3 + 1 / 3 + 1.0, rel=1e-12)
@@ -44,7 +53,7 @@ def test_the_neumann_solve_converges_at_second_order_on_a_moved_mesh():
     for n in (16, 32, 64):
         mesh = moved_square(n)
         problem = NeumannPoisson(mesh)
-        load = problem.mass(mesh) @ (5 * np.pi**2 * cosines(mesh.points_mm))
+        load = mass_of(mesh) @ (5 * np.pi**2 * cosines(mesh.points_mm))
         solution = problem.solve(mesh, load, tolerance=1e-10)
         assert solution.residual <= 1e-10
         errors.append(lumped_error(mesh, solution.values, cosines(mesh.points_mm)))

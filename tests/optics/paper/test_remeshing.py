@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optics.paper.face_light import face_light
 from optics.paper.flow import FlowSettings, solve_paper_map
+from optics.paper.flow_rules import face_light
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import flip, neighbours_of
 from optics.paper.remesh import without_short_lived

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from cam.duration import DurationModel
 from service.job.page_data import path as path_module
 from service.job.page_data.path import MOST_POINTS
-from service.job.page_data.points import Chords, Points
-from service.job.page_data.thinning import Thinner
+from service.job.page_data.points import Chords, Points, Thinner
 from tests.service.job.page_data.paths import MILL, along, batch_of, cut_in, farthest_mm, header, level, rows, written
 
 QUANTUM_MM = 1e-3  # a chunk's box over 65535, at 20 mm and with the rounding of its corners

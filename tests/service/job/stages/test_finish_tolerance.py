@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optics.finish import Finish
-from service.job.report.finish_tolerance import tolerance_sentences
-from service.job.report.finishing import make_finishing_card
+from service.job.report.finishing import list_finish_tolerance, make_finishing_card
 from service.job.spec.resolved import look_up
-from service.job.stages.finish_tolerance import LOSS_DB, find_limit, minutes_ratio, work_longer
+from service.job.stages.as_finished import LOSS_DB, find_limit, minutes_ratio, work_longer
 from tests.service.job.stages.jobs import tiny_spec
 
 FOUND = {"psnr_db": [24.5, 26.3, 22.3], "minutes_ratio": [0.8, 1.25], "within_ratio": [0.85, 1.1], "loss_db": 1.0}
@@ -48,20 +47,20 @@ def test_minutes_lead_to_k0_as_the_process_has_it(values: tuple[str, ...], order
 
 
 def test_the_minutes_come_first_and_then_what_too_little_and_too_much_show() -> None:
-    first, second, third, fourth = tolerance_sentences({"finish_tolerance": FOUND, "finishing": TOLD})
+    first, second, third, fourth = list_finish_tolerance({"finish_tolerance": FOUND, "finishing": TOLD})
     assert "Finish for 1 h 40 min; up to 15 min less or 10 min more" in first and "about 1 dB of the 26.3 dB" in first
     assert "1 h 20 min: 24.5 dB" in second and "2 h 5 min: 22.3 dB" in second
     assert "Too little is the safer side" in third and "10 mm" in fourth
 
 
 def test_work_that_no_clock_measures_is_said_in_percent() -> None:
-    first, second, *_ = tolerance_sentences({"finish_tolerance": FOUND, "finishing": {**TOLD, "minutes": None}})
+    first, second, *_ = list_finish_tolerance({"finish_tolerance": FOUND, "finishing": {**TOLD, "minutes": None}})
     assert "up to 15 % less or 10 % more" in first and "80 % of the work: 24.5 dB" in second
 
 
 def test_too_little_is_called_safer_only_where_it_is() -> None:
     found = {**FOUND, "psnr_db": [21.0, 26.0, 25.0]}
-    assert not any("safer" in one for one in tolerance_sentences({"finish_tolerance": found, "finishing": TOLD}))
+    assert not any("safer" in one for one in list_finish_tolerance({"finish_tolerance": found, "finishing": TOLD}))
 
 
 def test_without_figures_the_card_says_nothing_of_it() -> None:

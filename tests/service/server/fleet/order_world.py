@@ -46,7 +46,7 @@ from machines.profile import load_profile
 from machines.recovery.plan_model import Reentry
 from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
-from machines.simulated.memory_port import MemoryPort
+from machines.simulated.endpoints import MemoryPort
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
 from service.milling.agent.event_hub import Hub

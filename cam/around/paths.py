@@ -1,9 +1,15 @@
-"""Cutting the lens out: around its outline layer by layer, each entered by a ramp, up and down over the tabs.
+"""Paths around the lens: facing the block, witness marks in its margin, and cutting the lens out.
 
-Theory of operation: the way of the cutter's axis is a closed line, places on it are lengths along it. The cutter sinks
-along it at the slope of all ramps, goes once around and over the ramp again, and sinks on from where it is. Wherever a
-tab stands its height is the larger of the layer's and the tab's: a plateau as wide as the tab and the cutter, with
-flanks. The larger of two straight pieces is convex, so chords between the places asked never go under it.
+Facing: the cutter comes down beside the block and cuts into its side, so nothing is entered from above. The first row
+goes along the block's front edge, half over it, so no row is a slot. Between rows the cutter turns beside the block.
+
+Witness marks: rows side by side in the margin, in one path; each at its own height.
+
+Cutting out: around the outline layer by layer, each entered by a ramp, up and down over the tabs. The axis moves on a
+closed line; places on it are lengths along it. The cutter sinks along it at the slope of all ramps, goes once around
+and over the ramp again, and sinks on from where it is. Over a tab the height is the larger of the layer's and the
+tab's: a plateau as wide as the tab and the cutter, with flanks. The larger of two straight pieces is convex, so chords
+between the places asked never go under it.
 """
 
 from __future__ import annotations
@@ -14,18 +20,61 @@ from math import ceil
 
 import numpy as np
 
-from cam.around.specs import FLANK_SLOPE, CutOut
+from cam.around.specs import BESIDE_MM, FLANK_SLOPE, CutOut, Facing, WitnessCut
 from cam.errors import PassValueError, SafeHeightError
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Array, Path, cut, rapid
 from cam.passes import Stock
-from cam.rows.entries import RAMP_SLOPE, leave
+from cam.rows.entries import RAMP_SLOPE, leave, make_ramp
 from cam.surface.stock_grid import StockGrid
 from phrases.phrase import Phrase
 
 _ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
 
 
-def cut_out_paths(cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: float, safe_z_mm: float) -> Iterator[Path]:
+def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
+    """Yield the moves of the tip from safe height back to safe height; the last layer lies at Z0."""
+    over_mm = facing.above_mm + RAPID_CLEARANCE_MM
+    if safe_z_mm < over_mm:
+        raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=over_mm)
+    beside_mm = stock.margin_mm + facing.radius_mm + BESIDE_MM
+    left, right = -beside_mm, stock.width_mm + beside_mm
+    front, back = -stock.margin_mm, stock.height_mm + stock.margin_mm
+    rows = np.linspace(front, back, ceil((back - front) / facing.pitch_mm - 1e-9) + 1)
+    x = np.where(np.arange(rows.size)[:, None] % 2 == 0, [left, right], [right, left])
+    way = np.column_stack([x.ravel(), np.repeat(rows, 2), np.zeros(2 * rows.size)])
+    for z_mm in facing.levels_mm:
+        yield rapid((left, front, safe_z_mm), (left, front, over_mm))
+        yield cut([(left, front, z_mm)], facing.plunge_mm_per_min)
+        yield cut(way[1:] + np.array([0.0, 0.0, z_mm]), facing.feed_mm_per_min)
+        yield leave(way[-1, 0], way[-1, 1], safe_z_mm=safe_z_mm)
+
+
+def make_witness_paths(task: WitnessCut, *, top_mm: float, safe_z_mm: float) -> Iterator[Path]:
+    """Yield the moves of the tip from safe height back to safe height: down a ramp along the first row, then to and
+    fro.
+
+    top_mm : of the highest stock there
+    """
+    over_mm = max(top_mm, 0.0) + RAPID_CLEARANCE_MM
+    if safe_z_mm < over_mm:
+        raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=over_mm)
+    outer, inner = task.across_mm
+    across = np.where(np.arange(len(task.places_mm))[:, None] % 2 == 0, [outer, inner], [inner, outer])
+    way = np.column_stack([np.repeat(task.places_mm, 2), across.ravel(), np.repeat(task.tips_mm, 2)])
+    if task.along == "y":
+        way = way[:, [1, 0, 2]]
+    x, y, _ = way[0]
+    start_mm = max(top_mm, 0.0) + CLEARANCE_MM
+    yield rapid((x, y, safe_z_mm), (x, y, over_mm))
+    yield cut([(x, y, start_mm)], task.plunge_mm_per_min)
+    yield cut(make_ramp(way[:2], start_mm), task.plunge_mm_per_min)
+    yield cut(way[1:], task.feed_mm_per_min)
+    yield leave(way[-1, 0], way[-1, 1], safe_z_mm=safe_z_mm)
+
+
+def make_cut_out_paths(
+    cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: float, safe_z_mm: float
+) -> Iterator[Path]:
     """Yield the moves of the tip from safe height back to safe height.
 
     loop_mm (n, 2) : closed way of the axis, as `outline.offset_loop` gives it; top_mm: of the stock along it
@@ -50,7 +99,7 @@ def cut_out_paths(cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: floa
     yield leave(x, y, safe_z_mm=safe_z_mm)
 
 
-def highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
+def find_highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
     """Return the height of the highest stock that a cutter may meet on its way."""
     highest = [
         top.highest_mm(
