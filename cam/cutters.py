@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutterShape:
-    """The shape of an end mill, whatever its radius.
+    """The shape of an end mill of any radius.
 
     name         : as a job says it, and "... end mill" in what a person reads
     corner_share : of the radius that is the corner's: 0 for a flat end mill, 1 for a ball

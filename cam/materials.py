@@ -51,7 +51,7 @@ class Material:
     index_spread      : how far that of one sheet may lie from it; None: not known
     dispersion        : n_F - n_C; None: not known, and all colours count as one
     haze              : share of the light that it scatters more than 2.5 degrees (ASTM D1003); None: not known
-    density_g_per_cm3 : by which a scale tells what a finish has taken off
+    density_g_per_cm3 : turns the weight that a finish takes off into a depth
     cutting_j_per_mm3 : what taking it off asks of the spindle
     """
 

@@ -62,8 +62,8 @@ class PassSpec:
 
     @property
     def layer_mm(self) -> float:
-        """From a layer that is parallel to the lens to the next: a fifth less than the step-down, as beside creases and
-        beyond the rim more may stand than cells of stock tell."""
+        """From a layer that is parallel to the lens to the next: a fifth less than the step-down: beside creases
+        and beyond the rim more may stand than cells of stock show."""
         return 0.8 * self.step_down_mm
 
     def __post_init__(self) -> None:

@@ -169,7 +169,7 @@ def pass_paths(
 ) -> Iterator[Path]:
     """Yield moves of one pass between safe heights: layers where the stock asks for them, then the surface.
 
-    The first move is a rapid at safe height: whoever writes the program brings the tool up there before it.
+    The first move is a rapid at safe height: the writer of the program brings the tool up there before it.
     """
     along_y = spec.direction == "y"
     if along_y:

@@ -1,7 +1,8 @@
 """What a mill says and refuses, for programs: a closed list, beside `Refusal`, `Stop` and `FaultCause`.
 
-A code comes with values and with words, which are for terminals and for whoever reads the interface by hand; a program
-that speaks to people in its own words knows a sentence for each code. A code that is gone stays readable: by its words.
+A code comes with values and with words. The words are for terminals and for people who read the interface by hand; a
+program that speaks to people in its own words has a sentence for each code. A code that is gone stays readable by its
+words.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The one interface of all drivers: what a mill controller is told, what it tells, and how its link works.
+"""The one interface of all drivers: what they ask of a mill's controller, what it reports, and how its link works.
 
 A driver is owned by one thread, which calls `poll` in a loop; every other call comes from the same thread. Time is
 the driver's clock in seconds (injected), so that a simulated mill can run in simulated time.
@@ -36,7 +36,7 @@ class MillState(Enum):
     CONNECTING = "connecting"
     IDLE = "idle"
     RUN = "run"
-    HOLDING = "holding"  # decelerating, or being told to
+    HOLDING = "holding"  # decelerating, or about to
     HELD = "held"  # stands still, position kept
     JOG = "jog"
     HOMING = "homing"
@@ -126,7 +126,7 @@ class DriverFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MillStatus:
-    """The latest that is known of the mill. Positions in mm; None where the link does not tell.
+    """The latest that is known of the mill. Positions in mm; None where the link does not report them.
 
     position_trusted : machine coordinates still mean what they meant at homing or zero-setting
     overrides        : feed, rapid, spindle in percent
@@ -180,7 +180,7 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True)
 class Faulted:
-    """The stream has stopped by itself; the driver has told the mill to hold wherever it can still be told."""
+    """The stream has stopped by itself; the driver has sent a hold wherever the mill can still hear it."""
 
     cause: FaultCause
     words: Phrase
@@ -240,7 +240,7 @@ Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | FrameChange
 
 @dataclass(slots=True)
 class StatusChannel:
-    """What a driver tells: the latest status and progress, and the events since they were taken last."""
+    """What a driver reports: the latest status and progress, and the events since they were taken last."""
 
     status: MillStatus = field(default_factory=MillStatus)
     progress: StreamProgress = field(default_factory=StreamProgress)
@@ -251,7 +251,7 @@ class StatusChannel:
         self.status = replace(self.status, **fields)
 
     def enter(self, state: MillState, detail: Phrase) -> None:
-        """Change the state; an event tells of it where it is another."""
+        """Change the state; add an event where it is another."""
         if state is not self.status.state:
             self.events.append(StateChanged(self.status.state, state))
         self.update(state=state, detail=detail)

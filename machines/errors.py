@@ -13,8 +13,8 @@ from phrases.phrase import Phrase
 class MachineError(Exception):
     """Base of all errors of this package; `str(error)`, the same as `words`, is fit to be shown to the operator.
 
-    code, values : the same for programs; "" where none tells it apart. Where there is none, only a phrase can be told
-                   in another language.
+    code, values : the same for programs; "" where no code exists. Without a code, only a phrase can be shown in
+                   another language.
     """
 
     @overload

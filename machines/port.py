@@ -2,7 +2,7 @@
 
 The only module that imports pyserial. Opening must not move or reset anything: DTR and RTS are set to their resting
 level before the port is opened and never touched again, and HUPCL is taken off so that closing does not drop them. Most
-Arduinos still reset on the first opening after plugging in; the banner tells.
+Arduinos still reset on the first opening after plugging in; the banner shows it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _GATHER_S = 0.005  # of the 11 ms of wire that a full receive buffer covers
 
 
 class Port(Protocol):
-    """What drivers need. `read` gives whatever has come, at once; b"" after the timeout; PortLostError when gone."""
+    """What drivers need. `read` returns what has come, at once; b"" after the timeout; PortLostError when gone."""
 
     url: str
     wire_bytes_per_s: float | None
@@ -166,7 +166,7 @@ def _reason(text: str) -> str:
 
 
 def _holder(name: str) -> str:
-    """Return `1234 (screen)`: the process that has the device open, as far as /proc tells."""
+    """Return `1234 (screen)`: the process that has the device open, as far as /proc shows it."""
     try:
         real = os.path.realpath(name)
         for folder in Path("/proc").iterdir():
@@ -211,7 +211,7 @@ class SerialPort:
         return self._clock()
 
     def read(self, timeout_s: float) -> bytes:
-        """Return whatever has come; waits at most `timeout_s` for the first byte."""
+        """Return what has come; waits at most `timeout_s` for the first byte."""
         try:
             return self._await_bytes(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
@@ -262,7 +262,7 @@ class SerialPort:
                     os.write(self._cord, b"!")
 
     def unsent_bytes(self) -> int:
-        """Return bytes that wait in the operating system; 0 where it does not tell."""
+        """Return bytes that wait in the operating system; 0 where it does not say."""
         try:
             return int(getattr(self._line, "out_waiting", 0))
         except (serial.SerialException, OSError, TypeError) as error:

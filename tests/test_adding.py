@@ -18,7 +18,7 @@ from tests.adding import PACKAGES, TOP, copy_tree, run_in_copy
 LIGHT_TABLES = {"optics/light.py", "optics/spectrum.py", "service/job/spec/light.py"}
 """With the spectra, one of which is the sun's."""
 DIALECT_TABLES = {
-    "cam/posts/iso.py",
+    "cam/posts/dialects.py",
     "cam/posts/post.py",
     "cam/reading/gcode_languages.py",
     "machines/gcode/dialects.py",

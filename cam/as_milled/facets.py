@@ -132,7 +132,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed, steps_within):  
             ny = frame[2, 1] - middle * frame[1, 1]
             nz = frame[2, 2] - middle * frame[1, 2]
             length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
-            for m in range(count):  # whoever bounded the middle stays first
+            for m in range(count):  # the chord that bounded the middle stays first
                 near[m] = int(rivals[m, 7])
             farthest = turn_to_frame(c, k, frame, radius, near, count, rivals)
         part = min(longest, crossed) if are_crossed(count, rivals) else longest

@@ -2,7 +2,7 @@
 
 A point of the ball with centre c and radius R is c + R v, v a unit vector. It lies outside another ball of the path, d
 away, where 2 R v . d < |d|^2 (for equal radii): a half-space in v, so what a ball shows of itself is cut out by
-half-spaces, whatever the path is like: neighbours, crossings, deeper tracks that hide it altogether. While the tool
+half-spaces on any path: neighbours, crossings, deeper tracks that hide it altogether. While the tool
 moves along t only points with v . t = 0 stay: v = f b - n, one angle f across the track, with the frame t, b, n turned
 so that n is about the surface's normal. Each other chord bounds f from one side, or hides the place, in closed form:
 f < min X / D over its balls, X = d_n + |d|^2 / 2R and D = d_b (squares of f, some 1e-4, are left out).
@@ -85,7 +85,7 @@ def turn_to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _move_to_front(rivals, first, m):  # type: ignore[no-untyped-def]
-    """Move whoever bounds or hides one piece to the front: it will do so with the next, so it is asked first."""
+    """Move the rival that bounds or hides one piece to the front: it will probably do so with the next piece, too."""
     for d in range(rivals.shape[1]):
         rivals[first, d], rivals[m, d] = rivals[m, d], rivals[first, d]
 

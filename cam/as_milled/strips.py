@@ -61,7 +61,7 @@ def bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
-    """Return what a chord loses to the next one beyond a hill; 0 where that is too short: then its neighbours tell."""
+    """Return what a chord loses to the next one beyond a hill; 0 where that is too short to matter."""
     loss = -0.5 * radius * min(bend[0] - bend[1] * across, 0.0)
     return loss if loss < bend[2] else 0.0
 

@@ -164,7 +164,7 @@ def check_program(
 
     digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
     further     : programs that go on where this one ends, when a pass is split
-    total_bytes : length of the program if known; then on_progress is told the share done
+    total_bytes : length of the program if known; then on_progress gets the share done
     """
     run = _Run(heightfield, spec, stock, stock_top, kinematics, safe_z_mm, digit_mm)
     report = on_progress or (lambda share: None)

@@ -1,4 +1,4 @@
-"""How closely the tracks of a pass lie: the greatest gap between neighbours, whatever their direction.
+"""How closely the tracks of a pass lie: the greatest gap between neighbours of any direction.
 
 One sample point per cell of the stock grid, at a random place in it (fixed seed), so that a regular raster cannot
 hide between regular samples. The distance in plan from each sample to the nearest track is exact; twice the greatest

@@ -2,8 +2,8 @@
 
 The spindle turns clockwise seen from above, so a cutter climbs where the stock lies on the right of its way. What a
 stretch of path takes off, over its length, is the section of the cut. In a slot it is the segment of a circle, half of
-it on either side; twice the lesser side, over that segment, tells slots (the first row of a layer, a transit through
-stock) from rows beside the last one and from flanks that follow a wall, which cut on one side.
+it on either side; twice the lesser side, over that segment, separates slots (the first row of a layer, a transit
+through stock) from rows beside the last one and from flanks that follow a wall, which cut on one side.
 """
 
 from __future__ import annotations

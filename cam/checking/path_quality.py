@@ -1,4 +1,4 @@
-"""How good a path is as a path, whatever strategy made it: measured on the moves of a written program, all of them.
+"""How good a path of any strategy is as a path: measured on all moves of a written program.
 
 Only moves on the surface count: both ends within a few micrometres of where the ball touches. What is not measured
 here is what the stock says (engagement, climbing, gouges: `cam.checking.check`).

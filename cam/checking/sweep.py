@@ -9,7 +9,7 @@ from numba import njit
 
 _SMOOTH_COS = 0.9  # corners sharper than this (26 degrees) get their whole disc
 _SLACK = 1e-9
-_RIM = 1e-12  # of the squared radius: nearer the rim of the disc a cell is touched and not cut, whatever digits say
+_RIM = 1e-12  # of the squared radius: nearer the rim of the disc than rounding errors a cell is touched and not cut
 _NO_WEDGE = 2.0  # no sine of a slope
 _TIMES, _PARALLEL = 3, 1e-3  # turns of narrowing a strip down; one does where the way is parallel to an axis
 TILE = 8  # cells a side, whose highest one is known

@@ -2,8 +2,8 @@
 
 Everything lies on the surface, so joints may cross tracks. A joint is the shortest curve of bounded curvature between
 two headings; its length is the cost by which the next track is chosen. The neighbour at one pitch is dear that way, the
-one ten pitches off is a half circle: rows come out interleaved, as a racetrack, without being told so. An open track is
-entered at either end; a closed one at any of its places, in both senses, and left where it was entered.
+one ten pitches off is a half circle: so rows come out interleaved, as a racetrack, without a rule for it. An open track
+is entered at either end; a closed one at any of its places, in both senses, and left where it was entered.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class LensForm:
 
     def tooth_slopes_rad(self, spec: PassSpec, step_mm: float) -> float:
         """Return the rms slopes that steps within moves leave along the rows. A contour hardly rises, but its few teeth
-        are long: as much as rows in both directions, on average (without any, a plan told 0.6 dB too much).
+        are long: as much as rows in both directions, on average (without them a plan promised 0.6 dB too much).
         """
         return _tooth_slopes_rad(self, spec.strategy, spec.direction, spec.radius_mm, step_mm)
 

@@ -32,7 +32,7 @@ WORTH_DB = 0.03
 """Less is as good."""
 _GUESS_DB, _GOOD_DB = 0.25, 2.0
 LEAST_FIT = 0.95
-"""Of the lens, that a ball must fit to finish it: what it leaves filled is known well enough to foretell its light."""
+"""Of the lens, that a ball must fit to finish it: what it leaves filled is known well enough to predict its light."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,8 +31,8 @@ GRBL = Post(
 GRBLHAL = replace(GRBL, name="grblhal")
 FLUIDNC = replace(GRBL, name="fluidnc")
 
-# G64 P: corners rounded by 1 µm at most unless told otherwise; Q0: no vertex left out because it lies near a straight
-# line. G61.1: an exact stop.
+# G64 P: corners rounded by 1 µm at most unless a job says otherwise; Q0: no vertex left out because it lies near a
+# straight line. G61.1: an exact stop.
 LINUXCNC = Post(
     name="linuxcnc",
     suffix=".ngc",

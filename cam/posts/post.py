@@ -47,7 +47,7 @@ class Post:
     spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
                      of a warm-up, where the start has switched it on already
     blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one;
-                     empty where the control cannot be told
+                     empty where the control has no word for it
     coolant        : words that switch on "air", "mist" or "flood", where the control has them
     high_precision : whether it has the modes of HIGH_PRECISION_WORDS
     least_decimals : 1 where a control reads 5 as 5 least inputs, and only 5.0 as 5 mm
@@ -103,7 +103,7 @@ class Post:
 
     @property
     def blends(self) -> bool:
-        """Whether it can be told how far corners may be rounded."""
+        """Whether a program can say how far corners may be rounded."""
         return any(self.blend)
 
     @property

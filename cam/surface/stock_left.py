@@ -194,9 +194,9 @@ class ExcessFound:
 def find_excess(
     left: StockLeft, heightfield: Heightfield, spec: PassSpec, among: np.ndarray | None = None
 ) -> ExcessFound:
-    """Tell stock that was forgotten from stock the ball cannot get at. among (ny, nx): the cells that are judged.
+    """Separate forgotten stock from stock that the ball cannot reach. among (ny, nx): the cells that are judged.
 
-    What is flat leaves more than this could tell: there the spacing of its rows is judged, and what the next pass
+    A flat cutter leaves too much for this to show: there the spacing of its rows is judged, and what the next pass
     meets.
     """
     suspects = left.suspicious(spec)

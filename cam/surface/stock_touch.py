@@ -84,8 +84,8 @@ class StockTouch:
         return out
 
     def exactly(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return (n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice tells
-        of stock that the ball only passes by.
+        """Return (n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice has
+        stock that the ball only passes by.
         """
         stock, out = self.stock, np.empty(x_mm.size)
         _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)

@@ -3,7 +3,7 @@
 Why not the port's own XON/XOFF: a tty or a USB adapter queues hundreds of bytes that have passed the driver already;
 the kernel stops at DC3 what is still in its queue, but not what is in the adapter, and it hides when the control said
 stop. An old control has room for few bytes after its DC3. So the port runs without handshake and this driver keeps so
-little under way that whatever it does, at most 16 bytes arrive after DC3:
+little under way that in every case at most 16 bytes arrive after DC3:
 
     queued (8) + what a pace of at most 6 bytes per `latency_s` lets out before DC3 is seen + the byte on the wire
 """

@@ -34,7 +34,7 @@ class Dialect:
     """One control.
 
     title              : what sentences call it
-    is_grbl            : GRBL or one of its kin, whose link tells where the mill stands
+    is_grbl            : GRBL or one of its kin, whose link reports where the mill stands
     line_limit         : characters of code it holds, comments and blanks not counted
     n_limit            : greatest N word
     percent            : takes a line that is only %

@@ -40,7 +40,7 @@ _FAR_MM = 100_000.0
 def execute_block(
     state: Any, values: Any, seen: int, g: Any, n_g: int, m: Any, n_m: int, own: Any, n_limit: float, out: Any
 ) -> int:
-    """Carry out one block on `state`, tell in `out` what it does. Returns 0, or the refusal's code.
+    """Carry out one block on `state` and write what it does into `out`. Returns 0, or the refusal's code.
 
     values (26,) : numbers by letter, where `seen` has the letter's bit; G and M words apart as 10 x their number
     own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), what it may do or -refusal, letters used, any;

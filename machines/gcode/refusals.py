@@ -64,7 +64,7 @@ CODES = range(1, 53)
 def make_reasons(
     *, dialect: str, limit: int, n_limit: int, decimals: int, name_rule: Phrase, dwell_rule: Phrase
 ) -> dict[int, Phrase]:
-    """Return all sentences, as a control has to be told them."""
+    """Return all sentences, by code, for programs of one dialect."""
     return {
         NO_LETTER: Phrase("a word starts with a letter; only G-code words, comments in ( ) and after ; are understood"),
         NO_NUMBER: Phrase("a letter is followed by a plain decimal number of at most 17 digits"),

@@ -13,7 +13,7 @@ class Step:
     """One block carried out. Positions are in the work frame of the program, mm.
 
     kind          : "rapid", "feed", "arc", "dwell" or "none" (no motion: modes, spindle, offsets)
-    start_mm, end_mm : None for an axis whose place the program does not tell (not given yet, G28, G53, after G38)
+    start_mm, end_mm : None for an axis whose place the program does not give (not yet, G28, G53, after G38)
     feed_mm_per_min  : of cutting moves; None for rapids
     length_mm     : of the path, as far as it is known
     pause_s       : of a dwell

@@ -110,7 +110,7 @@ def ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tu
 def ask_offsets(
     settings: ControllerSettings,
 ) -> Generator[Ask | WaitStill, Answer, tuple[ControllerSettings, dict[str, list[float]]]]:
-    """Ask $#: the settings with the offsets told now, and these alone as plain data."""
+    """Ask $#: the settings with the offsets of now, and these alone as plain data."""
     unit = replies.Setting(13, settings.values.get(13, "0"))
     heard = yield from ask_twice(b"$#", OFFSET_TAG)
     offsets = read_settings((unit, *heard)).offsets

@@ -36,7 +36,7 @@ class Handshake:
     _banner: str = ""
 
     def begin(self, now_s: float) -> None:
-        """Begin on a link that was just opened: whoever was there before may have left anything behind."""
+        """Begin on a link that was just opened: its last user may have left anything behind."""
         link, view = self.link, self.link.view
         link.urgent.clear()
         link.text.clear()
@@ -45,7 +45,7 @@ class Handshake:
         view.begin_epoch(position_kept=False)
         view.judge_place()
         view.locked_by = 0
-        view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
+        view.spindle_on = None  # no banner has stopped it: the last user of the link may have left it on
         link.greet(now_s, recognised=False)
 
     def take_banner(self, banner: str, now_s: float) -> None:

@@ -153,7 +153,7 @@ class GrblLink:
         self.urgent = bytearray(b"!" + self.urgent.translate(None, STARTING))
 
     def tell_restart(self) -> None:
-        """Tell a restart, and the end of a stop if it is one, with the verdict on the position."""
+        """Report a restart, and the end of a stop if it is one, with the verdict on the position."""
         if self.restart is None:
             return
         (banner, stops), self.restart = self.restart, None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not tell
+DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -12,7 +12,7 @@ class GrblOptions:
     """How a link to a GRBL controller is used.
 
     poll_s, run_poll_s : between status requests, and while a program runs
-    rx_bytes           : receive buffer; None asks $I, and takes DEFAULT_RX_BYTES where that does not tell
+    rx_bytes           : receive buffer; None asks $I, and takes DEFAULT_RX_BYTES where that does not say
     corridor_mm        : how far a reported position may be off the programmed path, on top of rounding, steps and arc
                          chords ($12)
     identify_s         : until a port on which nothing like a controller answers is given up

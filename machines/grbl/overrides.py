@@ -61,7 +61,7 @@ def _make_step(what: str, now_percent: int, percent: int) -> bytes:
 
 @dataclass(slots=True, eq=False)
 class OverrideControl:
-    """Brings one override at a time to its value, as reports show it. Goes beside whatever is under way."""
+    """Brings one override at a time to its value, as reports show it. Goes beside all other commands."""
 
     link: GrblLink
     _command: Override | None = None
@@ -82,7 +82,7 @@ class OverrideControl:
         self.link.poll_at_s = now_s
 
     def end(self, failure: Phrase = NO_WORDS) -> None:
-        """Tell the end of the override under way, if there is one."""
+        """Report the end of the override under way, if there is one."""
         command, self._command, self._step = self._command, None, b""
         if command is not None:
             self.link.events.append(CommandDone(command, failure))

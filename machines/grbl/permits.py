@@ -50,7 +50,7 @@ ALLOWED: dict[type, frozenset[MillState]] = {
     ReadSettings: frozenset({MillState.IDLE, MillState.ALARM}),
     SendBlock: _IDLE,
 }
-# These go beside whatever is under way; all others need the link for themselves.
+# These go beside a command that is under way; all others need the link for themselves.
 _BESIDE = (JogCancel, Override, TrustPosition)
 
 

@@ -1,7 +1,7 @@
 """Touching a plate: from above alone, or one on the block's corner from above, from the left and from the front.
 
-Every move has an end of its own. The zeros of a corner are set in one line, when all three touches are known: whatever
-ends the sequence before that leaves all of them as they were.
+Every move has an end of its own. The zeros of a corner are set in one line, when all three touches are known: a
+sequence that ends before that leaves all of them as they were.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ _Length = Generator[Ask | WaitStill, Answer, float]
 def probe_z(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
     """Go down until contact; then set the zero so that the *contact point*, not the place after braking, has its Z."""
     contact_mm = yield from _keep_modes(_probe_height(command, settings))
-    fresh, told = yield from ask_offsets(settings)
-    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": told}, fresh, vouched="Z")
+    fresh, reported = yield from ask_offsets(settings)
+    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": reported}, fresh, vouched="Z")
 
 
 def probe_corner(command: ProbeCorner, settings: ControllerSettings) -> CommandSequence:
     """Touch Z, X, Y of the plate, each fast, then slowly; then set their zeros at once, from where the tool stands."""
     contact_mm = yield from _keep_modes(_probe_corner(command, settings))
-    fresh, told = yield from ask_offsets(settings)
-    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": told}, fresh, vouched="XYZ")
+    fresh, reported = yield from ask_offsets(settings)
+    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": reported}, fresh, vouched="XYZ")
 
 
 def _keep_modes(probing: _Triple) -> _Triple:

@@ -70,8 +70,8 @@ def read_again(settings: ControllerSettings) -> CommandSequence:
     """Ask again for what may have changed since the handshake: $$, $#, $G."""
     heard = [*(yield from ask_twice(b"$$", "$")), *(yield from ask_twice(b"$#", OFFSET_TAG))]
     heard += yield from ask_twice(b"$G", PARSER_TAG)
-    told = read_settings(heard)
-    found = replace(settings, values=told.values, offsets=told.offsets, parser_state=told.parser_state)
+    reported = read_settings(heard)
+    found = replace(settings, values=reported.values, offsets=reported.offsets, parser_state=reported.parser_state)
     return Outcome(settings=found, answer=describe_settings(found))
 
 
@@ -117,8 +117,8 @@ def jog(command: Jog, settings: ControllerSettings) -> CommandSequence:
 def set_zero(command: SetZero, settings: ControllerSettings) -> CommandSequence:
     words = "".join(f"{axis}0" for axis in command.axes)
     require_ok((yield Ask(f"G10L20P0{words}".encode())))
-    fresh, told = yield from ask_offsets(settings)
-    return Outcome({"offsets": told}, fresh, vouched=command.axes)
+    fresh, reported = yield from ask_offsets(settings)
+    return Outcome({"offsets": reported}, fresh, vouched=command.axes)
 
 
 def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSequence:
@@ -133,8 +133,8 @@ def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSeque
 
 def _modal_again(settings: ControllerSettings) -> CommandSequence:
     fresh, _ = yield from ask_offsets(settings)
-    told = read_settings((yield from ask_twice(b"$G", PARSER_TAG))).parser_state
-    return Outcome(settings=replace(fresh, parser_state=told or fresh.parser_state))
+    reported = read_settings((yield from ask_twice(b"$G", PARSER_TAG))).parser_state
+    return Outcome(settings=replace(fresh, parser_state=reported or fresh.parser_state))
 
 
 def make_sequence(command: Command, settings: ControllerSettings, modes: str) -> CommandSequence:

@@ -1,4 +1,4 @@
-"""What a controller tells about itself: $$ (settings), $I (version, buffers), $# (offsets), $G (modal state)."""
+"""What a controller says of itself: $$ (settings), $I (version, buffers), $# (offsets), $G (modal state)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from machines.grbl.replies import Push, Reply, Setting
 from phrases.phrase import Phrase
 
 MM_PER_INCH = 25.4
-# Both tell in the letters of [OPT:] where M7 is built in; of FluidNC that is not known.
+# In both, a letter of [OPT:] says that M7 is built in; of FluidNC that is not known.
 MIST, _TELL_MIST = "M", frozenset({"grbl", "grblhal"})
 # Settings on which the meaning of a machine coordinate rests. GRBL counts steps: what turns them into mm, which way
 # they go and where homing begins to count.
@@ -34,7 +34,7 @@ OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSettings:
-    """Parsed answers. Triples are X, Y, Z; None where the controller does not tell.
+    """Parsed answers. Triples are X, Y, Z; None where the controller does not say.
 
     values  : $n -> text as reported
     offsets : "G54" ... "G59", "G28", "G30", "G92" -> triple in mm; "TLO" -> (0, 0, length)
@@ -137,7 +137,7 @@ class ControllerSettings:
 
     @property
     def option_letters(self) -> str | None:
-        """Letters of [OPT:]; None where the controller does not tell."""
+        """Letters of [OPT:]; None where the controller does not say."""
         return self.options.partition(",")[0] if self.options else None
 
     @property
@@ -164,8 +164,8 @@ def list_frame_changes(before: Mapping[int, str], now: Mapping[int, str]) -> tup
 
     A setting that is missing before or now is left out.
     """
-    told = ((number, before[number], now[number]) for number in sorted(FRAME_SETTINGS & before.keys() & now.keys()))
-    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in told if not _is_equal(was, is_now))
+    both = ((number, before[number], now[number]) for number in sorted(FRAME_SETTINGS & before.keys() & now.keys()))
+    return tuple(f"${number} {was} -> {is_now}" for number, was, is_now in both if not _is_equal(was, is_now))
 
 
 def _is_equal(before: str, now: str) -> bool:
@@ -216,7 +216,7 @@ def _firmware(words: str) -> str:
 
 
 def _buffers(options: str) -> tuple[int | None, int | None]:
-    """Parse `V,15,128` -> (15, 128). FluidNC tells letters only."""
+    """Parse `V,15,128` -> (15, 128). FluidNC gives letters only."""
     parts = options.split(",")
     if len(parts) < 3 or not (parts[1].isdecimal() and parts[2].isdecimal()):
         return None, None
@@ -244,7 +244,7 @@ def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
 def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> Phrase:
     """Say why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
 
-    mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.
+    mist_line : first line with M7, 0 for none. Nothing is said where the controller does not state its options.
     """
     if not mist_line or settings.mist is not False:
         return Phrase("")

@@ -1,4 +1,4 @@
-"""What a session tells of itself: state, status, facts, protections. Changes nothing."""
+"""What a session reports of itself: state, status, facts, protections. Changes nothing."""
 
 from __future__ import annotations
 

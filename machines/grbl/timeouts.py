@@ -1,7 +1,7 @@
 """How long a healthy mill may be silent. Law: on a healthy link no program is ever stopped by these rules.
 
 Three signs, from quick to slow, each enough by itself:
-- no answer to '?' for REPORT_SILENCE_S of our own time: the controller or the link is dead, whatever it was doing;
+- no answer to '?' for REPORT_SILENCE_S of our own time: the controller or the link is dead, in every state;
 - Idle with lines unanswered for IDLE_S: nothing moves, so nothing is left that an answer could wait for but a dwell or
   a spindle: a line or a reply was lost, or the stepper ran dry;
 - no answer, no new position and no step proven for longer than everything still under way can take at worst.
@@ -31,10 +31,10 @@ BANNER_S = 5.0  # reset to banner: 0.1 s on an Uno, 2 s on an ESP32 that brings 
 HOLD_S = 8.0  # hold to standstill: rate / acceleration, 5000 mm/min at 20 mm/s2 is 4 s
 SPINDLE_S = 30.0  # grblHAL ($394, $395) and FluidNC wait for the spindle; a frequency converter takes its time
 DWELL_SLACK = 1.1  # the dwell loop of 1.1 is stretched by its interrupts
-UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, where the travel is not known either
+UNKNOWN_MM = 2000.0  # a move from or to a place the program does not give, where the travel is not known either
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
-NOTIFY_SILENCE_S = 3.0  # silence while a program runs, that the operator is told of
+NOTIFY_SILENCE_S = 3.0  # of silence while a program runs, until the operator is notified
 PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
 REPORT_S = 0.25  # a report is due ten times a second
 TRIPS = 2.0  # round trips that a limit on an answer leaves: the way there and back, and as much again for a worse one

@@ -73,7 +73,7 @@ class MachineView:
         """Say with the first report after a banner whether machine coordinates still mean what they meant.
 
         The same place as before, not zero, proves it: a controller that lost its power counts from 0,0,0. Another place
-        disproves it, whoever sent the reset.
+        disproves it, also after a reset of ours.
         """
         before, now = self._stood_mm, self.machine_mm
         tolerance_mm = max(self.settings.step_mm or (0.01,)) + self.report_step_mm

@@ -1,4 +1,4 @@
-"""The disk under a journal, and when it is told to make things safe. Tests put one here that loses power."""
+"""The disk under a journal, and when it makes things safe. Tests put one here that loses power."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class ThreadSyncer:
             self._lock.notify_all()
 
     def let_go(self) -> None:
-        """Leave what is left to the thread: whoever stops a mill must not wait for a disk."""
+        """Leave what is left to the thread: a caller that stops a mill must not wait for a disk."""
         with self._lock:
             if self._file is not None:
                 self._left.append(self._file)

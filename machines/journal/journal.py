@@ -165,7 +165,7 @@ class Journal:
             raise JournalError(failure)
 
     def hasten(self) -> None:
-        """Let everything appended be made safe soon, without waiting: `failure` tells if it could not be."""
+        """Let everything appended be made safe soon, without waiting: `failure` says so if it could not be."""
         if self._file is not None and not self.failure:
             self._syncer.hasten()
 

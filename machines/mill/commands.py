@@ -1,9 +1,9 @@
-"""Commands beside a run: sent, told of in words when they end, and what a line from the console would change.
+"""Commands beside a run: how they are sent, the words when they end, and what a line from the console would change.
 
-A console line that protects the mill, or tells where things are, is asked for again. Reading ($$, $#, $G, $I, $N) and
-plain moves pass. Of what begins with $, only what is known to be harmless passes: a controller knows more commands than
-this table. $H, $J, $X, $C and $SLP are refused elsewhere, for commands of their own. Meanings: GRBL's wiki (v1.1
-Commands, v1.1 Configuration), LinuxCNC's G-code reference.
+A console line that changes what protects the mill, or where things are, needs a second confirmation. Reading ($$, $#,
+$G, $I, $N) and plain moves pass. Of what begins with $, only what is known to be harmless passes: a controller knows
+more commands than this table. $H, $J, $X, $C and $SLP are refused elsewhere, for commands of their own. Meanings:
+GRBL's wiki (v1.1 Commands, v1.1 Configuration), LinuxCNC's G-code reference.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 
 LOOK_S = 0.05
-PLACE_S = 5.0  # some links never tell where the mill is
+PLACE_S = 5.0  # some links never report where the mill is
 
 
 @dataclass(eq=False)
@@ -71,8 +71,8 @@ class MillCycle:
         self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
-        """Return settings, offsets and parser state, read now; None where the link does not tell or the mill is not
-        idle.
+        """Return settings, offsets and parser state, read now; None where the link does not report them or the mill is
+        not idle.
         """
         driver = self.context.link.driver
         if driver is None or driver.status.state not in (MillState.IDLE, MillState.ALARM):

@@ -1,4 +1,4 @@
-"""The link of a mill: opened again with growing patience, what was asked for while it was away, what was told on it.
+"""The link of a mill: it is opened again at growing intervals, and keeps what was asked for while it was away.
 
 Opening a link sends questions and, before them, a hold or an abort that somebody asked for in the meantime: never
 anything that can start motion.
@@ -28,7 +28,7 @@ class Setup:
     zeroed       : axes whose work zero was set, as far as the position is still trusted
     zeroed_anew  : those of them that were set since a program last started: not for a block before this one
     homed        : a homing cycle was carried out, and the position was not lost since
-    parser_state : the controller's modes ($G) as told last
+    parser_state : the controller's modes ($G) as last reported
     """
 
     zeroed: str = ""
@@ -40,7 +40,7 @@ class Setup:
         self.zeroed, self.zeroed_anew, self.homed = "", "", False
 
     def digest(self, status: MillStatus, needs: tuple[Phrase, ...]) -> str:
-        """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""
+        """Return a digest of what a start rests on, to check whether a person has seen the mill as it is."""
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
         rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, bool(needs))
         return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
@@ -129,7 +129,7 @@ class MillLink:
             self.latched = "abort" if "abort" in (what, self.latched) else what
 
     def hold_unasked(self) -> None:
-        """Hold on our own account; a driver that refuses is told of, not raised."""
+        """Hold on our own account; a refusal of the driver is logged, not raised."""
         try:
             self.order("hold")
         except MachineError as error:
@@ -159,6 +159,6 @@ class MillLink:
 
 
 def get_settings(driver: Driver | None) -> ControllerSettings | None:
-    """Return what the controller has told of its settings; None where the link does not tell."""
+    """Return the settings that the controller has reported; None where the link reports none."""
     settings = getattr(driver, "settings", None)
     return settings if isinstance(settings, ControllerSettings) else None

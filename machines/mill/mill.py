@@ -182,7 +182,7 @@ class Mill:
     # ------------------------------------------------------------------ stops
 
     def carry_out_stop(self, stop: Stop, caller: Caller) -> None:
-        """Hold, abort or end a jog, whoever asks; the log says who."""
+        """Hold, abort or end a jog for any caller; the log names the caller."""
         self._log.say("order", stop.value, caller=caller, code=stop.value)
         {Stop.HOLD: self.hold, Stop.ABORT: self.abort, Stop.JOG_CANCEL: self.cancel_jog}[stop]()
 

@@ -6,7 +6,7 @@ with the next stop (the stop count has risen), with a change of the lease (someb
 process, which is why neither a slow network nor a duplicate nor a restart can make an old order come true. Nothing here
 compares the clocks of two computers.
 
-A stop asks for nothing and waits for nobody: it raises the count, whatever else is going on.
+A stop asks for nothing and waits for nobody: it raises the count in every state.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class Run:
 
     @property
     def unattended(self) -> str:
-        """LINK_LOST or OWNER_LOST as long as the place where the mill stands tells how far it went alone, else ""."""
+        """LINK_LOST or OWNER_LOST as long as the place where the mill stands shows how far it went alone, else ""."""
         return str(self.record.get("adrift") or "")
 
     @property

@@ -235,7 +235,7 @@ class RunStore:
             if content.torn:
                 run.record["torn"] = content.torn
                 self._say("journal", Phrase("{run}: {torn}", run=run.view.name or run_id, torn=content.torn))
-            if run.live:  # whoever wrote that has gone without saying so
+            if run.live:  # the process that wrote that has gone without saying so
                 values = {"state": run.record["state"]}
                 words = Phrase("the agent ended while the run was {state}", state=run.state.words)
                 run.write("run", state=RunState.INTERRUPTED.value, words=words, code=MillCode.OWNER_LOST, values=values,
@@ -284,9 +284,9 @@ class RunStore:
 
     def note_trust(self, settings: ControllerSettings | None) -> None:
         """Note that a person has confirmed the position, with the present settings."""
-        told = {} if settings is None else {"settings": settings.to_dict()}
+        known = {} if settings is None else {"settings": settings.to_dict()}
         for run in self.recoverable():
-            run.write("trusted", reframed=False, **told)
+            run.write("trusted", reframed=False, **known)
             self.let_rest(run)
 
     def note_zero(self, axes: str) -> None:

@@ -92,7 +92,7 @@ def check_way_in(
     place_mm : of the tool, in machine coordinates, None: not known; offsets: of the controller, by name
     A height that the program itself never exceeds is safe, as it goes across at it all the time.
     """
-    if facts.dialect == RML:  # where the tool stands the mill does not tell: pre-flight has judged it from anywhere
+    if facts.dialect == RML:  # such a mill does not report its place: pre-flight has judged it from anywhere
         for finding in facts.findings:
             if finding.code == WAY_IN:
                 raise NotAllowedError(Phrase("start: {risk}", risk=finding.words))
@@ -184,7 +184,7 @@ def _box(points: Sequence[tuple[float | None, float | None, float | None]]) -> B
 
 
 def _first_outside(facts: Preflight, reader: ProgramReader, settings: ControllerSettings) -> Phrase:
-    """Tell in words the first line that leaves the travel."""
+    """Return in words the first line that leaves the travel."""
     interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
     last = 0
     try:

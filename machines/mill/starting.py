@@ -71,7 +71,7 @@ class RecoveryPlanner:
         return plan, answer, placement
 
     def _await_place(self, run: Run) -> None:
-        """Wait for two reports of a mill that went on alone and stands by now: they tell where."""
+        """Wait for two reports of a mill that went on alone and stands by now: they say where."""
         until_s = self.context.clock() + 4 * STILL_S
         while run.unattended and self.context.link.status.state is MillState.IDLE and self.context.clock() < until_s:
             self.cycle.step(0.05)

@@ -61,7 +61,7 @@ class MillThread:
     def call(self, function: Callable[[Mill], T], timeout_s: float = _CALL_S) -> T:
         """Carry out `function` on the owner thread; its result or its exception comes back.
 
-        Whoever waited in vain is told that nothing came of it, so a call that has not begun by then never begins.
+        A caller that waited in vain learns that nothing came of it, so a call that has not begun by then never begins.
         """
         if threading.current_thread() is self._thread:
             return function(self._mill)
@@ -81,7 +81,7 @@ class MillThread:
         """Stop the mill; never waits. Whether a byte that stops it has left, and the owner thread's own part of it.
 
         The stop is counted first, so that no older order is carried out any more; then the byte leaves for the mill,
-        whatever the owner thread is doing; its own part comes before all other calls.
+        without waiting for the owner thread, whose own part comes before all other calls.
         """
         self._mill.orders.count_stop()
         written = self._mill.urge(stop.value)
@@ -135,7 +135,7 @@ class MillThread:
                     self._publish()
                     future.set_exception(error)
                 else:
-                    self._publish()  # whoever gets the answer finds the snapshot that goes with it
+                    self._publish()  # the caller that gets the answer finds the snapshot that goes with it
                     future.set_result(value)
 
     def _publish(self) -> None:

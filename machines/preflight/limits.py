@@ -1,4 +1,4 @@
-"""What a program is held against: the profile's figures, and the controller's own where it has told them."""
+"""What a program is held against: the profile's figures, and the controller's own where it has reported them."""
 
 from __future__ import annotations
 
@@ -54,19 +54,19 @@ class MillLimits:
 
 
 def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
-    """Return the profile's figures with those of the controller in their place, as far as it has told them."""
-    told = settings or ControllerSettings()
-    fastest = told.number(30)
-    slowest = told.number(31)
+    """Return the profile's figures with those of the controller in their place, as far as it has reported them."""
+    reported = settings or ControllerSettings()
+    fastest = reported.number(30)
+    slowest = reported.number(31)
     spindle = (slowest or 0.0, fastest) if fastest else profile.spindle_rpm
     return MillLimits(
         profile=profile.name,
         dialect=profile.dialect,
-        travel_mm=_usable(told.travel_mm) or profile.travel_mm,
-        max_rate_mm_per_min=_usable(told.max_rate_mm_per_min) or profile.max_rate_mm_per_min,
-        acceleration_mm_per_s2=_usable(told.acceleration_mm_per_s2) or profile.acceleration_mm_per_s2,
-        junction_deviation_mm=told.number(11) or profile.junction_deviation_mm,
-        planner_blocks=max(2, told.planner_blocks or profile.planner_blocks),
+        travel_mm=_usable(reported.travel_mm) or profile.travel_mm,
+        max_rate_mm_per_min=_usable(reported.max_rate_mm_per_min) or profile.max_rate_mm_per_min,
+        acceleration_mm_per_s2=_usable(reported.acceleration_mm_per_s2) or profile.acceleration_mm_per_s2,
+        junction_deviation_mm=reported.number(11) or profile.junction_deviation_mm,
+        planner_blocks=max(2, reported.planner_blocks or profile.planner_blocks),
         lines_per_s=profile.lines_per_s,
         bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
         spindle_rpm=spindle,
@@ -74,7 +74,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
         homing=profile.homing,
         top_z_mm=profile.top_z_mm,
         work_offset=profile.work_offset,
-        mist=told.mist,
+        mist=reported.mist,
     )
 
 
@@ -88,11 +88,11 @@ def _usable(triple: Triple | None) -> Triple | None:
 
 
 def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | None:
-    """Return the work zero in machine coordinates, from the controller's offsets; None where it is not told."""
+    """Return the work zero in machine coordinates, from the controller's offsets; None where they do not give it."""
     if wcs not in offsets:
         return None
-    told = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
-    x, y, z = (sum(float(one[axis]) for one in told) for axis in range(3))
+    reported = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
+    x, y, z = (sum(float(one[axis]) for one in reported) for axis in range(3))
     return x, y, z
 
 

@@ -51,7 +51,7 @@ class Need:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Present:
-    """What is known of the mill now. `offsets` and `parser_state` are None where the link does not tell.
+    """What is known of the mill now. `offsets` and `parser_state` are None where the link does not report them.
 
     restarted : a restart of the controller was seen since the run stopped
     frame_changes : settings of the frame that are others than when the run was cut, in figures
@@ -99,7 +99,7 @@ class RecoveryPlan:
     position_mm   : where the tool is put down (work frame); None: the program starts from its top
     blocks        : sent before the program
     zero_back     : a block that sets the work zero that the run was cut at; "" where it is the same, or not certain
-    spindle_on    : whether it turns now; None where the link does not tell
+    spindle_on    : whether it turns now; None where the link does not report it
     tool_mm       : where the tool is now (work frame)
     offsets       : all offsets now, by name
     """
@@ -169,7 +169,7 @@ class RecoveryPlan:
         return members | {"plan": self.digest, "phrases": phrases_in(members)}
 
     def with_place(self, problems: tuple[Phrase, ...], *, refused: bool) -> RecoveryPlan:
-        """Return the plan with what leaves the travel: refused where machine coordinates are certain, else told.
+        """Return the plan with what leaves the travel: a refusal where machine coordinates are certain, else a remark.
 
         They are not certain while anything has to be done first: a mill that must be homed counts from anywhere.
         """

@@ -1,9 +1,10 @@
 """What the place where a mill stands proves, after it went on alone with the lines it held.
 
 A controller that lost its link carries out what it holds and stands at the end of a line that was sent. The first line
-of the program, from the last one known to be executed on, that the mill can stand on is believed: whatever really was
-the last, the mill has passed every earlier one. A mill that stands at the end of that line has cut it; one that stands
-within it has cut the line before. So more is sent again than need be where a path comes back to a place, never less.
+of the program, from the last one known to be executed on, that the mill can stand on is believed: if a later one
+really was the last, the mill has passed this one. A mill that stands at the end of that line has cut it; one that
+stands within it has cut the line before. So more is sent again than need be where a path comes back to a place, never
+less.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from machines.preflight.limits import work_zero_mm
 from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
-_LINES_BEFORE_PLACE = 200  # a program has told all axes by then
-_STEP_MM = 0.01  # where the controller does not tell
+_LINES_BEFORE_PLACE = 200  # a program has given all axes by then
+_STEP_MM = 0.01  # where the controller does not report one
 
 
 def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
@@ -38,10 +39,10 @@ def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
 
 def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
     """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
-    zero_mm, told = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
-    if zero_mm is None or told is None:
+    zero_mm, reported = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
+    if zero_mm is None or reported is None:
         return None
-    agree = all(abs(a - b) <= OFFSET_TOLERANCE_MM for a, b in zip(told, zero_mm, strict=True))
+    agree = all(abs(a - b) <= OFFSET_TOLERANCE_MM for a, b in zip(reported, zero_mm, strict=True))
     return zero_mm if agree else None
 
 
@@ -54,7 +55,7 @@ def count_executed_at_rest(
     """
     executed = int(record.get("executed_line") or 0)
     if int(record.get("answered_line") or 0) <= 0:
-        return executed  # it may stand on the way in, of which the program tells nothing
+        return executed  # it may stand on the way in, which is not part of the program
     state = reader.state_before(executed + 1)
     offset_mm = frame_offset_mm(record, state.wcs)
     if offset_mm is None:
@@ -93,9 +94,9 @@ def _first_place(
             break
         step = interpreter.take(line.text)
         now = interpreter.state
-        told = not (step.moves and (step.probes or None in step.end_mm))
-        if not told or now.shifted or now.wcs != wcs or step.withholds_ok:
-            break  # from here on the program does not tell where the mill stands, or a person has come between
+        place_is_known = not (step.moves and (step.probes or None in step.end_mm))
+        if not place_is_known or now.shifted or now.wcs != wcs or step.withholds_ok:
+            break  # from here on the program does not say where the mill stands, or a person has come between
         if step.moves and step.distance_mm(place_mm) <= 3**0.5 * tolerance_mm:
             return line.number if _at(step.end_mm, place_mm, tolerance_mm) else before
         before = line.number

@@ -210,7 +210,7 @@ class JobControl:
             self._channel.enter(MillState.DOOR, words)
 
     def _stop_by_fault(self, device: Mdx40aDevice, cause: FaultCause, words: Phrase, now_s: float) -> None:
-        """End the stream, and tell the mill to stop in the one way that is known."""
+        """End the stream, and stop the mill in the one way that is known."""
         feed = self.feed
         line = feed.block.line.number if feed and feed.block else self._channel.progress.sent_line
         device.stop_motion()

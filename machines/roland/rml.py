@@ -3,7 +3,7 @@
     facts = check_rml(chunks, profile)          raises ProgramRefusedError with the line and the command
 
 RML-1 knows no work offset, no rapid and no line number: coordinates count from the user origin set at the mill, and
-everything moves at the last V. Nothing in it tells the host how far it has come.
+everything moves at the last V. Nothing in it reports to the host how far it has come.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ class _Tally:
 
 
 def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
-    """Read a program once, whatever its size; ProgramRefusedError names line, command and reason."""
+    """Read a program of any size once; ProgramRefusedError names line, command and reason."""
     mill, tally, line, size = RmlInterpreter(), _Tally(), 1, 0
     for line, text, size in _commands(chunks):  # noqa: B007 (the last ones are the size of the file)
         try:

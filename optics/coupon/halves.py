@@ -15,7 +15,7 @@ from optics.heightfield import Array, Heightfield
 from optics.milled import simulate_milled
 
 AROUND_MM = 4.0
-"""How far the screen reaches beyond the piece on all sides: what is dark there tells how bright black is."""
+"""How far the screen reaches beyond the piece on all sides: what is dark there shows how bright black is."""
 
 _PAD_MM = 6.0
 

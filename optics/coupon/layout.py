@@ -1,10 +1,10 @@
 """The shape of the test piece: strips of ripples, a ramp and a flat, the same on its left and on its right half.
 
 Theory of operation. Ripples run along x, as the rows of the mill do: a row that lies too high or too low bends light
-across the rows only, so that the fringes of a ripple stay clean, whatever the mill does to its rows. Light that a
+across the rows only, so that the fringes of a ripple stay clean even where the mill cuts its rows badly. Light that a
 ripple a cos(kx) bends makes fringes of the same period on the wall; their strength is m = throw (n - 1) k^2 a, rays
 cross where m > 1. A finish turns a into H(k) a, so one half is finished and the other left as it was milled: what
-differs between the halves is the finish, whatever the wall, the lamp and the camera do to both.
+differs between the halves is the finish: the wall, the lamp and the camera do the same to both.
 
 Amplitudes are just over odd multiples of half a step of the mill, about a level half a step under the flat, which is
 on a step: so slopes run from the step below a crest to the step above a trough, and no row of the flat has to choose
@@ -38,7 +38,7 @@ _STEEPEST = 0.04  # slope in y where a strip fades into the flat: light from the
 _ENDS_MM = 0.4  # beyond the window on either side a ripple fades within this way
 _SPOT_RADIUS_MM = 0.75
 _SPOTS_MM = ((0.85, 1.2), (0.85, 18.8), (39.15, 1.2), (39.15, 18.8), (20.0, 18.8), (0.85, 14.0))
-"""Small lenses that focus on the wall: corners, and two more that tell left from right and top from bottom."""
+"""Small lenses that focus on the wall: corners, and two more that distinguish left from right and top from bottom."""
 
 Kind = Literal["ripple", "ramp", "flat"]
 Half = Literal["left", "right"]

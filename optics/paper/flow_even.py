@@ -7,7 +7,7 @@ same, every triangle on the lens is as good as on the first day, and the next st
 itself. What is thin or large now lies on the screen, where no step rule cares: the dark parts of the picture have few
 vertices, the bright ones many, as light is where vertices are. No vertex is random, so lines and edges stay straight.
 
-- D of a face is exact whatever its shape on the screen (face_light); the Poisson source is its light, as before.
+- D of a face of any shape on the screen is exact (face_light); the Poisson source is its light, as before.
 - Steps start on every second of the lens's own vertices; the last grid *is* the lens's, so the surface is solved on it
   and nothing is resampled on the way to the heightfield.
 - Reading the map bilinearly keeps it one-to-one but for a few triangles beside creases: their screen points are

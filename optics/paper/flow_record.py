@@ -1,4 +1,4 @@
-"""What the paper's flow is told and what it tells: settings, steps, snapshots, the mapping."""
+"""What the paper's flow takes and returns: settings, steps, snapshots, the mapping."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _STEPS = 14
 _SETTLED = 5e-3  # pixels
 _TONE_SPREAD = 0.25
 _HUBER = 2.0
-_DETAILS = (0.02, 0.12)  # of the picture's longer side: between these, pictures are told apart
+_DETAILS = (0.02, 0.12)  # of the picture's longer side: between these, pictures are distinguished
 _LEAST_SCALE = 3e-4  # of the camera's white
 
 

@@ -1,17 +1,17 @@
-"""What a registered photograph tells of the set-up: wall, light and the lens's own low-order error.
+"""What a registered photograph shows of the set-up: wall, light and the lens's own low-order error.
 
 Theory of operation: a photograph fixes the picture on the wall but for a perspective, eight numbers that belong to the
-camera. What those cannot undo is told by *where within the picture* things lie, and by how bright they are: a wall too
+camera. What those cannot undo shows in *where within the picture* things lie, and in how bright they are: a wall too
 far by s moves the light of each ray by s times its slope, which is another distortion for each lens; a tilted wall does
 so more on one side; an error of the surface bends rays by its slopes. All of these are followed exactly, ray by ray,
 and fitted together with perspective, exposure (with a camera's shading of second order), tone and blur, by Gauss-Newton
 steps on the photograph itself. Each quantity has an expected spread (`_PRIORS`), as wide as a workshop's, so that what
-a photograph cannot tell stays near zero and says so: its deviation stays near that spread. A wall off by 1 % is, to
-first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres, is what tells
-them apart.
+a photograph cannot show stays near zero and says so: its deviation stays near that spread. A wall off by 1 % is, to
+first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres, separates the
+two.
 
-The model is the light of the lens as designed, as soft as the foretold picture is, and what else is smooth in the
-difference: of a mill's grain only the blur can be foretold, for the next block has another.
+The model is the light of the lens as designed, as soft as the predicted picture is, and what else is smooth in the
+difference: of a mill's grain only the blur can be predicted, because the next block has another.
 """
 
 from __future__ import annotations
@@ -63,26 +63,26 @@ class Estimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the photograph told it: it narrows what was expected to less than half."""
+        """Whether the photograph determines it: it narrows what was expected to less than half."""
         return self.deviation < 0.5 * self.expected
 
     def exceeds(self, deviations: float) -> bool:
-        """Return whether it is told, and further from zero than so many of its deviations."""
+        """Return whether it is determined, and further from zero than so many of its deviations."""
         return self.is_determined and abs(self.value) > deviations * self.deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WallFit:
-    """What is off; zero is as foretold.
+    """What is off; zero is as predicted.
 
     throw_mm          : how much further than the lens was made for the wall stands
     wall_tilt_rad     : by which the wall leans away towards +x and towards +y
     light_tilt_rad    : by which the light travels aslant towards +x and +y
     surface_um        : for each of ORDERS, height of the surface over the lens, as the Legendre polynomial's factor
-    blur_mm           : standard deviation on the wall that the photograph is softer by than foretold; negative: sharper
-    foretold_blur_mm  : standard deviation of what the foretold picture is softer by than the design's light
+    blur_mm           : standard deviation on the wall by which the photograph is softer than predicted; < 0: sharper
+    predicted_blur_mm : standard deviation of what the predicted picture is softer by than the design's light
     fitted (ny, nx)   : the light that the fitted set-up makes on the wall, work frame, blurred as in the photograph
-    correlation       : of the photograph with the fit, and `before` with the foretold set-up
+    correlation       : of the photograph with the fit, and `before` with the predicted set-up
     """
 
     throw_mm: Estimate
@@ -90,7 +90,7 @@ class WallFit:
     light_tilt_rad: tuple[Estimate, Estimate]
     surface_um: tuple[Estimate, ...]
     blur_mm: float
-    foretold_blur_mm: float
+    predicted_blur_mm: float
     fitted: Array
     correlation: float
     before: float
@@ -101,19 +101,19 @@ def fit_wall(
     registration: Registration,
     heightfield: Heightfield,
     bench: Bench,
-    foretold: Array,
+    predicted: Array,
     *,
     viewed_from: ViewedFrom = "lens",
     picture_width_mm: float | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> WallFit:
-    """Fit the set-up to a photograph that `register` has found `foretold` in.
+    """Fit the set-up to a photograph in which `register` has found `predicted`.
 
     photo (h, w)      : as register takes it
-    foretold (ny, nx) : irradiance on the bench's screen, work frame, mean about 1
+    predicted (ny, nx) : irradiance on the bench's screen, work frame, mean about 1
     picture_width_mm  : how wide the lit rectangle is on the wall, where somebody has measured it
     """
-    fit = _WallFit(photo, registration, heightfield, bench, foretold, viewed_from, picture_width_mm)
+    fit = _WallFit(photo, registration, heightfield, bench, predicted, viewed_from, picture_width_mm)
     return fit.run(on_progress or (lambda _: None))
 
 
@@ -150,11 +150,11 @@ class _Scene:
         photograph: Photograph,
         lens: Heightfield,
         bench: Bench,
-        foretold: Array,
+        predicted: Array,
         viewed_from: ViewedFrom,
         side: int,
     ) -> None:
-        ny, nx = foretold.shape
+        ny, nx = predicted.shape
         self.share = min(1.0, side / max(ny, nx))
         shape = max(8, round(ny * self.share)), max(8, round(nx * self.share))
         self._photograph, self._viewed_from = photograph, viewed_from
@@ -164,9 +164,9 @@ class _Scene:
         self.rays = WallRays(lens, bench, (shape[0], shape[1]), rim)
         self._plain = self._seen(np.zeros(SETTINGS))
         self.known = np.ones(self._plain.shape, dtype=bool)
-        known = np.isfinite(foretold)
+        known = np.isfinite(predicted)
         self.known[self.view.inner] = area_average(known.astype(np.float64), shape) > 0.999
-        inside = area_average(np.where(known, foretold, 0.0), shape)
+        inside = area_average(np.where(known, predicted, 0.0), shape)
         inner = self.view.inner
         self.softness_px = _fit_softness(self._plain[inner], inside, self.known[inner])
         self._soft = self._soften(self._plain)
@@ -243,13 +243,13 @@ class _WallFit:
         registration: Registration,
         lens: Heightfield,
         bench: Bench,
-        foretold: Array,
+        predicted: Array,
         viewed_from: ViewedFrom,
         width_mm: float | None,
     ) -> None:
         self._bench, self._viewed_from = bench, viewed_from
         self._width = None if width_mm is None else width_mm / bench.screen.width_mm
-        self._foretold = flip_between_picture_and_work_frame(foretold, viewed_from)
+        self._predicted = flip_between_picture_and_work_frame(predicted, viewed_from)
         self._photograph = Photograph.of(photo)
         self._lens = lens
         self._registration = registration
@@ -271,10 +271,10 @@ class _WallFit:
         return self._make_result(scene, state, deviation, scene.correlation(self._begin(scene)))
 
     def _scene(self, side: int) -> _Scene:
-        return _Scene(self._photograph, self._lens, self._bench, self._foretold, self._viewed_from, side)
+        return _Scene(self._photograph, self._lens, self._bench, self._predicted, self._viewed_from, side)
 
     def _begin(self, scene: _Scene) -> _State:
-        r, (ny, nx) = self._registration, self._foretold.shape
+        r, (ny, nx) = self._registration, self._predicted.shape
         to_pixels = np.array([[nx / 2, 0, nx / 2], [0, ny / 2, ny / 2], [0, 0, 1.0]])
         fit = Fit(
             homography=normalise_homography(r.homography @ to_pixels),
@@ -366,7 +366,7 @@ class _WallFit:
         ]
         view, fit = scene.make_view(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
-        foretold_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
+        predicted_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
         fitted = blur(scene.light(state.setting), fit)[view.inner]
         return WallFit(
             throw_mm=found[0],
@@ -374,7 +374,7 @@ class _WallFit:
             light_tilt_rad=(found[3], found[4]),
             surface_um=tuple(found[5:]),
             blur_mm=math.copysign(math.sqrt(abs(fit.spread_px2)) * pixel_mm, fit.spread_px2),
-            foretold_blur_mm=foretold_px * pixel_mm,
+            predicted_blur_mm=predicted_px * pixel_mm,
             fitted=flip_between_picture_and_work_frame(fitted, self._viewed_from),
             correlation=scene.correlation(state),
             before=before,
@@ -404,15 +404,15 @@ def _odd_blurs(view: View, fit: Fit) -> Array:
     return np.stack([(across - down) / 2, aslant, view.x * all_round, view.y * all_round, laplace(all_round) / 4])
 
 
-def _fit_softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]:
-    """Return standard deviations (down, across) [pixels] of the Gaussian that makes `sharp` most like `foretold`."""
+def _fit_softness(sharp: Array, predicted: Array, known: Mask) -> tuple[float, float]:
+    """Return standard deviations (down, across) [pixels] of the Gaussian that makes `sharp` most like `predicted`."""
     tried = [0.0, *np.geomspace(0.3, 12.0, 20)]
 
     def loss(down: float, across: float) -> float:
         one = gaussian_filter(sharp, (down, across))[known]
         frame = np.stack([one, np.ones_like(one)], axis=1)
-        found = np.linalg.lstsq(frame, foretold[known], rcond=None)[0]
-        return float(((frame @ found - foretold[known]) ** 2).sum())
+        found = np.linalg.lstsq(frame, predicted[known], rcond=None)[0]
+        return float(((frame @ found - predicted[known]) ** 2).sum())
 
     both = min(tried, key=lambda sigma: loss(sigma, sigma))
     down = min(tried, key=lambda sigma: loss(sigma, both))

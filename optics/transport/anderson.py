@@ -16,7 +16,7 @@ from optics.spline import Array
 from optics.threads import run_on_rows
 
 _PIECE = 1 << 14
-_SINGULAR = 1e-10  # of the normalised products: directions weaker than this tell nothing
+_SINGULAR = 1e-10  # of the normalised products: directions weaker than this are noise
 
 
 @njit(cache=True, nogil=True)

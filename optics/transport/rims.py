@@ -1,4 +1,4 @@
-"""The frame's condition: light at the rim of the lens goes to the frame of the picture, whatever the light.
+"""The frame's condition: light of any kind at the rim of the lens goes to the frame of the picture.
 
 The rim is four curves, one for each side of the frame: left and right x(y), bottom and top y(x). Along a side the
 surface point that the path's slope leads back to must lie on the side's curve; the slope across the frame is the root.

@@ -7,7 +7,7 @@ Solves det Dp(q) = g(q) for the optical path c(q) (optical_path.py): each pixel 
               screen and aperture differ); beyond twice the best residual: back to the best with half the step
     levels    32, 64 .. N pixels, cubic prolongation of c
 No Jacobian, no line search, no floor under the target (a softer one only where the map folds): black pixels converge
-like others. Where no iterate sends all light to the screen, a far screen tells whether total reflection is why.
+like others. Where no iterate sends all light to the screen, a far screen shows whether total reflection is why.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def _piston(misses: Misses, bench: Bench, skim_mm: float) -> float:
 def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
     """Raise TotalReflectionError if the way the light must go sideways is what stopped the solution.
 
-    How far it must go hardly depends on the throw, so a coarse solution for a far screen tells it.
+    How far it must go hardly depends on the throw, so a coarse solution for a far screen shows it.
     """
     coarse = average_boxes(g, level_shapes(g.shape)[0])
     moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()

@@ -1,6 +1,6 @@
 """Areas on a pixel grid by Green's formula: a polygon's coverage of the pixels is a sum over its directed edges.
 
-`acc` (ny, nx + 1) holds differences along the rows; a cumulative sum along x makes pixels of it. Whatever an edge adds
+`acc` (ny, nx + 1) holds differences along the rows; a cumulative sum along x makes pixels of it. All that an edge adds
 lies in its own pixel and the next, so that a mesh costs one visit to each of its edges, however far its light spreads.
 """
 

@@ -20,7 +20,7 @@ from phrases.phrase import Phrase
 from service.errors import PictureError
 from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
 from service.job.spec.finish import NONE
 from service.job.spec.resolve import cam_passes_of
 from service.job.spec.resolved import ResolvedJob
@@ -159,7 +159,7 @@ class CouponResult:
 def measure_photo(
     name: str,
     photo: Photo,
-    foretold: ForetoldPiece,
+    predicted: PredictedPiece,
     job: ResolvedJob,
     *,
     on_progress: Callable[[float], None] | None = None,
@@ -167,29 +167,29 @@ def measure_photo(
     """Return what the photograph says of that test piece. PhotoRefused where it says nothing."""
     on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
-    placed = _place(name, photo, foretold, template, job)
+    placed = _place(name, photo, predicted, template, job)
     on_progress(0.4)
-    finished, folds = _choose_finished_half(name, placed, foretold, job)
-    fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
+    finished, folds = _choose_finished_half(name, placed, predicted, job)
+    fit = fit_finish(coupon, predicted.profiles, folds, finished=finished)
     on_progress(0.6)
     if finished == "left" and (nearest := _nearest_template(fit)) != template:
-        placed = _place(name, photo, foretold, nearest, job)
+        placed = _place(name, photo, predicted, nearest, job)
         folds = fold_all(placed.picture, coupon)
-        fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
+        fit = fit_finish(coupon, predicted.profiles, folds, finished=finished)
     on_progress(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
         raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, CouponFinding("not_finished", {}))
-    rows = _row_errors(placed, foretold, job, fit, finished)
+    rows = _row_errors(placed, predicted, job, fit, finished)
     on_progress(1.0)
     notes = tuple(_notes(fit, placed, finished, job))
     return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
 
 
-def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, job: ResolvedJob) -> Placed:
+def _place(name: str, photo: Photo, predicted: PredictedPiece, template: int, job: ResolvedJob) -> Placed:
     try:
-        placed = place_photo(photo, foretold.templates[template], viewed_from=job.spec.optics.viewed_from)
+        placed = place_photo(photo, predicted.templates[template], viewed_from=job.spec.optics.viewed_from)
     except ValueError:  # no light in it
         raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
     found = placed.registration
@@ -204,7 +204,7 @@ def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, job:
 
 
 def _choose_finished_half(
-    name: str, placed: Placed, foretold: ForetoldPiece, job: ResolvedJob
+    name: str, placed: Placed, predicted: PredictedPiece, job: ResolvedJob
 ) -> tuple[Half, tuple[Fold, ...]]:
     """Return which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
     coupon = coupon_of(job)
@@ -215,7 +215,7 @@ def _choose_finished_half(
         if ripples < _LEAST_RIPPLES:
             share = float(np.mean([fold.clipped for fold in own]))
             raise PhotoRefused(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
-    misfits = {half: misfit_as_milled(coupon, foretold.profiles, folds, half) for half in HALVES}
+    misfits = {half: misfit_as_milled(coupon, predicted.profiles, folds, half) for half in HALVES}
     if min(misfits.values()) > _AS_MILLED:
         values = {"misfit": min(misfits.values()), "throw_mm": job.spec.optics.throw_mm}
         raise PhotoRefused(name, CouponFinding("no_fringes", values))
@@ -226,13 +226,15 @@ def _choose_finished_half(
 
 
 def _nearest_template(fit: FinishFit) -> int:
-    """Return the finish foretold that leaves half of about the same ripple."""
+    """Return the predicted finish that leaves half of about the same ripple."""
     half = fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order - 0.5)
     return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
 
 
-def _row_errors(placed: Placed, foretold: ForetoldPiece, job: ResolvedJob, fit: FinishFit, finished: Half) -> RowErrors:
-    y, across = foretold.across
+def _row_errors(
+    placed: Placed, predicted: PredictedPiece, job: ResolvedJob, fit: FinishFit, finished: Half
+) -> RowErrors:
+    y, across = predicted.across
     clean = np.interp(placed.picture.y_mm, y, across)
     passed, coupon = cam_passes_of(job.spec)[-1], coupon_of(job)
     return fit_row_errors(

@@ -12,7 +12,7 @@ from service.job import files as job_files
 from service.job.coupon.findings import CouponResult, measure_photo, snippet
 from service.job.coupon.photograph import Photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
-from service.job.coupon.programs import load_foretold
+from service.job.coupon.programs import load_predicted_piece
 from service.job.finite_json import plain
 from service.job.spec.loading import load_stored_job
 from service.progress import Reporter, Stopwatch
@@ -39,8 +39,8 @@ def fit_photo(
 ) -> CouponResult:
     """Return what a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
     job = load_stored_job(folder)
-    foretold = load_foretold(folder / PROFILES, coupon_of(job))
-    return measure_photo(name, shot, foretold, job, on_progress=on_progress)
+    predicted = load_predicted_piece(folder / PROFILES, coupon_of(job))
+    return measure_photo(name, shot, predicted, job, on_progress=on_progress)
 
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:

@@ -1,4 +1,4 @@
-"""From the spec of a test piece to its folder: programs, checked as a job's are, and the photograph foretold. A server
+"""From the spec of a test piece to its folder: programs, checked as a job's are, and the predicted photograph. A server
 keeps one of each machine, made when it is first asked for.
 """
 
@@ -54,7 +54,7 @@ from service.progress import Reporter, Stopwatch, report_progress
 
 PIXELS_PER_MM = 20
 TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
-"""k0 of finishes, of order 2, for which the light is foretold: photographs are found by that which is most like."""
+"""k0 of finishes, of order 2, for which the light is predicted: a photograph is found by the most similar."""
 
 CELL_MM, FINE_CELL_MM = 0.02, 0.01
 _BEYOND_MM = 0.9  # of the heights around the piece: all of it lies where the ball has been
@@ -92,13 +92,13 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
         watch = Stopwatch(reporter)
         job_files.write_json(folder / job_files.REPORT, so_far.report)  # names the programs
         _foretell(folder, job, watch)
-        told = {
+        part = {
             "warnings": [sentence for sentences in so_far.notes.values() for sentence in sentences],
             "timings_s": watch.timings_s,
             "peak_rss_mb": peak_rss_mb(),
             "versions": versions(),
         }
-        report = merge_reports((so_far.report, told))
+        report = merge_reports((so_far.report, part))
         job_files.write_bytes(folder / SHEET, ("\n".join(sheet_lines(job, report)) + "\n").encode())
         job_files.write_json(folder / job_files.SPEC, spec.plain())
         queue.finish()
@@ -131,7 +131,7 @@ def _foretell(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForetoldPiece:
+class PredictedPiece:
     """What a photograph is compared with.
 
     templates  : light (ny, nx) on the screen behind finishes of TEMPLATES_RAD_PER_MM, by which it is found
@@ -143,7 +143,7 @@ class ForetoldPiece:
     across: Array
 
 
-def load_foretold(path: Path, coupon: Coupon) -> ForetoldPiece:
+def load_predicted_piece(path: Path, coupon: Coupon) -> PredictedPiece:
     """Load coupon.npz; InputError where it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
@@ -157,7 +157,7 @@ def load_foretold(path: Path, coupon: Coupon) -> ForetoldPiece:
         )
         for number, strip in enumerate(strips)
     )
-    return ForetoldPiece(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
+    return PredictedPiece(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
 
 
 def _usual(k0_rad_per_mm: float) -> Transfer:

@@ -30,7 +30,7 @@ MOST_POINTS = 60_000
 """Of the coarsest level."""
 
 _VERSION = 1
-_GLANCE = 1 / 400  # of the longer side: what cannot be told apart in a picture of the whole
+_GLANCE = 1 / 400  # of the longer side: what cannot be distinguished in a picture of the whole
 _RATIO = 4.0
 _STEPS = 3  # levels between the full one and the coarsest
 _THINNED = 1  # of them, counted from the finest: what the coarsest is made from

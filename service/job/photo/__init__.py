@@ -1,1 +1,1 @@
-"""A photograph of a finished lens's light on the wall: read, compared with what was foretold, told in sentences."""
+"""A photograph of a finished lens's light on the wall: read, compared with the prediction, reported in sentences."""

@@ -1,4 +1,4 @@
-"""What a photograph of the wall told, as codes and values, and the one table of sentences about them."""
+"""What a photograph of the wall shows, as codes and values, and the one table of sentences about them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PhotoFinding:
 
 
 class UselessPhotoError(PictureError):
-    """A photograph that tells nothing. `code` is a key of REFUSALS."""
+    """A photograph that shows nothing. `code` is a key of REFUSALS."""
 
     def __init__(self, name: str, code: str, **values: Any) -> None:
         super().__init__(Phrase("{name}: {sentence}", name=name, sentence=REFUSALS[code](values)))

@@ -18,7 +18,7 @@ from optics.spline import Array
 from service.errors import printable
 from service.job.finite_json import plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
-from service.job.photo.foretold import ForetoldLight, foretold_of
+from service.job.photo.predicted import PredictedLight, load_predicted_light
 from service.job.picture.reading import WallPhoto, read_wall_photo
 from service.progress import QuietReporter, Reporter, Stopwatch
 
@@ -38,68 +38,68 @@ _CAMERA_PX = 1.2  # pixels of the photograph: its own softness
 class Look:
     """findings in the order in which a person acts; figures: what look.json holds; pictures as the viewer sees them.
 
-    rectified, foretold (ny, nx) : irradiance, row 0 on top; NaN where the photograph shows nothing or is clipped
+    rectified, predicted (ny, nx) : irradiance, row 0 on top; NaN where the photograph shows nothing or is clipped
     """
 
     findings: tuple[PhotoFinding, ...]
     figures: dict[str, Any]
     rectified: Array
-    foretold: Array
+    predicted: Array
 
     def png(self, *, with_words: bool = True) -> bytes:
         """Draw photograph, prediction, difference, and what was found in words."""
         from service.job.report.figures.photographs import look_png  # what it stands on is slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
-        return look_png(self.rectified, self.foretold, sentences)
+        return look_png(self.rectified, self.predicted, sentences)
 
 
 def look_at(
     photo: WallPhoto,
-    foretold: ForetoldLight,
+    predicted: PredictedLight,
     *,
     name: str,
     picture_width_mm: float | None = None,
     reporter: Reporter | None = None,
 ) -> Look:
-    """Compare a photograph with what is foretold. UselessPhotoError, which calls it by `name`, where it tells nothing.
+    """Compare a photograph with the prediction. UselessPhotoError, which calls it by `name`, where it shows nothing.
 
     picture_width_mm : how wide the lit rectangle is on the wall, where somebody has measured it
     """
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("finding the picture"):
-        place = _register(photo, foretold, name)
+        place = _register(photo, predicted, name)
     with watch.stage("fitting the wall") as on_progress:
         fit = fit_wall(
             photo.light,
             place,
-            foretold.lens,
-            foretold.bench,
-            foretold.irradiance,
-            viewed_from=foretold.viewed_from,
+            predicted.lens,
+            predicted.bench,
+            predicted.irradiance,
+            viewed_from=predicted.viewed_from,
             picture_width_mm=picture_width_mm,
             on_progress=on_progress,
         )
-    findings = tuple(_findings(photo, foretold, place, fit))
+    findings = tuple(_findings(photo, predicted, place, fit))
 
     def seen(light: Array) -> Array:
-        return picture_from_irradiance(light, viewed_from=foretold.viewed_from)
+        return picture_from_irradiance(light, viewed_from=predicted.viewed_from)
 
     return Look(
         findings=findings,
-        figures=_figures(photo, foretold, place, fit, findings, name),
+        figures=_figures(photo, predicted, place, fit, findings, name),
         rectified=seen(np.where(place.usable, place.rectified, np.nan)),
-        foretold=seen(foretold.bounded),
+        predicted=seen(predicted.bounded),
     )
 
 
-def _register(photo: WallPhoto, foretold: ForetoldLight, name: str) -> Registration:
+def _register(photo: WallPhoto, predicted: PredictedLight, name: str) -> Registration:
     peak = _peak(photo)
     if 0.0 < peak < _LEAST_PEAK:
         raise UselessPhotoError(name, "too_dark", peak_percent=100 * peak, least_percent=100 * _LEAST_PEAK)
     if peak == 0.0 or min(photo.light.shape) < 8:
         raise UselessPhotoError(name, "no_light")
-    place = register(photo.light, foretold.bounded, viewed_from=foretold.viewed_from, fit_tone=True)
+    place = register(photo.light, predicted.bounded, viewed_from=predicted.viewed_from, fit_tone=True)
     if place.clipped_share > _MOST_CLIPPED:
         clipped, most = 100 * place.clipped_share, 100 * _MOST_CLIPPED
         raise UselessPhotoError(name, "too_bright", clipped_percent=clipped, most_percent=most)
@@ -107,7 +107,7 @@ def _register(photo: WallPhoto, foretold: ForetoldLight, name: str) -> Registrat
         raise UselessPhotoError(name, "not_this_lens", likeness=place.likeness, least=LEAST_ALIKE)
     if place.overlap < _LEAST_SEEN:
         raise UselessPhotoError(name, "cut_off", seen_percent=100 * place.overlap, least_percent=100 * _LEAST_SEEN)
-    across = place.pixels_per_pixel * max(foretold.irradiance.shape)
+    across = place.pixels_per_pixel * max(predicted.irradiance.shape)
     if across < _LEAST_ACROSS_PX:
         raise UselessPhotoError(name, "too_small", across_px=across, least_px=_LEAST_ACROSS_PX)
     return place
@@ -121,18 +121,18 @@ def _peak(photo: WallPhoto) -> float:
     return float(bright - dark)
 
 
-def _findings(photo: WallPhoto, foretold: ForetoldLight, place: Registration, fit: WallFit) -> list[PhotoFinding]:
+def _findings(photo: WallPhoto, predicted: PredictedLight, place: Registration, fit: WallFit) -> list[PhotoFinding]:
     found = []
     if place.mirrored:
-        found.append(PhotoFinding(code="mirrored", values={"viewed_from": foretold.viewed_from}))
-    found.append(_distance(foretold, fit.throw_mm))
-    found += _find_tilt("wall_tilted", fit.wall_tilt_rad, foretold)
-    found += _find_tilt("light_aslant", fit.light_tilt_rad, foretold)
+        found.append(PhotoFinding(code="mirrored", values={"viewed_from": predicted.viewed_from}))
+    found.append(_distance(predicted, fit.throw_mm))
+    found += _find_tilt("wall_tilted", fit.wall_tilt_rad, predicted)
+    found += _find_tilt("light_aslant", fit.light_tilt_rad, predicted)
     deg = _turn_deg(place)
     if abs(deg) > _TURNED_DEG:
         found.append(PhotoFinding(code="turned", values={"deg": deg}))
-    found.append(_softness(foretold, place, fit))
-    found.append(_surface(foretold, fit))
+    found.append(_softness(predicted, place, fit))
+    found.append(_surface(predicted, fit))
     if place.clipped_share > _SOME_CLIPPED:
         found.append(PhotoFinding(code="partly_clipped", values={"clipped_percent": 100 * place.clipped_share}))
     if _peak(photo) < _DARK_PEAK:
@@ -142,22 +142,22 @@ def _findings(photo: WallPhoto, foretold: ForetoldLight, place: Registration, fi
     return found
 
 
-def _distance(foretold: ForetoldLight, throw: Estimate) -> PhotoFinding:
+def _distance(predicted: PredictedLight, throw: Estimate) -> PhotoFinding:
     within = 2 * throw.deviation
     if throw.exceeds(_SURE):
         code = "wall_too_far" if throw.value > 0 else "wall_too_near"
         return PhotoFinding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
     if throw.is_determined:
         return PhotoFinding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
-    return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
+    return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": predicted.bench.throw_mm})
 
 
-def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldLight) -> list[PhotoFinding]:
+def _find_tilt(code: str, angles: tuple[Estimate, Estimate], predicted: PredictedLight) -> list[PhotoFinding]:
     """Return one finding for both directions, where one of them is sure and large enough to act on."""
     sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
     if not any(sure):
         return []
-    left = foretold.viewed_from == "lens"  # who looks along the light has +X to the left
+    left = predicted.viewed_from == "lens"  # who looks along the light has +X to the left
     words = (("left", "right") if left else ("right", "left")), ("top", "bottom")
     sides = [pair[0 if one.value > 0 else 1] for pair, one, counts in zip(words, angles, sure, strict=True) if counts]
     total = math.degrees(math.hypot(*(one.value for one, counts in zip(angles, sure, strict=True) if counts)))
@@ -171,44 +171,44 @@ def _turn_deg(place: Registration) -> float:
     return deg - 90.0 * round(deg / 90.0)
 
 
-def _softness(foretold: ForetoldLight, place: Registration, fit: WallFit) -> PhotoFinding:
-    pixel_mm = foretold.bench.screen.width_mm / foretold.irradiance.shape[1]
-    unsure_mm = max(0.5 * pixel_mm, _CAMERA_PX / place.pixels_per_pixel * pixel_mm, 0.3 * fit.foretold_blur_mm)
-    values = {"foretold": foretold.kind, "mm": abs(fit.blur_mm), "foretold_mm": fit.foretold_blur_mm}
+def _softness(predicted: PredictedLight, place: Registration, fit: WallFit) -> PhotoFinding:
+    pixel_mm = predicted.bench.screen.width_mm / predicted.irradiance.shape[1]
+    unsure_mm = max(0.5 * pixel_mm, _CAMERA_PX / place.pixels_per_pixel * pixel_mm, 0.3 * fit.predicted_blur_mm)
+    values = {"foretold": predicted.kind, "mm": abs(fit.blur_mm), "foretold_mm": fit.predicted_blur_mm}
     if fit.blur_mm > unsure_mm:
-        source_deg = math.degrees(4.0 * fit.blur_mm / foretold.bench.throw_mm)  # a disc is four deviations wide
+        source_deg = math.degrees(4.0 * fit.blur_mm / predicted.bench.throw_mm)  # a disc is four deviations wide
         return PhotoFinding(code="softer", values={**values, "source_deg": source_deg})
     if fit.blur_mm < -unsure_mm:
         return PhotoFinding(code="sharper", values=values)
-    return PhotoFinding(code="as_soft_as_foretold", values={"foretold": foretold.kind})
+    return PhotoFinding(code="as_soft_as_foretold", values={"foretold": predicted.kind})
 
 
-def _surface(foretold: ForetoldLight, fit: WallFit) -> PhotoFinding:
-    told = [one for one in fit.surface_um if one.is_determined]
-    if not told:
+def _surface(predicted: PredictedLight, fit: WallFit) -> PhotoFinding:
+    determined = [one for one in fit.surface_um if one.is_determined]
+    if not determined:
         return PhotoFinding(code="surface_unknown")
     sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
     if not sure:
-        return PhotoFinding(code="surface_right", values={"within_um": max(2 * one.deviation for one in told)})
-    sign = -1 if foretold.viewed_from == "lens" else 1  # left and right as the viewer sees them
+        return PhotoFinding(code="surface_right", values={"within_um": max(2 * one.deviation for one in determined)})
+    sign = -1 if predicted.viewed_from == "lens" else 1  # left and right as the viewer sees them
     rows = [
         {"order_x": a, "order_y": b, "um": one.value * sign**a, "deviation_um": one.deviation}
         for (a, b), one in sorted(sure, key=lambda row: -abs(row[1].value))
     ]
     return PhotoFinding(
-        code="surface_off", values={"peak_to_valley_um": _peak_to_valley(foretold, fit, _SUREST), "terms": rows}
+        code="surface_off", values={"peak_to_valley_um": _peak_to_valley(predicted, fit, _SUREST), "terms": rows}
     )
 
 
-def _peak_to_valley(foretold: ForetoldLight, fit: WallFit, deviations: float) -> float:
-    shape = foretold.lens.height_mm / foretold.lens.width_mm
+def _peak_to_valley(predicted: PredictedLight, fit: WallFit, deviations: float) -> float:
+    shape = predicted.lens.height_mm / predicted.lens.width_mm
     x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
     return float(np.ptp(surface_error_um(fit.surface_um, x, y, shape, deviations=deviations)))
 
 
 def _figures(
     photo: WallPhoto,
-    foretold: ForetoldLight,
+    predicted: PredictedLight,
     place: Registration,
     fit: WallFit,
     findings: tuple[PhotoFinding, ...],
@@ -221,7 +221,7 @@ def _figures(
     return plain(
         {
             "photo": {"name": name, "width": photo.width, "height": photo.height},
-            "foretold": foretold.kind,
+            "foretold": predicted.kind,
             "place": {
                 "homography": place.homography.tolist(),
                 "photo_width": photo.light.shape[1],
@@ -244,9 +244,9 @@ def _figures(
                 "tilt_y": degrees_of(fit.wall_tilt_rad[1]),
             },
             "light": {"aslant_x": degrees_of(fit.light_tilt_rad[0]), "aslant_y": degrees_of(fit.light_tilt_rad[1])},
-            "blur": {"beyond_foretold_mm": fit.blur_mm, "foretold_mm": fit.foretold_blur_mm},
+            "blur": {"beyond_foretold_mm": fit.blur_mm, "foretold_mm": fit.predicted_blur_mm},
             "surface": {
-                "peak_to_valley_um": _peak_to_valley(foretold, fit, 0.0),
+                "peak_to_valley_um": _peak_to_valley(predicted, fit, 0.0),
                 "terms": [
                     {
                         "order_x": a,
@@ -270,5 +270,5 @@ def look_at_photo(
     """Return the photograph in one file, of the lens of the job in one folder."""
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("reading"):
-        photo, foretold = read_wall_photo(path), foretold_of(job)
-    return look_at(photo, foretold, name=printable(str(path)), picture_width_mm=picture_width_mm, reporter=reporter)
+        photo, predicted = read_wall_photo(path), load_predicted_light(job)
+    return look_at(photo, predicted, name=printable(str(path)), picture_width_mm=picture_width_mm, reporter=reporter)

@@ -19,7 +19,7 @@ from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import load_stored_job
 from service.wording import duration
 
-_DONE = 0.06  # of the dose: nearer to the plan nothing can be told apart
+_DONE = 0.06  # of the dose: nearer to the plan no difference is seen
 _REFUSALS: dict[Refusal, Phrase] = {
     "no_light": Phrase(
         "no lit strip is found in it; allowed: the light of the witness marks alone, all else covered, in a dark room"

@@ -261,7 +261,7 @@ def _require_size(name: str, limits: PictureLimits, width: int, height: int) -> 
 
 
 def _require_convertible(image: Image.Image, name: str) -> None:
-    """Refuse a mode that cannot be read as tones: one pixel tells."""
+    """Refuse a mode that cannot be read as tones: one pixel shows it."""
     if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
         try:
             image.crop((0, 0, 1, 1)).convert("RGB")

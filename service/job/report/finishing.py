@@ -48,29 +48,29 @@ def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it),
              `finish_tolerance`, `witness`, `rim_room`
     """
-    told = table(report.get("finishing"))
-    if not told:
+    work = table(report.get("finishing"))
+    if not work:
         return None
     return {
-        "title": str(told.get("title") or told.get("process") or Phrase("by hand")),
+        "title": str(work.get("title") or work.get("process") or Phrase("by hand")),
         "tolerance": list(list_finish_tolerance(report)),
         "rims": [advice] if (advice := table(report.get("rim_room")).get("advice")) else [],
         "witness": _describe_witness(report),
-        "rows": [*_work_rows(told), *_check_rows(report), *_light_rows(report)],
-        "warnings": list(_warnings(report, told)),
-        **{key: [str(sentence) for sentence in told.get(key) or ()] for key in _SENTENCES},
-        **{key: str(told.get(key) or "") for key in ("when_to_stop", "law")},
+        "rows": [*_work_rows(work), *_check_rows(report), *_light_rows(report)],
+        "warnings": list(_warnings(report, work)),
+        **{key: [str(sentence) for sentence in work.get(key) or ()] for key in _SENTENCES},
+        **{key: str(work.get(key) or "") for key in ("when_to_stop", "law")},
     }
 
 
-def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
-    if told.get("minutes") is not None:
-        yield Phrase("Time, the whole lens"), duration(60 * told["minutes"])
-    if depth_um := told.get("depth_um"):
+def _work_rows(work: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
+    if work.get("minutes") is not None:
+        yield Phrase("Time, the whole lens"), duration(60 * work["minutes"])
+    if depth_um := work.get("depth_um"):
         yield Phrase("Comes off") if depth_um > 0 else Phrase("Is added"), f"{number(abs(depth_um), 1)} µm"
-    if told.get("removal"):
-        yield Phrase("What comes off"), str(told["removal"])
-    levelled_mm, kept_mm, pad_mm = (told.get(key) for key in ("levelled_mm", "kept_mm", "pad_mm"))
+    if work.get("removal"):
+        yield Phrase("What comes off"), str(work["removal"])
+    levelled_mm, kept_mm, pad_mm = (work.get(key) for key in ("levelled_mm", "kept_mm", "pad_mm"))
     if levelled_mm and kept_mm:
         kept: str = _mm(kept_mm)
         if pad_mm is not None and pad_mm < kept_mm:
@@ -81,10 +81,10 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
             kept=kept,
         )
         yield Phrase("Levels"), levels
-    if told.get("run_out_mm"):
+    if work.get("run_out_mm"):
         mask = Phrase(
             "mask them, or finish {run_out} beyond the lens: edges are rounded as far as that",
-            run_out=_mm(told["run_out_mm"]),
+            run_out=_mm(work["run_out_mm"]),
         )
         yield Phrase("Rims"), mask
 
@@ -113,7 +113,7 @@ def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
             yield Phrase("The tool touches"), Phrase("{percent:.0f} % of the lens", percent=100 * share)
 
 
-def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Phrase]:
+def _warnings(report: Mapping[str, Any], work: Mapping[str, Any]) -> Iterator[Phrase]:
     milled_db, finished_db = (table(report.get(key)).get("psnr_db") for key in ("as_milled", "as_finished"))
     if milled_db is not None and finished_db is not None and finished_db < milled_db - _WORTH_DB:
         yield Phrase(
@@ -123,7 +123,7 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Ph
             milled_db=milled_db,
         )
     yield from explain_flaws(table(report.get("as_finished")))
-    minutes, least, most = (told.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
+    minutes, least, most = (work.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
         yield Phrase(
             "{duration} lies outside what this process is known for, {least} to {most} on a lens of this size: what is "
@@ -132,7 +132,7 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Ph
             least=duration(60 * least),
             most=duration(60 * most),
         )
-    if not told.get("steps"):
+    if not work.get("steps"):
         yield Phrase("This process is in no library: there are no instructions for it, its figures are your own.")
 
 
@@ -145,8 +145,8 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
 
     report : of it the parts `finish_tolerance` and `finishing`
     """
-    found, told = table(report.get("finish_tolerance")), table(report.get("finishing"))
-    minutes = told.get("minutes")
+    found, work = table(report.get("finish_tolerance")), table(report.get("finishing"))
+    minutes = work.get("minutes")
     if not found:
         return
     (low, high), (little, planned, much) = found["within_ratio"], found["psnr_db"]
@@ -180,7 +180,7 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
     )
     if little >= much:
         yield Phrase("Too little is the safer side: work can be added, and never taken back.")
-    if (pad_mm := told.get("pad_mm")) is not None:
+    if (pad_mm := work.get("pad_mm")) is not None:
         yield Phrase(
             "All this is for a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and everywhere "
             "alike: what presses less leaves the hollows, and what is harder levels the ridges alone.",

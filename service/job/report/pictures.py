@@ -13,8 +13,8 @@ from phrases.phrase import Phrase
 
 Part = Literal["lens", "light", "programs"]
 
-ForetoldKind = Literal["finished", "milled", "designed"]
-FORETOLD: dict[ForetoldKind, str] = {"finished": "caustic-as-finished.png", "milled": "caustic-as-milled.png"}
+PredictedKind = Literal["finished", "milled", "designed"]
+PREDICTED: dict[PredictedKind, str] = {"finished": "caustic-as-finished.png", "milled": "caustic-as-milled.png"}
 """What a photograph of the wall is compared with, the best first."""
 
 

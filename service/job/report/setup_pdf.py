@@ -214,9 +214,7 @@ def _sections(setup: Mapping[str, Any], most: int) -> list[tuple[str, str, list[
 
 
 def _finish_sentences(setup: Mapping[str, Any]) -> list[str]:
-    """Return the tolerance of the finish, the tool at the rims, and how the witness marks tell: what is read while one
-    works.
-    """
+    """Return what is read at work: the tolerance of the finish, the tool at the rims, how to read the witness marks."""
     card = setup["finishing"] or {}
     witness = card.get("witness") or {"rows": [], "sentences": []}
     rows = [f"{when}: {what}" for when, what in witness["rows"]]

@@ -214,8 +214,8 @@ def _draw(context: StageContext, target: Array, designed: Array, milled: Array) 
     viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
     white = float(target.max())
-    told = context.report["as_milled"]
+    figures = context.report["as_milled"]
     context.draw("caustic-as-milled.png", lambda: picture_png(views[2], white=white))
     if context.is_shown:
         context.draw(THUMBNAIL_AS_MILLED, lambda: thumbnail_png(views[2], white=white))
-    context.draw("as-milled.png", lambda: as_milled_png(*views, figures=told))
+    context.draw("as-milled.png", lambda: as_milled_png(*views, figures=figures))

@@ -34,7 +34,7 @@ THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last 
 
 
 class PictureQueue:
-    """Draws pictures beside whatever comes next, in one thread: drawing shares fonts, and who computes does not wait.
+    """Draws pictures in one thread, beside the rest of the stage: drawing shares fonts, and the stage does not wait.
 
     A context: pictures that are not begun when it ends are dropped.
     """
@@ -125,7 +125,7 @@ class StageContext:
         job_files.write_bytes(self.folder / name, data)
 
     def draw(self, name: str, picture: Callable[[], bytes]) -> None:
-        """Save what `picture` returns, drawn beside whatever comes next.
+        """Save what `picture` returns, drawn beside the rest of the stage.
 
         name : of a row of `service.job.report.pictures`, or of another file that `service.job.files` knows
         """

@@ -70,8 +70,8 @@ def run_irradiance(context: StageContext) -> None:
             context.hand_over(ORIGINAL, original, arrays.target_bytes)
             given = picture_from_irradiance(original, viewed_from=viewed_from)
             context.draw(PREPARED, lambda: _draw_preparation(given, seen, detail_mm or 0.0))
-    if told := aimed.figures():
-        context.report["image"] = plain(told)
+    if figures := aimed.figures():
+        context.report["image"] = plain(figures)
 
 
 def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
@@ -203,7 +203,7 @@ def _tell_of_design(context: StageContext, design: LensDesign, target: Array, se
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:
-    """Return what a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
+    """Return a record without its seconds: a stage must report the same each time; `timings_s` holds durations."""
     return plain({key: value for key, value in record.items() if key != "seconds"})
 
 

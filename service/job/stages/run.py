@@ -133,7 +133,7 @@ def _hide_paths(scratch: Path) -> Iterator[None]:
 
 
 class _Shares:
-    """Told of the parts of a stage, tells the share of the whole."""
+    """Takes progress within the parts of a stage, reports the share of the whole."""
 
     def __init__(self, stage: Stage, on_progress: Callable[[float], None]) -> None:
         self._parts = stage.parts

@@ -35,8 +35,8 @@ def run_report(context: StageContext) -> None:
         context.report["source"] = {"file": context.picture_name}
     spec = context.spec.plain()
     area_mm2 = context.spec.optics.width_mm * context.spec.optics.height_mm
-    if told := instruct_finishing(spec.get("finish", {}), context.job.figures.processes, area_mm2=area_mm2):
-        context.report["finishing"] = told
+    if instructions := instruct_finishing(spec.get("finish", {}), context.job.figures.processes, area_mm2=area_mm2):
+        context.report["finishing"] = instructions
     report = merge_reports((context.so_far, context.finish_report()))
     job_files.write_json(context.folder / job_files.SPEC, spec)
     spec["machine"] = {**asdict(context.machine), **spec["machine"]}

@@ -47,7 +47,7 @@ def _imports(module: str) -> tuple[str, ...]:
 
 
 def _list_imported_names(path: Path) -> Iterator[str]:
-    """Yield every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
+    """Yield every name that an import mentions, `from a import b` as a and as a.b, in any function, too."""
     for node in _list_statements(parse(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

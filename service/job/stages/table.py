@@ -2,7 +2,7 @@
 
 Theory of operation: the key of a stage is the hash of everything its outputs can depend on: our sources that it uses,
 the versions of the libraries, its part of the spec, and the content of the files it reads. Two jobs with an equal key
-have equal outputs, so that one of them need not be computed. Whatever a stage's function looks at must therefore stand
+have equal outputs, so that one of them need not be computed. All that a stage's function looks at must therefore stand
 in its row; a test runs each stage under specs that differ in everything else and wants the same bytes.
 
 Nothing here imports arrays: the API and the worker plan, only a stage's process computes.

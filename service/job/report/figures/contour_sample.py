@@ -77,7 +77,7 @@ class ContourSample(PathSample):
     """Of a contour pass. `row_distance_mm` is the distance between the tracks drawn."""
 
     def __init__(self, *, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, **others: Any) -> None:
-        """Begin as a `PathSample`; it has no rows and covers all, whatever `along` and `everywhere` say."""
+        """Begin as a `PathSample`; it has no rows and always covers all: `along` and `everywhere` change nothing."""
         super().__init__(pitch_mm=pitch_mm, radius_mm=radius_mm, width_mm=width_mm, height_mm=height_mm, **others)
         self._window_follows = False
         side_mm = min(_WINDOW_PITCHES * pitch_mm, 0.5 * min(width_mm, height_mm))

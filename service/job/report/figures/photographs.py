@@ -1,5 +1,5 @@
 """Figures of photographs: of a measured test piece, in its place, with what the finish left of each ripple; and of a
-job's wall, in the picture's own place, beside what was foretold, with what was found (look.png).
+job's wall, in the picture's own place, beside the prediction, with what was found (look.png).
 """
 
 from __future__ import annotations
@@ -71,23 +71,23 @@ def coupon_fit_png(seen: Array, fit: FinishFit, *, extent_mm: Sequence[float], n
     return png_bytes(figure)
 
 
-def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> bytes:
-    """Draw look.png: rectified and foretold (ny, nx): irradiance as the viewer sees it, of one scale; NaN: not in the
+def look_png(rectified: Array, predicted: Array, sentences: Sequence[str]) -> bytes:
+    """Draw look.png: rectified and predicted (ny, nx): irradiance as the viewer sees it, of one scale; NaN: not in the
     photograph.
     """
     lines = [line for text in sentences for line in textwrap.wrap(f"• {text}", _COLUMNS, subsequent_indent="   ")]
-    white = float(np.quantile(foretold, 0.998))
-    high = panel_height(4.0, *foretold.shape)
+    white = float(np.quantile(predicted, 0.998))
+    high = panel_height(4.0, *predicted.shape)
     words_in = 0.15 + _LINE_IN * len(lines) if lines else 0.0
     figure = new_figure(12.9, 0.6 + high + words_in)
     panels = figure.subplots(1, 3)
     for axes, title, picture in zip(
-        panels, ("Photograph, set straight", "Foretold"), (rectified, foretold), strict=False
+        panels, ("Photograph, set straight", "Foretold"), (rectified, predicted), strict=False
     ):
         shown = np.where(np.isfinite(picture), picture, white)
         show_light(axes, shown, white)
         axes.set_title(title, fontsize=11)
-    difference = 100.0 * (rectified - foretold) / white
+    difference = 100.0 * (rectified - predicted) / white
     limit = round_up(max(float(np.nanpercentile(np.abs(difference), 98.0)), 1.0))
     image = panels[2].imshow(difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
     panels[2].set_title("Difference: photograph \N{MINUS SIGN} foretold", fontsize=11)

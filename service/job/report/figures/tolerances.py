@@ -32,8 +32,8 @@ def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, 
     _draw_focus(focus, found)
     _draw_tilt(tilt, found)
     _draw_blur(blur, found)
-    told = [p.psnr_db for points in (found.focus, found.tilts, found.sources) for p in points]
-    focus.set_ylim(min(*told, found.psnr_db - FOCUS_LOSS_DB) - _HEADROOM_DB, max(told) + _HEADROOM_DB)
+    scores = [p.psnr_db for points in (found.focus, found.tilts, found.sources) for p in points]
+    focus.set_ylim(min(*scores, found.psnr_db - FOCUS_LOSS_DB) - _HEADROOM_DB, max(scores) + _HEADROOM_DB)
     focus.set_ylabel("PSNR [dB]", fontsize=_SMALL)
     for axes, (caption, picture) in zip(shown.subplots(1, len(pictures), squeeze=False)[0], pictures, strict=True):
         show_light(axes, picture, white)

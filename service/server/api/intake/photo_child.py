@@ -21,8 +21,8 @@ from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
 from service.job.coupon.programs import keep_coupon  # noqa: E402
 from service.job.finite_json import plain  # noqa: E402
-from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
+from service.job.photo.predicted import load_predicted_light  # noqa: E402
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
 from service.processes.child_work import answer_requests  # noqa: E402
@@ -41,7 +41,7 @@ def _answer(asked: dict[str, Any], _: Callable[[float], None]) -> dict[str, Any]
 
 def _look(asked: dict[str, Any]) -> dict[str, Any]:
     photo = read_wall_photo(Path(asked["path"]), limits=_limits(asked), name=asked["name"])
-    found = look_at(photo, foretold_of(Path(asked["job"])), name=asked["name"])
+    found = look_at(photo, load_predicted_light(Path(asked["job"])), name=asked["name"])
     return {**found.figures, "picture": _as_text(found.png(with_words=False))}
 
 

@@ -22,7 +22,7 @@ from service.errors import PictureError
 from service.http.disposition import name_download
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
-from service.job.report.pictures import FORETOLD
+from service.job.report.pictures import PREDICTED
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import receive_form
@@ -175,7 +175,7 @@ def _fetch(services: Services, job_id: str, folder: Path) -> None:
     if missing:
         words = Phrase("the job has no {file} yet: there is no lens to compare a photograph with", file=missing[0])
         raise Problem(409, words)
-    for name in (job_files.HEIGHTFIELD, job_files.MAP, *FORETOLD.values()):
+    for name in (job_files.HEIGHTFIELD, job_files.MAP, *PREDICTED.values()):
         if name in files:
             services.store.fetch(files[name].sha256, folder / name)
     (folder / job_files.SPEC).write_text(json.dumps(job.spec), encoding="utf-8")

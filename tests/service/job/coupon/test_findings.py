@@ -24,7 +24,7 @@ from service.job.coupon.findings import (
 )
 from service.job.coupon.photograph import Photo
 from service.job.coupon.piece import coupon_job, coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
 from service.job.spec.loading import resolve_spec
 from service.job.spec.resolved import ResolvedJob
 from tests.optics.coupon.pieces import smooth_piece
@@ -42,13 +42,13 @@ def job() -> ResolvedJob:
 
 
 @cache
-def foretold() -> ForetoldPiece:
+def predicted() -> PredictedPiece:
     piece = smooth_piece()
     finishes = [Finish(k0_rad_per_mm=k0, order=2.0) for k0 in TEMPLATES_RAD_PER_MM]
     right = piece.light("right", None, pixels=TEMPLATE_PIXELS)
     templates = tuple(piece.light("left", one, pixels=TEMPLATE_PIXELS) + right for one in finishes)
     y = np.linspace(-4.0, HEIGHT_MM + 4.0, 50)
-    return ForetoldPiece(profiles=piece.profiles, templates=templates, across=np.array([y, np.ones(50)]))
+    return PredictedPiece(profiles=piece.profiles, templates=templates, across=np.array([y, np.ones(50)]))
 
 
 @cache
@@ -67,7 +67,7 @@ def photo(seen: Array, *, aside_deg: float = 0.0, turns: int = 0, stops: float =
 
 
 def measured(shot: Photo) -> CouponResult:
-    return measure_photo("wall.jpg", shot, foretold(), job())
+    return measure_photo("wall.jpg", shot, predicted(), job())
 
 
 def test_the_spec_of_the_tests_is_that_of_the_smooth_piece() -> None:

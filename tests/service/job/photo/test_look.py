@@ -19,8 +19,8 @@ from service.cli import main as cli
 from service.errors import InputError, PictureError
 from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.photo.findings import REFUSALS, SENTENCES, PhotoFinding, UselessPhotoError
-from service.job.photo.foretold import foretold_of
 from service.job.photo.looking import _find_tilt, look_at
+from service.job.photo.predicted import load_predicted_light
 from service.job.picture.light_png import picture_png
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import WallPhoto, read_wall_photo
@@ -49,8 +49,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def wall(job: Path) -> Array:
     """The light with the wall 2 % too far, as a viewer sees it."""
-    foretold = foretold_of(job)
-    return light_on_the_wall(foretold.lens, foretold.bench, throw_mm=1.02 * THROW_MM)
+    predicted = load_predicted_light(job)
+    return light_on_the_wall(predicted.lens, predicted.bench, throw_mm=1.02 * THROW_MM)
 
 
 def photo_of(wall: Array, *, at: dict[str, Any] | None = None, **conditions: Any) -> Array:
@@ -88,7 +88,7 @@ def test_the_command_tells_prints_and_draws(
 
 def refused(photo: Array, job: Path) -> UselessPhotoError:
     with pytest.raises(UselessPhotoError) as caught:
-        look_at(WallPhoto(light=photo, width=600, height=450), foretold_of(job), name="wall.jpg")
+        look_at(WallPhoto(light=photo, width=600, height=450), load_predicted_light(job), name="wall.jpg")
     assert str(caught.value).startswith("wall.jpg: ")
     return caught.value
 
@@ -108,7 +108,7 @@ def test_a_photograph_that_tells_nothing_is_refused_with_its_reason(job: Path, w
 @pytest.mark.thorough
 def test_a_mirrored_photograph_is_told_and_still_read(job: Path, wall: Array) -> None:
     found = look_at(
-        WallPhoto(light=photo_of(wall)[:, ::-1], width=600, height=450), foretold_of(job), name="selfie.jpg"
+        WallPhoto(light=photo_of(wall)[:, ::-1], width=600, height=450), load_predicted_light(job), name="selfie.jpg"
     )
     assert found.findings[0].code == "mirrored"
     assert found.findings[1].code == "wall_too_far"
@@ -120,16 +120,16 @@ def test_the_best_picture_of_the_job_is_what_was_foretold(job: Path, tmp_path: P
     folder.mkdir()
     for name in ("spec.json", "heightfield.npz", "map.npz"):
         (folder / name).write_bytes((job / name).read_bytes())
-    designed = foretold_of(folder)
+    designed = load_predicted_light(folder)
     assert designed.kind == "designed"
     seen = picture_from_irradiance(designed.irradiance, viewed_from="lens")
     white = float(designed.irradiance.max())
     (folder / "caustic-as-milled.png").write_bytes(picture_png(0.8 * seen, white=white))
-    milled = foretold_of(folder)
+    milled = load_predicted_light(folder)
     assert milled.kind == "milled"
     assert np.nanmax(np.abs(milled.irradiance - 0.8 * designed.irradiance)) < 0.02 * white
     (folder / "caustic-as-finished.png").write_bytes(picture_png(2 * seen, white=white))
-    finished = foretold_of(folder)
+    finished = load_predicted_light(folder)
     assert finished.kind == "finished"
     assert np.isnan(finished.irradiance).any()
     assert np.isfinite(finished.bounded).all()
@@ -141,7 +141,7 @@ def test_a_folder_without_a_lens_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert "--job" in capsys.readouterr().err
     assert cli.run(["look", str(photo), "--job", str(tmp_path)]) == 2
     with pytest.raises(InputError):
-        foretold_of(tmp_path)
+        load_predicted_light(tmp_path)
 
 
 def test_a_file_that_is_no_picture_is_refused_in_one_line(
@@ -208,7 +208,7 @@ def test_every_code_has_a_sentence_that_its_values_make(job: Path) -> None:
 def test_sides_are_those_of_the_viewer(job: Path) -> None:
     """Work-frame x runs to the left for who stands beside the lens, to the right for who stands behind the screen."""
     sure, none = (Estimate(value=value, deviation=0.001, expected=0.05) for value in (0.04, 0.0))
-    here = foretold_of(job)
+    here = load_predicted_light(job)
     there = replace(here, viewed_from="behind")
     assert _find_tilt("wall_tilted", (sure, none), here)[0].values["sides"] == ["left"]
     assert _find_tilt("wall_tilted", (sure, none), there)[0].values["sides"] == ["right"]

@@ -1,4 +1,4 @@
-"""What a job foretells of the light on its wall: the lens, its set-up, and the best picture there is in its folder."""
+"""What a job predicts of the light on its wall: the lens, its set-up, and the best picture there is in its folder."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from service.errors import InputError
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP
 from service.job.picture.linear_light import srgb_to_linear
-from service.job.report.pictures import FORETOLD, ForetoldKind
+from service.job.report.pictures import PREDICTED, PredictedKind
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import load_stored_spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForetoldLight:
+class PredictedLight:
     """irradiance (ny, nx): work frame, mean about 1; NaN where its file holds no more than "white or brighter"."""
 
-    kind: ForetoldKind
+    kind: PredictedKind
     lens: Heightfield
     bench: Bench
     irradiance: Array
@@ -39,7 +39,7 @@ class ForetoldLight:
         return np.nan_to_num(self.irradiance, nan=float(np.nanmax(self.irradiance)))
 
 
-def foretold_of(folder: Path) -> ForetoldLight:
+def load_predicted_light(folder: Path) -> PredictedLight:
     """Load the predicted light of a job that has a lens; InputError where it has none, or another program's files."""
     if not folder.is_dir():
         raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
@@ -47,13 +47,13 @@ def foretold_of(folder: Path) -> ForetoldLight:
     lens = arrays.load_heightfield(folder / HEIGHTFIELD)
     target = arrays.load_target(folder / MAP)
     bench, viewed_from = bench_of(spec), spec.optics.viewed_from
-    for kind, name in FORETOLD.items():
+    for kind, name in PREDICTED.items():
         seen = _picture(folder / name, target)
         if seen is not None:
             irradiance = flip_between_picture_and_work_frame(seen, viewed_from)
-            return ForetoldLight(kind=kind, lens=lens, bench=bench, irradiance=irradiance, viewed_from=viewed_from)
+            return PredictedLight(kind=kind, lens=lens, bench=bench, irradiance=irradiance, viewed_from=viewed_from)
     light = simulate_caustic(lens, bench, pixels=(target.shape[0], target.shape[1])).irradiance
-    return ForetoldLight(kind="designed", lens=lens, bench=bench, irradiance=light, viewed_from=viewed_from)
+    return PredictedLight(kind="designed", lens=lens, bench=bench, irradiance=light, viewed_from=viewed_from)
 
 
 def _picture(path: Path, target: Array) -> Array | None:
