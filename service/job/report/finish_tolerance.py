@@ -24,8 +24,8 @@ def tolerance_sentences(report: Mapping[str, Any]) -> Iterator[Phrase]:
     if minutes is None:
         less, more = (abs(100 * (ratio - 1)) for ratio in (low, high))
         yield Phrase(
-            "Do the planned work; up to {less:.0f} % less or {more:.0f} % more keep the wall within about {loss_db:g} "
-            "dB of the {planned_db:.1f} dB foreseen.",
+            "Do the planned work; up to {less:.0f} % less or {more:.0f} % more keep the picture within about "
+            "{loss_db:g} dB of the predicted {planned_db:.1f} dB.",
             less=less,
             more=more,
             **values,
@@ -33,8 +33,8 @@ def tolerance_sentences(report: Mapping[str, Any]) -> Iterator[Phrase]:
         parts = [str(Phrase("{percent:.0f} % of the work", percent=100 * one)) for one in found["minutes_ratio"]]
     else:
         yield Phrase(
-            "Finish for {minutes}; up to {less} less or {more} more keep the wall within about {loss_db:g} dB of the "
-            "{planned_db:.1f} dB foreseen.",
+            "Finish for {minutes}; up to {less} less or {more} more keep the picture within about {loss_db:g} dB "
+            "of the predicted {planned_db:.1f} dB.",
             minutes=duration(60 * minutes),
             less=duration(60 * minutes * (1 - low)),
             more=duration(60 * minutes * (high - 1)),
@@ -49,10 +49,10 @@ def tolerance_sentences(report: Mapping[str, Any]) -> Iterator[Phrase]:
         **values,
     )
     if little >= much:
-        yield Phrase("Too little is the safer side: work can be added, and never taken back.")
+        yield Phrase("Too little is safer: you can add work, but not take it back.")
     if (pad_mm := told.get("pad_mm")) is not None:
         yield Phrase(
-            "All this is for a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and everywhere "
-            "alike: what presses less leaves the hollows, and what is harder levels the ridges alone.",
+            "All this assumes a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and evenly: "
+            "with less pressure the hollows stay rough, and a harder pad levels only the ridges.",
             pad_mm=number(pad_mm, 1),
         )

@@ -57,7 +57,7 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
         yield Phrase("Levels"), levels
     if told.get("run_out_mm"):
         mask = Phrase(
-            "mask them, or finish {run_out} beyond the lens: edges are rounded as far as that",
+            "mask them, or finish {run_out} beyond the lens: edges are rounded that far in",
             run_out=_mm(told["run_out_mm"]),
         )
         yield Phrase("Rims"), mask
@@ -99,8 +99,8 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[Ph
     minutes, least, most = (told.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
         yield Phrase(
-            "{duration} lies outside what this process is known for, {least} to {most} on a lens of this size: what is "
-            "foretold may be wrong. A test piece tells.",
+            "{duration} is outside the known range of this process, {least} to {most} on a lens of this size: the "
+            "prediction may be wrong. Try it on a test piece.",
             duration=duration(60 * minutes),
             least=duration(60 * least),
             most=duration(60 * most),

@@ -17,20 +17,19 @@ _SIDES = {
 }
 _OBSTACLES = {
     "room": Phrase(
-        "There are no witness marks beside this lens: its margin has no free strip for them that a pad reaches into "
-        "and the mill travels to. A wider stock.margin_mm makes room, or clamps elsewhere."
+        "There are no witness marks beside this lens: its margin has no free strip that both a pad and the mill "
+        "can reach. A wider stock.margin_mm, or clamps elsewhere, make room."
     ),
     "steps": Phrase(
-        "There are no witness marks beside this lens: the mill's steps in height are higher than the ripples on which "
-        "this pad stays in touch."
+        "There are no witness marks beside this lens: the mill's steps in height are higher than the ripples that "
+        "this pad can follow."
     ),
     "noise": Phrase(
-        "There are no witness marks beside this lens: the mill's errors from row to row are as high as the ripples on "
-        "which this pad stays in touch."
+        "There are no witness marks beside this lens: the mill's errors from row to row are as high as the ripples "
+        "that this pad can follow."
     ),
     "slope": Phrase(
-        "There are no witness marks beside this lens: on ripples that this pad stays in touch with, a lamp shows too "
-        "little."
+        "There are no witness marks beside this lens: a lamp shows too little of the ripples that this pad can follow."
     ),
 }
 _STOP = 1.0
@@ -73,24 +72,25 @@ def _sentences(made: Mapping[str, Any], marks: list[Mapping[str, Any]], minutes:
         side=_SIDES[str(made["side"])],
     )
     yield Phrase(
-        "Look first after {first}, then every {every}: wash and dry the strip, hold a lamp almost flat along it, so "
-        "that the light crosses the ripples, and look at the middle of each mark, not at the ends of its ripples. A "
-        "ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm ({slope_um_per_mm:g} mrad).",
+        "Look for the first time after {first}, then every {every}: wash and dry the strip, hold a lamp almost "
+        "flat along it, so that the light crosses the ripples, and look at the middle of each mark, not at the "
+        "ends of its ripples. A ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm "
+        "({slope_um_per_mm:g} mrad).",
         first=duration(60 * minutes * marks[0]["share"]),
         every=duration(60 * minutes * 0.1),
         slope_um_per_mm=1000 * made["visible_slope_rad"],
     )
     if made["wall_mm"] is not None:
         yield Phrase(
-            "A photograph says it to a few percent: cover all but the strip with tape, put one small bright LED 2 m or "
-            "more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph the paper from "
-            "its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
+            "A photograph measures it to a few percent: cover all but the strip with tape, put one small bright "
+            "LED 2 m or more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph "
+            "the paper from its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
             wall_mm=made["wall_mm"],
         )
     yield Phrase(
-        "The marks count, not the clock: stop as soon as mark {stop} cannot be seen any more. If mark 1 goes earlier "
-        "or later than the table says, all others do in the same ratio. Mark {after} must still be plain: too little "
-        "can be mended, too much cannot.",
+        "Go by the marks, not by the clock: stop as soon as mark {stop} can no longer be seen. If mark 1 "
+        "disappears earlier or later than the table says, all others do so in the same ratio. Mark {after} must "
+        "still be plainly visible: you can add work, but not take it back.",
         stop=stop,
         after=stop + 1,
     )

@@ -94,7 +94,7 @@ class Hub:
         if not last_id:
             return []
         if life != self.life or not number.isdigit():
-            return [_gap(Phrase("the agent was started anew")), *self._ring]
+            return [_gap(Phrase("the agent was restarted")), *self._ring]
         seen = int(number)
         missed = [message for message in self._ring if message.number > seen]
         return [_gap(Phrase("older events are no longer kept")), *missed] if self._forgotten > seen else missed

@@ -100,7 +100,7 @@ class Estimator:
         request = _Request(caller=caller, asked=asked, is_long=is_long)
         with self._condition:
             if self._closed:
-                raise Problem(503, Phrase("the server is ending"), headers=_RETRY)
+                raise Problem(503, Phrase("the server is shutting down"), headers=_RETRY)
             for one in self._requests_of(caller):
                 if one.asked == asked and not one.answer.done():
                     return one.answer
@@ -155,7 +155,7 @@ class Estimator:
         with self._condition:
             self._closed = True
             for ask in (*self._waiting, *([self._running] if self._running else [])):
-                ask.end(Problem(503, Phrase("the server is ending"), headers=_RETRY))
+                ask.end(Problem(503, Phrase("the server is shutting down"), headers=_RETRY))
             self._waiting = []
             self._condition.notify()
             child = self._child
@@ -231,5 +231,5 @@ class Estimator:
             return kinds[found["kind"]](*found["refused"])
         if "fault" in found:
             _log.error(f"no {self._what}", error=found["fault"])
-            return Problem(500, Phrase("a fault inside the server; its log says which"))
+            return Problem(500, Phrase("internal server error; see the server's log"))
         return None

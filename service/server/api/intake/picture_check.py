@@ -42,7 +42,7 @@ class PictureChecker:
         answer: Future[PictureFacts] = Future()
         with self._gate:
             if self._closed:
-                raise FailedError(Phrase("pictures are not checked any more: the server is ending"))
+                raise FailedError(Phrase("pictures are no longer checked: the server is shutting down"))
             self._requests.put(({"path": str(path), "name": name, "max_pixels": max_pixels}, answer))
         return answer.result()
 
@@ -89,7 +89,7 @@ class PictureChecker:
             try:
                 self._child = LineChild(_MODULE)
             except (OSError, ChildDied, ChildLate):
-                words = Phrase("pictures cannot be checked: the process for it does not start")
+                words = Phrase("pictures cannot be checked: the process that does it does not start")
                 raise FailedError(words) from None
         return self._child
 
