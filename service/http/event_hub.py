@@ -132,7 +132,7 @@ class Hub(Generic[AReader]):
         if not last_id:
             return []
         if life != self.life or not number.isdigit():
-            return [_gap(Phrase("the agent was started anew")), *(message for _, message in self._ring)]
+            return [_gap(Phrase("the agent was restarted")), *(message for _, message in self._ring)]
         seen = int(number)
         missed = [message for number, message in self._ring if number > seen]
         return [_gap(Phrase("older events are no longer kept")), *missed] if self._forgotten > seen else missed

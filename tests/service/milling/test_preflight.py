@@ -170,7 +170,7 @@ def test_warnings_and_assumptions(tmp_path: Path) -> None:
     for words in (
         "line 1 ",
         "spindle off",
-        "line 3: asks for more feed",
+        "line 3: asks for a higher feed",
         "40000 rpm",
         "G53",
         "line 6: goes to a place",
@@ -186,7 +186,7 @@ def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> No
     file, okuma = tmp_path / "p.min", load_profile("okuma-osp", [])
     file.write_text(f"{begin}{moves}G0Z10.0\r\nM5\r\nM2\r\n%\r\n")
     (told,) = examine_here(file, okuma).warnings
-    assert "F800 is asked for, and 35 lines and 873 bytes a second carry F17" in told
+    assert "F800, but 35 lines and 873 bytes a second carry F17" in told
     assert not examine_here(file, replace(okuma, lines_per_s=1000.0, link=GRBL.link)).warnings
 
 

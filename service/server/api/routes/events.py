@@ -57,7 +57,7 @@ def _after(last_event_id: str | None) -> int | None:
         return None
     text = last_event_id.strip()
     if not (text.isascii() and text.isdigit() and len(text) <= 9):
-        raise Problem(422, Phrase("this is no id of an event of ours"), field="Last-Event-ID")
+        raise Problem(422, Phrase("this is not an event id of this server"), field="Last-Event-ID")
     return int(text)
 
 
