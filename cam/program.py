@@ -233,7 +233,7 @@ def _look(
     rows = Rows.over(stock, spec)
     met = StockTouch.of(stock_top, spec.radius_mm, spec.shape)
     if spec.where == "rest" and met.flat:
-        raise PassValueError(name="where", value="rest", allowed=Phrase("only after a pass that has left its shape"))
+        raise PassValueError(name="where", value="rest", allowed=Phrase("only after a pass that has cut the shape"))
     field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
     plan = plan_layers(field, met, spec)
     return met, rows, field.every(plan.stride), plan  # only the exact rows need the pitch

@@ -88,8 +88,8 @@ def _open_roland_serial(profile: MachineProfile, url: str) -> Driver:
     if "://" in url and not url.startswith("loop://"):
         raise NotAllowedError(
             Phrase(
-                "port {url} cannot tell what it still holds: a busy mill would look like a lost one and a hold "
-                "would come late; allowed: a serial port of this computer",
+                "port {url} cannot tell how many bytes it still holds: a busy mill would look like a lost one and "
+                "a hold would come late; allowed: a serial port of this computer",
                 url=url,
             )
         )

@@ -84,7 +84,7 @@ def open_port(url: str, link: LinkSettings) -> Port:
             write_timeout=2.0,
         )
     except ValueError as error:
-        raise PortError(name, Phrase("not a port or URL that is known: {reason}", reason=error)) from error
+        raise PortError(name, Phrase("not a known port or URL: {reason}", reason=error)) from error
     if "://" not in name:
         line.exclusive = True
         line.dtr = True  # as the kernel sets it on open: no edge is made that would reset the controller

@@ -120,7 +120,7 @@ class MachineProfile:
     acceleration_mm_per_s2 : acceleration of each axis
     step_mm                : smallest move of an axis
     z_noise_mm             : sigma of the height error from one row, or one entry, to the next
-    screw_error_mm         : amplitude of an axis's error that comes back with every turn of its screw; None: not known
+    screw_error_mm         : amplitude of an axis error that repeats with every turn of the screw; None: not known
     screw_lead_mm          : way of each axis in a turn of its screw
     junction_deviation_mm  : GRBL's $11, how far a corner may be rounded in the planner's model
     planner_blocks         : moves the planner looks ahead, as `$I` reports them (GRBL 1.1: 15 of its 16 slots)
@@ -283,7 +283,7 @@ def _require_base(name: str, extends: object, sources: Mapping[str, str], trail:
     others = ", ".join(f"'{other}'" for other in sources if other not in chain)
     if extends in chain:
         way = " -> ".join(f"'{link}'" for link in (*chain[chain.index(str(extends)) :], extends))
-        allowed = Phrase("a profile that does not come back to this one ({way}): {others}", way=way, others=others)
+        allowed = Phrase("a profile that does not lead back to this one ({way}): {others}", way=way, others=others)
         raise BadValueError("extends", extends, allowed)
     if not isinstance(extends, str) or extends not in sources or len(trail) >= _MOST_EXTENDS:
         raise BadValueError("extends", extends, others)

@@ -67,4 +67,6 @@ class UnsupportedBenchError(OpticsError):
         names = unknown[0]
         for name in unknown[1:]:
             names = Phrase("{names} and {name}", names=names, name=name)
-        super().__init__(Phrase('{method} does not know {names}: use method = "transport"', method=method, names=names))
+        super().__init__(
+            Phrase('{method} does not support {names}: use method = "transport"', method=method, names=names)
+        )

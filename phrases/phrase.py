@@ -1,7 +1,7 @@
 """Sentences for people that another language can say as well: each keeps the template and the values it is made of.
 
 Every package may use it; it uses none. English stands in the sources, and is the key of a table of another language
-(service/page/languages), as in gettext. tests/page/test_languages.py holds those tables complete.
+(service/page/languages), as in gettext. `make lint` lists what those tables lack (docs/languages.py).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from docs import site
+from docs.release import LOCK, bill_of_materials
 from machines.profile import load_profile
 from service.cli.main import run
 from service.job.spec.loading import resolve_spec
@@ -201,3 +202,14 @@ def test_what_has_a_word_has_no_other() -> None:
         if word in BANNED
     }
     assert not found
+
+
+def test_the_bill_of_materials_has_every_package_and_hash_of_the_lock() -> None:
+    lock = LOCK.read_text("utf-8")
+    components = bill_of_materials(lock)["components"]
+    pinned = re.findall(r"^([\w-]+)(?:\[.*\])?==([^ ]+)", lock, flags=re.MULTILINE)
+    assert [(one["name"], one["version"]) for one in components] == pinned
+    hashes = [file["hashes"][0]["content"] for one in components for file in one["externalReferences"]]
+    assert hashes == re.findall(r"sha256:(\w+)", lock) and len(hashes) > 1000
+    colorama = next(one for one in components if one["name"] == "colorama")
+    assert colorama["properties"] == [{"name": "environment", "value": "sys_platform == 'win32'"}]

@@ -128,8 +128,8 @@ class _ClosedWay:
                 name="tabs",
                 value=cut_out.tabs,
                 allowed=Phrase(
-                    "at most {most}: with its flanks and the cutter each takes {each_mm:.1f} mm of the {around_mm:.1f} "
-                    "mm around the lens",
+                    "at most {most}: each tab, its flanks and the cutter take {each_mm:.1f} mm of the "
+                    "{around_mm:.1f} mm around the lens",
                     most=most,
                     each_mm=2 * cut_out.tab_foot_mm(),
                     around_mm=self.length_mm,

@@ -102,8 +102,9 @@ class Engagement:
         self._plunge_allowed_mm = PLUNGE_ALLOWED * spec.radius_mm
         self._plunge = Finding(
             says=lambda v: Phrase(
-                "goes straight down {depth_mm:.3f} mm deep into stock (allowed: {allowed_mm:g} mm; a ball's dead "
-                "centre does not cut, nor do all flat mills', so it enters on a ramp or a helix)",
+                "goes straight down {depth_mm:.3f} mm deep into stock (allowed: {allowed_mm:g} mm; the centre of a "
+                "ball does not cut, nor does that of every flat mill, so the cutter must enter on a ramp or a "
+                "helix)",
                 depth_mm=v,
                 allowed_mm=self._plunge_allowed_mm,
             )

@@ -126,7 +126,7 @@ def find_unsupported(dialect: str, setup: ProgramSetup) -> Iterator[tuple[str, s
             "blend_tolerance_mm",
             f"{setup.blend_tolerance_mm:g}",
             Phrase(
-                "left out in dialect '{dialect}', which cannot be told a tolerance; {able} can",
+                "left out in dialect '{dialect}', which has no word for a tolerance; {able} has one",
                 dialect=dialect,
                 able=able,
             ),

@@ -179,7 +179,7 @@ def _limit_stairs(field: Field, most: int, step_down_mm: float) -> tuple[int, fl
             return stride, stair_mm
     pitch_mm = float(np.diff(field.rows.y_mm).max())
     most_mm = pitch_mm * STAIR_SHARE * step_down_mm / stair_mm
-    allowed = Phrase("at most {most_mm:.2g} mm, as a flat end leaves stairs on a lens so steep", most_mm=most_mm)
+    allowed = Phrase("at most {most_mm:.2g} mm, because a flat end leaves stairs on a lens this steep", most_mm=most_mm)
     raise PassValueError(name="pitch_mm", value=pitch_mm, allowed=allowed)
 
 

@@ -18,7 +18,7 @@ from phrases.phrase import Phrase
 AIR_MM = -1e6
 """Where the whole footprint lies beside the block."""
 
-_FIRST_ALONE = Phrase("a ball, after a pass that has left its shape")
+_FIRST_ALONE = Phrase("a ball, after a pass that has cut the shape")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

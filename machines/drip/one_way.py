@@ -77,13 +77,13 @@ class OneWayDriver:
         return b""
 
     def _word_running(self) -> Phrase:
-        return Phrase("bytes go out; what the machine does with them is not visible on this link")
+        return Phrase("sending; this link does not show what the machine does with the bytes")
 
     def _word_held(self) -> Phrase:
         """Return how much the machine may still execute, in words."""
         known = self._buffer_bytes
         if known is None:
-            return Phrase("whatever its buffer holds (size not known)")
+            return Phrase("everything in its buffer (size not known)")
         return Phrase("up to {count} bytes", count=known)
 
     # The interface.
@@ -97,7 +97,7 @@ class OneWayDriver:
         return self._channel.progress
 
     def connect(self) -> None:
-        self._channel.enter(MillState.IDLE, Phrase("line open; nothing answers on this link until a program is read"))
+        self._channel.enter(MillState.IDLE, Phrase("line open; the link stays silent until a program is read"))
 
     def poll(self, timeout_s: float) -> tuple[Event, ...]:
         deadline_s = self._port.clock() + timeout_s

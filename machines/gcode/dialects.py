@@ -104,8 +104,8 @@ class Dialect:
     def dwell_rule(self) -> Phrase:
         actions = {action for code, action, _, _ in self.own if code == 40}
         if DWELL_MS in actions:
-            return Phrase("P, its milliseconds, or X, its seconds")
-        return Phrase("F, its seconds") if DWELL_BY_F in actions else Phrase("P, its seconds")
+            return Phrase("P (milliseconds) or X (seconds)")
+        return Phrase("F (seconds)") if DWELL_BY_F in actions else Phrase("P (seconds)")
 
     def reason_for(self, code: int) -> Phrase:
         """Return the sentence of a refusal by this control."""

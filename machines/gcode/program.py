@@ -215,6 +215,6 @@ class TextIndex:
 
     def _refuse_long(self, number: int, text: bytes) -> None:
         reason = Phrase(
-            "a line of more than {most} bytes; put a line end behind each command (sed 's/;/;\\n/g')", most=LONGEST_LINE
+            "a line of more than {most} bytes; put a line end after each command (sed 's/;/;\\n/g')", most=LONGEST_LINE
         )
         raise ProgramRefusedError(number, shown(text[:60]), reason)

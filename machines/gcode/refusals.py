@@ -67,8 +67,8 @@ def make_reasons(
     """Return all sentences, by code, for programs of one dialect."""
     return {
         NO_LETTER: Phrase("a word starts with a letter; only G-code words, comments in ( ) and after ; are understood"),
-        NO_NUMBER: Phrase("a letter is followed by a plain decimal number of at most 17 digits"),
-        OPEN_COMMENT: Phrase("a comment that is opened with ( is closed with ) on the same line"),
+        NO_NUMBER: Phrase("a letter must be followed by a plain decimal number of at most 17 digits"),
+        OPEN_COMMENT: Phrase("a comment that opens with ( must close with ) on the same line"),
         PERCENT: Phrase("no % marks in this dialect (GRBL answers error:1); delete the line"),
         DOLLAR: Phrase(
             "no $ lines in a program: settings are commands to an idle mill, file names are set at the control"
@@ -81,7 +81,7 @@ def make_reasons(
         WRONG_G: Phrase("a G word this dialect does not know; delete or translate it"),
         WRONG_M: Phrase("an M word this dialect does not know; delete or translate it"),
         WRONG_LETTER: Phrase("a word whose letter this dialect does not know; delete or translate it"),
-        REPEATED: Phrase("the same word stands twice on the line"),
+        REPEATED: Phrase("the same word is on the line twice"),
         GROUP_TWICE: Phrase("two words of one modal group on the line (such as G0 and G1)"),
         AFTER_END: Phrase("nothing may follow M2, M30 or the closing %"),
         BAD_FEED: Phrase("a feed must be above 0"),
@@ -90,7 +90,7 @@ def make_reasons(
         BAD_TOOL: Phrase("a tool number is a whole number from 0 to 255"),
         BAD_N: Phrase("a line number (N) is a whole number from 0 to {n_limit}", n_limit=n_limit),
         BAD_DWELL: Phrase("G4 needs {dwell_rule}, 0 or more", dwell_rule=dwell_rule),
-        DWELL_MOVES: Phrase("G4 stands alone, without a motion"),
+        DWELL_MOVES: Phrase("G4 must stand alone, without a motion"),
         NO_MOTION: Phrase("coordinates need G0, G1, G2 or G3 on this line or before"),
         TWO_AXIS_COMMANDS: Phrase("two commands on the line claim the coordinates (such as G0 and G92); split it"),
         NO_AXES: Phrase("this command needs coordinates"),
@@ -119,11 +119,11 @@ def make_reasons(
         DECIMALS: Phrase("{dialect} takes at most {decimals} decimals", dialect=dialect, decimals=decimals),
         SPINDLE_FIRST: Phrase("{dialect} needs S and M03 before the first cutting move, or it faults", dialect=dialect),
         G53_RELATIVE: Phrase("G53 works in G90 only here"),
-        OUT_OF_RANGE: Phrase("the numbers lead farther than 100 000 mm away"),
+        OUT_OF_RANGE: Phrase("the numbers lead to a place more than 100 000 mm away"),
         MISPLACED_PERCENT: Phrase(
-            "% stands alone on its line, first and last: the control reads nothing behind the second one"
+            "% must stand alone, on the first and the last line: the control reads nothing after the second one"
         ),
-        BAD_NAME: Phrase("a program's name is {name_rule} here, first on its line", name_rule=name_rule),
+        BAD_NAME: Phrase("a program's name must be {name_rule} here, first on its line", name_rule=name_rule),
         OSP_OFFSETS: Phrase(
             "{dialect} sets the work offset with G15 H, the tool length with G56 H; delete or translate the word",
             dialect=dialect,

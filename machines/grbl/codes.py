@@ -47,7 +47,7 @@ ERRORS: dict[int, Phrase] = {
     40: Phrase("(grblHAL) tool change still pending: finish it first"),
     45: Phrase("(grblHAL) the mill must be homed first: run $H"),
     46: Phrase("(grblHAL) the mill must be homed first: run $H"),
-    79: Phrase("(grblHAL) not allowed while an alarm of the controller stands: clear it and reset"),
+    79: Phrase("(grblHAL) not allowed while the controller is in alarm: clear the alarm and reset"),
 }
 
 ALARMS: dict[int, Phrase] = {

@@ -155,7 +155,7 @@ class CommandChannel:
         words = Phrase("{what}: no answer in {timeout_s:.0f} s", what=what, timeout_s=waited_s)
         if self._odd:
             words = Phrase(
-                "{words}, but '{text}', which is nothing a controller says", words=words, text=show(self._odd)
+                "{words}, but '{text}', which is not a reply that a controller sends", words=words, text=show(self._odd)
             )
         self._advance(Answer(words, tuple(self._heard)), now_s)
 

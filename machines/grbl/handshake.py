@@ -106,9 +106,7 @@ class Handshake:
     def _note_identity(self, failure: Phrase, _: dict[str, object], now_s: float) -> None:
         link = self.link
         if failure:
-            words = Phrase(
-                "'?' is answered as GRBL does, but this controller cannot be used: {failure}", failure=failure
-            )
+            words = Phrase("the controller answers '?' as GRBL does, but it cannot be used: {failure}", failure=failure)
             link.close(words, now_s, FaultCause.DEVICE)
             return
         link.view.identified = True

@@ -17,8 +17,8 @@ STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
 PLAIN = bytes(range(0x20, 0x7F)) + b"\t\r\n"
 # Said where nothing answers any more, or not yet; a person then may send a reset.
 SILENT = Phrase(
-    "nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not "
-    "answer either: look at the mill; where it stands, send a reset"
+    "nothing answers '?'. After a limit alarm a controller accepts nothing but a reset, and while it homes it does "
+    "not answer either: look at the mill; if it stands still, send a reset"
 )
 QUICK_S = 0.1  # at most between '?', while something waits for what the next report shows
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
@@ -76,9 +76,9 @@ class Greeting:
         noise = self._noise + len(self._rest.translate(None, PLAIN))
         if not heard:
             return Phrase(
-                "nothing answers '?': is the mill switched on, is this its port, and is the baud rate right "
-                "(GRBL: 115200)? After a limit alarm (ALARM:1, ALARM:2) a controller hears nothing but a reset: look "
-                "at the mill, then send one"
+                "nothing answers '?': is the mill switched on, is this its port, and is the baud rate right (GRBL: "
+                "115200)? After a limit alarm (ALARM:1, ALARM:2) a controller accepts nothing but a reset: look at "
+                "the mill, then send one"
             )
         if noise > NOISE_SHARE * heard:
             return Phrase("answers with noise, not text: wrong baud rate? (GRBL: 115200)")

@@ -28,7 +28,7 @@ def find_refusal(what: str, percent: int) -> Phrase | None:
             return None
         return Phrase("rapid override {percent} %: only 25, 50 and 100 exist", percent=percent)
     if what not in _STEPS:
-        return Phrase("override '{what}': known are feed, rapid and spindle", what=what)
+        return Phrase("override '{what}'; allowed: feed, rapid and spindle", what=what)
     low, high = OVERRIDE_PERCENT
     if low <= percent <= high:
         return None

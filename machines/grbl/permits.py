@@ -78,7 +78,7 @@ def check_command(
         words = f"{name}: the mill is {state.value}; allowed when {states}"
         raise WrongStateError(words, MillCode.MILL_STATE, state)
     if phase is Phase.STREAMING and isinstance(command, Reset):
-        raise NotAllowedError(Phrase("Reset: a program is under way; abort it"))
+        raise NotAllowedError(Phrase("Reset: a program is running; abort it"))
     sleeping = isinstance(command, Reset) and phase is Phase.HAILING
     if not isinstance(command, _BESIDE) and not sleeping:
         _require_ready(name, phase)
@@ -104,8 +104,8 @@ def check_start(state: MillState, phase: Phase, settings: ControllerSettings) ->
     if settings.laser_mode:
         raise NotAllowedError(
             Phrase(
-                "start: laser mode is on ($32=1): the spindle would stop wherever the mill stands, and the next "
-                "cut go with a dead one; send '$32=0' to mill"
+                "start: laser mode is on ($32=1): the spindle would stop whenever the mill stands still, and the "
+                "next cut would begin with it off; send '$32=0' to mill"
             )
         )
 
@@ -121,7 +121,7 @@ def _values(
         axes = command.axes
         if axes and not set(axes) - set("XYZ") and len(set(axes)) == len(axes):
             return None
-        return Phrase("axes '{axes}': of X, Y, Z", axes=axes)
+        return Phrase("axes '{axes}'; allowed: X, Y, Z", axes=axes)
     if isinstance(command, Jog):
         if not 0.0 < command.feed_mm_per_min <= 100_000.0:
             return Phrase("feed {feed_mm_per_min} mm/min: above 0", feed_mm_per_min=command.feed_mm_per_min)
@@ -169,7 +169,8 @@ def _corner(command: ProbeCorner, settings: ControllerSettings, machine_mm: Trip
     radius_mm = command.cutter_radius_mm
     if min(command.below_mm, command.aside_mm) <= radius_mm:
         return Phrase(
-            "the side of a cutter of radius {radius_mm:g} mm touches only further below and aside than its radius",
+            "a cutter of radius {radius_mm:g} mm touches with its side only when it goes further down and further "
+            "aside than its radius",
             radius_mm=radius_mm,
         )
     reach_mm = settings.reach_mm if settings.homing or settings.soft_limits else None
@@ -200,5 +201,5 @@ def _block(text: str) -> Phrase | None:
         return Phrase("{count} characters; at most 78", count=len(data))
     first = data.replace(b" ", b"").upper()
     if first.startswith((b"$H", b"$C", b"$J", b"$X", b"$SLP")):
-        return Phrase("'{text}': use the command for it", text=text)
+        return Phrase("'{text}': use its own command instead", text=text)
     return None

@@ -99,7 +99,7 @@ class StatusReporter:
             alarm = alarm_words(view.alarm)
             if link.phase is not Phase.CLEARING:
                 return alarm
-            return Phrase("{alarm}; waits for the controller to take a reset", alarm=alarm)
+            return Phrase("{alarm}; waiting until the controller accepts a reset", alarm=alarm)
         if state is MillState.CONNECTING:
             return link.greeting.words if link.phase is Phase.HAILING else Phrase("reading version and settings")
         if link.phase in (Phase.STOPPING, Phase.CLEARING):

@@ -22,7 +22,7 @@ from phrases.phrase import Phrase
 
 RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
-HELD = Phrase("a hold came before it had ended: it is not taken up again")
+HELD = Phrase("a hold interrupted it; it is not continued")
 
 
 @dataclass(slots=True, eq=False)
@@ -80,8 +80,8 @@ class StopControl:
         if self.commands.held_line:
             raise NotAllowedError(
                 Phrase(
-                    "resume: '{text}' was ended by the hold and is not taken up again; send a reset (from "
-                    "standstill the position is kept), then give the command anew",
+                    "resume: the hold ended '{text}', which is not continued; send a reset (from standstill the "
+                    "position is kept), then send the command again",
                     text=self.commands.held_line,
                 )
             )
@@ -184,7 +184,9 @@ class StopControl:
         if self.link.phase is Phase.STOPPING:
             self._watch_stop(now_s)
         elif self.resets.watch(now_s):
-            self.link.events.append(Notice(Phrase("no banner after the reset: asking again whether the mill stands")))
+            self.link.events.append(
+                Notice(Phrase("no banner after the reset: asking again whether the mill stands still"))
+            )
             self.link.put_hold()
             self._await_standstill(now_s)
 

@@ -113,9 +113,9 @@ class StreamMonitor:
     def take_garbled(self, raw: bytes, now_s: float) -> None:
         """End the program for a line that no controller says."""
         if self.link.phase is Phase.STREAMING:
-            words = Phrase("'{text}' is nothing a controller says: damaged on the way", text=show(raw))
+            words = Phrase("'{text}' is not a reply that a controller sends: it was damaged on the way", text=show(raw))
             if is_boot_text(raw):
-                words = Phrase("'{text}' is what an ESP32 says when it starts: the board has restarted", text=show(raw))
+                words = Phrase("'{text}' is the start message of an ESP32: the board has restarted", text=show(raw))
             self.stops.raise_fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
         elif self.link.phase is not Phase.CLEARING:
             self.link.events.append(Notice(Phrase("not understood: '{text}'", text=show(raw))))
@@ -232,8 +232,8 @@ class StreamMonitor:
         if silent_s > NOTIFY_SILENCE_S and not silence.notified:
             silence.notified = True
             words = Phrase(
-                "no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "
-                "written all the same; after {limit_s:.0f} s the run is interrupted",
+                "no answer to '?' for {silent_s:.0f} s: the mill's position is unknown; hold and stop are still "
+                "sent; after {limit_s:.0f} s the run is interrupted",
                 silent_s=silent_s,
                 limit_s=REPORT_SILENCE_S,
             )
@@ -280,7 +280,7 @@ class StreamMonitor:
 def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> Phrase:
     if first is None:
         return Phrase(
-            "every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now",
+            "every line is answered, but for {waited_s:.1f} s the mill has neither moved nor come to rest",
             waited_s=waited_s,
         )
     words = Phrase(

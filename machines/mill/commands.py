@@ -47,7 +47,7 @@ _NAMES: dict[type[Command], Phrase] = {
     Unlock: Phrase("Unlock"),
     Reset: Phrase("Reset"),
     JogCancel: Phrase("End jog"),
-    TrustPosition: Phrase("Position taken as right"),
+    TrustPosition: Phrase("Position trusted"),
     ReadSettings: Phrase("Read settings"),
 }
 
@@ -74,7 +74,7 @@ EFFECTS: tuple[tuple[str, Phrase], ...] = (
     (r"\$(F|SD/RUN|LOCALFS/RUN)=.*", Phrase("runs a file of the controller's own, which nobody has checked")),
     (r"\$[^=]*=.*", Phrase("changes a setting of the controller, for good")),
     (r"\$(\$|#|G|I|N|\d+|[HJXC].*|SLP)?", Phrase("")),
-    (r"\$.*", Phrase("is a command that is not known here: it may move the mill or change what protects it")),
+    (r"\$.*", Phrase("is an unknown command: it may move the mill or change what protects it")),
     (r"\[.*", Phrase("is a command to the controller's files and network: it may run a file or change a setting")),
     (r"#.*", Phrase("writes a parameter of the controller, which may be a zero or the length of a tool")),
     (r"G10", Phrase("sets a work zero or a tool's length: what is cut afterwards lies elsewhere")),
@@ -82,7 +82,7 @@ EFFECTS: tuple[tuple[str, Phrase], ...] = (
     (r"G5[5-9]|G59\.[123]", Phrase("selects another work coordinate system, whose zero may lie anywhere")),
     (r"G43(\.[12])?|G49", Phrase("changes the length of the tool in use: Z lies elsewhere")),
     (r"G5[01]|G6[89]", Phrase("scales, mirrors or turns what is cut afterwards")),
-    (r"G28\.1|G30\.1", Phrase("stores this place as the one to which G28 or G30 drives")),
+    (r"G28\.1|G30\.1", Phrase("stores this place as the target of G28 or G30")),
     (r"G20", Phrase("reads all numbers from now on as inches")),
 )
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
@@ -110,7 +110,7 @@ class Commands:
             except JournalError as error:
                 raise NotAllowedError(
                     Phrase(
-                        "{command}: {error}; an interrupted run rests on it",
+                        "{command}: {error}; an interrupted run depends on it",
                         command=type(command).__name__,
                         error=error.words,
                     )

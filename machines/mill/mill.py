@@ -214,7 +214,7 @@ class Mill:
             return
         raise NotAllowedError(
             Phrase(
-                "stop: run {run} is {run_state}, the mill {state}; hold it, or say that it may go on without us "
+                "stop: run {run} is {run_state}, the mill {state}; hold it, or let it go on without this program "
                 "(detach)",
                 run=run.id,
                 run_state=run.state.words,

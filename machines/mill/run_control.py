@@ -66,7 +66,7 @@ class RunControl:
         if link.latched and link.away:
             raise NotAllowedError(
                 Phrase(
-                    "resume: the mill is not connected; the {latched} is carried out first when it is back",
+                    "resume: the mill is not connected; the {latched} is carried out first when the mill is back",
                     latched=link.latched,
                 )
             )

@@ -49,7 +49,7 @@ class FolderLock:
         except OSError as error:
             raise JournalError(
                 Phrase(
-                    "folder {folder}: {reason}; the journal needs one that can be written",
+                    "folder {folder}: {reason}; the journal needs a writable folder",
                     folder=folder,
                     reason=os_words(error),
                 )
@@ -62,7 +62,7 @@ class FolderLock:
             who = Phrase("another agent or stream")
             if owner:
                 who = Phrase("another agent or stream (process {process})", process=owner)
-            words = Phrase("folder {folder}: {who} owns this mill; stop that one first", folder=folder, who=who)
+            words = Phrase("folder {folder}: {who} owns this mill; stop it first", folder=folder, who=who)
             raise NotAllowedError(words) from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -65,7 +65,7 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
     if missing:
         raise NotAllowedError(
             Phrase(
-                "start: the program takes {missing} for granted, the controller is in {modes}: send '{missing}' first",
+                "start: the program assumes {missing}, but the controller is in {modes}: send '{missing}' first",
                 missing=" ".join(missing),
                 modes=" ".join(modes),
             )
@@ -80,7 +80,7 @@ def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed:
     if not settings.homing:
         way = Phrase("this mill has no homing: write it with a profile without top_z_mm")
     raise NotAllowedError(
-        Phrase("start: the program goes by machine coordinates (G53), which homing gives a meaning: {way}", way=way)
+        Phrase("start: the program uses machine coordinates (G53), which are valid only after homing: {way}", way=way)
     )
 
 

@@ -148,7 +148,9 @@ class RunStarter:
             raise NotAllowedError(words, code=MillCode.RUN_LIVE)
         if self.context.link.latched:
             words = Phrase(
-                "{doing}: {latched} waits for the link to come back", doing=doing, latched=self.context.link.latched
+                "{doing}: {latched} is waiting for the link to come back",
+                doing=doing,
+                latched=self.context.link.latched,
             )
             raise NotAllowedError(words)
         driver, state = self.context.link.driver, self.context.link.status.state
@@ -177,7 +179,7 @@ class RunStarter:
         if placement.problems:
             self.context.log.say(
                 "notice",
-                Phrase("not certain that the program fits: {problems}", problems=join("; ", placement.problems)),
+                Phrase("it is not certain that the program fits: {problems}", problems=join("; ", placement.problems)),
             )
         warnings = [*run.lasting_warnings, *placement.problems]
         return {

@@ -176,7 +176,7 @@ def _judge_way_out(reading: Reading) -> Phrase | None:
     if is_raised(machine_z_mm, limits.top_z_mm):
         return None
     return Phrase(
-        "the program leaves the tool at a height that nobody knows; end it with a move up to Z{safe_z_mm:g} or higher",
+        "the program leaves the tool at an unknown height; end it with a move up to Z{safe_z_mm:g} or higher",
         safe_z_mm=limits.safe_z_mm,
     )
 
@@ -282,9 +282,9 @@ def _judge_link(reading: Reading) -> Phrase | None:
     if limits.bytes_per_s is not None:
         carried = Phrase("{lines} and {count:.0f} bytes", lines=lines, count=limits.bytes_per_s)
     return Phrase(
-        "the link is too slow: F{feed_mm_per_min:g} is asked for, and {carried} a second carry "
-        "F{average_mm_per_min:.0f} on average; the mill stands waiting for lines {percent:.0f} % of the time. "
-        "A faster link helps, or the control's own memory",
+        "the link is too slow: the program asks for F{feed_mm_per_min:g}, but {carried} a second carry "
+        "F{average_mm_per_min:.0f} on average; the mill stands waiting for lines {percent:.0f} % of the time. A "
+        "faster link helps, or the control's own memory",
         feed_mm_per_min=feeds[1],
         carried=carried,
         average_mm_per_min=60 * reading.path_length_mm / reading.time_s,
@@ -352,8 +352,8 @@ RULES = (
         _judge_event(
             tally.FRAME_MOVED,
             Phrase(
-                "moves the program's own frame (G10, G92, G43.1 or a tool's offset); "
-                "extents from there on are not held against the work zero"
+                "moves the program's own frame (G10, G92, G43.1 or a tool's offset); extents from there on are not "
+                "checked against the work zero"
             ),
         ),
     ),
@@ -373,7 +373,9 @@ RULES = (
         _WARN,
         _judge_event(
             tally.PLACE_UNKNOWN,
-            Phrase("goes to a place only the controller knows (G28, G30, G38); time and extents leave it out"),
+            Phrase(
+                "goes to a place that only the controller knows (G28, G30, G38); time and extents leave the move out"
+            ),
         ),
     ),
     Rule("machine", _WARN, _judge_machine_moves),
@@ -382,7 +384,7 @@ RULES = (
         "rate",
         _WARN,
         _judge_event(
-            tally.OVER_RATE, Phrase("asks for more feed than an axis can go; the controller cuts slower there")
+            tally.OVER_RATE, Phrase("asks for a higher feed than an axis can reach; the controller cuts slower there")
         ),
     ),
     Rule("mist", _WARN, _judge_mist),

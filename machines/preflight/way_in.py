@@ -105,9 +105,9 @@ def find_risk(
             if not across and end < begin - _REPORTED_MM and not inside and not placed.issuperset("XY"):
                 x, y, _ = step.start_mm
                 return Phrase(
-                    "line {line} goes to Z{to_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} Z{z_mm:.1f}: that "
-                    "is straight down beside what the program mills; bring the tool over the block, or no higher than "
-                    "that",
+                    "line {line} goes to Z{to_mm:g}, and the tool stands at X{x_mm:.1f} Y{y_mm:.1f} Z{z_mm:.1f}: "
+                    "that is straight down beside what the program mills; bring the tool over the block, or down "
+                    "to that height",
                     line=line,
                     to_mm=end,
                     x_mm=x,

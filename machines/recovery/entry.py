@@ -74,7 +74,7 @@ def _last_move(
             if after:
                 return best
         elif after and step.moves:
-            raise NoEntryError(line.number, Phrase("the program does not tell where the tool is before it"))
+            raise NoEntryError(line.number, Phrase("the program does not say where the tool is before it"))
         if (step.withholds_ok or b"T" in line.text) and begun and not after:
             stop = line.number
     if stop:
@@ -96,12 +96,12 @@ def _entry(reader: ProgramReader, line: int, text: bytes, why: Phrase | None) ->
         raise NoEntryError(line, Phrase("the program has ended (M2, M30) before it"))
     x, y, z = state.position_mm
     if x is None or y is None or z is None:
-        words = Phrase("the program does not tell where the tool is before it; start it from its top")
+        words = Phrase("the program does not say where the tool is before it; start it from its top")
         raise NoEntryError(line, words)
     motion = ""
     if not _MOTION_WORD.search(text):
         if state.motion not in _MOTIONS:
-            words = Phrase("the motion mode there is {mode}, which cannot be set up again", mode=state.motion)
+            words = Phrase("the motion mode there is {mode}, which recovery cannot restore", mode=state.motion)
             raise NoEntryError(line, words)
         motion = state.motion
     return EntryPoint(line=line, state=state, position_mm=(x, y, z), motion=motion, why=why)

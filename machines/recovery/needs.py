@@ -23,7 +23,7 @@ DOUBTS = {  # why machine coordinates may not mean what they meant when the run 
     "restarted": Phrase("the controller has restarted since the run stopped, its position is lost"),
     "unconfirmed": Phrase("nobody had confirmed the position when the run stopped"),
     "settings": Phrase("settings that define the position have changed since the run stopped"),
-    "unseen": Phrase("nothing shows that the controller went on without a restart while it was out of sight"),
+    "unseen": Phrase("the controller may have restarted while the link was lost"),
 }
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
@@ -35,7 +35,7 @@ def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
         yield Need(
             MillCode.CONNECT,
-            Phrase("the mill is {state}: connect it; it does not move by that", state=state.words),
+            Phrase("the mill is {state}: connect it; connecting moves nothing", state=state.words),
             values,
         )
     elif state is MillState.ALARM:
@@ -48,7 +48,7 @@ def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
             {"alarm": status.alarm},
         )
     elif state in _MOVES:
-        words = Phrase("the mill is {state}: wait until it has carried that out, or hold it", state=state.words)
+        words = Phrase("the mill is {state}: wait until that has ended, or hold it", state=state.words)
         yield Need(MillCode.WAIT, words, values)
     elif state is not MillState.IDLE:
         words = Phrase(
@@ -71,15 +71,15 @@ def find_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
         yield Need(MillCode.CONNECT, words, {"state": status.state.value})
     if changes := ", ".join(present.frame_changes):
         words = Phrase(
-            "settings that define the position have changed since the part was cut ({settings}): put them back "
-            "and home the mill, or, if you know that the position is right, say so (trust position)",
+            "settings that define the position have changed since the part was cut ({settings}): put them back and "
+            "home the mill, or, if you know that the position is right, confirm it (trust position)",
             settings=changes,
         )
         yield Need(MillCode.POSITION, words, {"doubt": "settings", "settings": changes})
     elif doubt := position_doubt(record, present):
         words = Phrase(
-            "{doubt}: home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you "
-            "know that it is right, say so (trust position)",
+            "{doubt}: home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if "
+            "you know that the position is right, confirm it (trust position)",
             doubt=DOUBTS[doubt],
         )
         yield Need(MillCode.POSITION, words, {"doubt": doubt})
@@ -143,7 +143,7 @@ def compare_offsets(
         was, now = then[name], present.offsets.get(name)
         if now is None:
             words.append(
-                Phrase("{name} was {was_mm}, the controller does not name it now", name=name, was_mm=axes_words(was))
+                Phrase("{name} was {was_mm}, the controller does not report it now", name=name, was_mm=axes_words(was))
             )
             axes = "XYZ"
         else:

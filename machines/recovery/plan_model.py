@@ -15,8 +15,8 @@ from machines.grbl.settings import ControllerSettings, list_frame_changes
 from phrases.phrase import Phrase, phrases_in
 
 _NOT_THERE = Phrase(
-    "The part was begun within the travel, so its position or its work zero is not what it was: home the mill and put "
-    "the same zero back. Where only the height at which the tool travels is too high, lower safe_z_mm in the profile. "
+    "The part was begun within the travel, so its position or its work zero has changed: home the mill and put the "
+    "same zero back. Where only the height at which the tool travels is too high, lower safe_z_mm in the profile. "
     "Do not move the work zero: the rest would be cut beside what is cut already"
 )
 
@@ -180,7 +180,7 @@ class RecoveryPlan:
             words = tuple(map(word_refused, refusals))
             return replace(self, refusals=(*self.refusals, *refusals), words=(*self.words, *words))
         words = tuple(
-            Phrase("by the position it counts from now, which is not certain: {problem}", problem=problem)
+            Phrase("according to the present position, which is not certain: {problem}", problem=problem)
             for problem in problems
         )
         return replace(self, words=(*self.words, *words))

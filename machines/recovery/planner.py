@@ -159,7 +159,7 @@ def _with_words(
     ]
     if entry is not None:
         if entry.position_mm is None:
-            words.append(Phrase("nothing was cut that has to be joined: the program starts from its top"))
+            words.append(Phrase("nothing was cut that the new cut must join: the program starts from its top"))
         else:
             words.append(
                 Phrase(
@@ -204,7 +204,7 @@ def _with_words(
         )
     words += [Phrase("offset {difference}", difference=difference) for difference in plan.differences]
     if present.offsets is None:
-        words.append(Phrase("offsets cannot be compared: the link does not tell them at present"))
+        words.append(Phrase("offsets cannot be compared: the link does not report them at present"))
     if record.get("torn"):
         words.append(Phrase("the end of the journal was torn: {torn}", torn=record["torn"]))
     words += map(word_refused, plan.refusals)
@@ -217,10 +217,10 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
     """Return why there is no recovery by position, and how a person restarts at the control's own panel."""
     executed, sent = int(record.get("executed_line") or 0), int(record.get("sent_line") or 0)
     return Phrase(
-        "dialect {dialect}: this link does not tell where the control stopped, so there is no recovery by position. It "
-        "was given lines up to {sent} and has executed at least those up to {executed}. Read the sequence number on "
-        "its screen, bring the tool to a safe height, check the zero, and restart at its panel from the last tool "
-        "entry at or before that number, or park a program of the rest",
+        "dialect {dialect}: this link does not report where the control stopped, so recovery by position is "
+        "impossible. It was given lines up to {sent} and has executed at least those up to {executed}. Read the "
+        "sequence number on its screen, bring the tool to a safe height, check the zero, and restart at its panel "
+        "from the last tool entry at or before that number, or park a program with the remaining lines",
         dialect=facts.dialect,
         sent=_name_line(reader, sent),
         executed=_name_line(reader, executed),

@@ -28,7 +28,8 @@ _STILL_S = 0.6  # three reports without motion
 _STALL_S = 60.0  # neither counter nor position moves, nobody paused it
 _PAUSED = Phrase("the mill waits (VIEW lamp): hold its VIEW button for 3 s to go on")
 _DRAINS = Phrase(
-    "no more blocks are fed; the mill finishes the few it holds. At once: VIEW button (pause) or cover (emergency)"
+    "no more blocks are fed; the mill finishes the few it holds. To stop it at once: VIEW button (pause) or cover "
+    "(emergency)"
 )
 
 
@@ -198,7 +199,7 @@ class JobControl:
             report = Phrase("the mill reports: {error}", error=device.error_words())
             if feed.block:
                 text = feed.block.line.text[:40].decode("latin-1")
-                report = Phrase("{report}; it has not taken '{text}'", report=report, text=text)
+                report = Phrase("{report}; it has not accepted '{text}'", report=report, text=text)
             command_set = Phrase(
                 "if it refuses every block, its command set (RML-1 or NC) is wrong; switch it off and on to clear"
             )

@@ -71,7 +71,7 @@ class RolandUsbDriver:
     def connect(self) -> None:
         device = self._device
         if device is None:
-            raise NotAllowedError(Phrase("the link was lost: open the mill anew"))
+            raise NotAllowedError(Phrase("the link was lost: connect to the mill again"))
         self._channel.enter(MillState.CONNECTING, Phrase("asking the mill for its state"))
         try:
             model = device.model()

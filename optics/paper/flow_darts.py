@@ -129,4 +129,4 @@ def _project_to_frame(velocity: Array, pair: MeshPair, size_mm: tuple[float, flo
 
 def _note_remeshing(steps: list[FlowStep]) -> Phrase:
     removed, inserted = sum(step.removed for step in steps), sum(step.inserted for step in steps)
-    return Phrase("Remeshing removed {removed} vertices and threw in {inserted}.", removed=removed, inserted=inserted)
+    return Phrase("Remeshing removed {removed} vertices and inserted {inserted}.", removed=removed, inserted=inserted)

@@ -14,6 +14,8 @@ import secrets
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
 
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
@@ -56,12 +58,15 @@ class Reader:
         self.error: Exception | None = None
 
 
-class Hub:
+AReader = TypeVar("AReader", bound=Reader)
+
+
+class Hub(Generic[AReader]):
     """Hands messages to readers; all calls from the event loop's thread."""
 
     def __init__(self, *, ring: int = 0, readers: int) -> None:
         self.life = secrets.token_hex(4)
-        self.readers: set[Reader] = set()
+        self.readers: set[AReader] = set()
         self._number = 0
         self._ring: deque[tuple[int, Message]] = deque(maxlen=ring)
         self._status: Message | None = None
@@ -73,8 +78,8 @@ class Hub:
     def full(self) -> bool:
         return self._closed or len(self.readers) >= self._most
 
-    def join(self, last_id: str = "", reader: Reader | None = None) -> tuple[Reader, list[Message]]:
-        """Add a reader, and return it with what it is to be sent first. Problem 503 where there are too many."""
+    def add(self, reader: AReader, last_id: str = "") -> list[Message]:
+        """Add a reader, and return what it is to be sent first. Problem 503 where there are too many."""
         if self.full:
             raise Problem(
                 503,
@@ -84,11 +89,10 @@ class Hub:
                     most=self._most,
                 ),
             )
-        reader = reader or Reader()
         self.readers.add(reader)
-        return reader, self._list_missed(last_id) + ([self._status] if self._status else [])
+        return self._list_missed(last_id) + ([self._status] if self._status else [])
 
-    def leave(self, reader: Reader) -> None:
+    def remove(self, reader: AReader) -> None:
         self.readers.discard(reader)
 
     def publish_status(self, data: dict[str, object]) -> None:
@@ -102,7 +106,7 @@ class Hub:
         self._ring.append((self._number, message))
         self.send(message, self.readers)
 
-    def send(self, message: Message, to: Iterable[Reader]) -> None:
+    def send(self, message: Message, to: Iterable[AReader]) -> None:
         for reader in [reader for reader in to if reader in self.readers]:
             waiting = reader.queue.qsize()
             if waiting >= reader.most_waiting:
@@ -110,7 +114,7 @@ class Hub:
             elif message.kind != _STATUS or waiting < reader.most_waiting // 4:
                 reader.queue.put_nowait(message)
 
-    def end(self, reader: Reader, error: Exception | None = None) -> None:
+    def end(self, reader: AReader, error: Exception | None = None) -> None:
         """End a reader after what its queue holds."""
         if reader in self.readers:
             self.readers.discard(reader)
@@ -128,7 +132,7 @@ class Hub:
         if not last_id:
             return []
         if life != self.life or not number.isdigit():
-            return [_gap(Phrase("the agent was started anew")), *(message for _, message in self._ring)]
+            return [_gap(Phrase("the agent was restarted")), *(message for _, message in self._ring)]
         seen = int(number)
         missed = [message for number, message in self._ring if number > seen]
         return [_gap(Phrase("older events are no longer kept")), *missed] if self._forgotten > seen else missed
@@ -141,47 +145,50 @@ class Hub:
 class HubStream(Response):
     """An answer that is held open for a reader of a hub: ASGI of its own, because a stuck connection must be given up.
 
-    join     : returns the reader and what it is sent first
+    join     : adds the reader to the hub and returns what it is sent first
     is_there : looked at with each heartbeat; the stream ends where what it is about is no more
     """
 
     def __init__(
         self,
-        hub: Hub,
-        join: Callable[[], tuple[Reader, list[Message]]],
+        hub: Hub[AReader],
+        reader: AReader,
+        join: Callable[[], list[Message]],
         *,
         heartbeat_s: float = HEARTBEAT_S,
         is_there: Callable[[], Awaitable[bool]] | None = None,
     ) -> None:
         super().__init__()
-        self._hub = hub
+        self._reader = reader
         self._join = join
+        self._leave = partial(hub.remove, reader)
         self._heartbeat_s = heartbeat_s
         self._is_there = is_there
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
-            reader, first = self._join()
+            first = self._join()
         except Problem as problem:
             await problem_response(problem)(scope, receive, send)
             return
         try:
-            await write_while_connected(receive, self._write(reader, first, send))
+            await write_while_connected(receive, self._write(first, send))
         finally:
-            self._hub.leave(reader)
+            self._leave()
 
-    async def _write(self, reader: Reader, first: list[Message], send: Send) -> None:
+    async def _write(self, first: list[Message], send: Send) -> None:
+        queue = self._reader.queue
         await begin_events(send, b"".join(message.encode() for message in first))
         going = True
         while going:
             try:
-                batch = [await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)]
+                batch = [await asyncio.wait_for(queue.get(), self._heartbeat_s)]
             except TimeoutError:
                 await send_piece(send, PING)
                 going = self._is_there is None or await self._is_there()
                 continue
-            while len(batch) < _MOST_AT_ONCE and not reader.queue.empty():
-                batch.append(reader.queue.get_nowait())
+            while len(batch) < _MOST_AT_ONCE and not queue.empty():
+                batch.append(queue.get_nowait())
             going = batch[-1] is not None
             if text := b"".join(message.encode() for message in batch if message is not None):
                 await send_piece(send, text)

@@ -32,7 +32,7 @@ def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> Non
     if not (vouched or is_loopback(host)):
         raise InputError(
             Phrase(
-                "{where}, and tokens and orders would go over the wire in the clear; allowed: {allowed}",
+                "{where}, and tokens and orders would cross the network unencrypted; allowed: {allowed}",
                 where=where,
                 allowed=allowed,
             )

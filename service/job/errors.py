@@ -32,9 +32,10 @@ class ReliefTooDeep(SolidError):
         floor_mm = thickness_mm - deepest_mm
         super().__init__(
             Phrase(
-                "relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the stock "
-                "top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {floor_mm:g} mm is wanted, "
-                "so a thickness of {needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter",
+                "relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the "
+                "stock top, a stock.thickness_mm of {thickness_mm:g} {left}; it needs a floor of at least "
+                "{floor_mm:g} mm: a thickness of {needed_mm:.2f} mm or more, or a longer optics.throw_mm, which "
+                "makes it flatter",
                 relief_mm=relief_mm,
                 deepest_mm=deepest_mm,
                 thickness_mm=thickness_mm,

@@ -27,6 +27,7 @@ from typing import Any, BinaryIO
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
+from service.processes.whole_file import open_whole
 
 SPEC, REPORT, REPORT_PAGE, SETUP_PDF = "spec.json", "report.json", "report.html", "setup-sheet.pdf"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
@@ -184,20 +185,12 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
 
     Raises FailedError, one line, where the disk refuses.
     """
-    hidden = path.with_name(f".{path.name}.{os.getpid()}{_STAGING}")
     try:
-        with hidden.open("wb") as file:
+        with open_whole(path) as file:
             yield file
-            file.flush()
-            os.fsync(file.fileno())
-        hidden.replace(path)
-    except BaseException as error:
-        hidden.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            error.filename = None  # the hidden name says nothing to the person
-            raise FailedError(
-                sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))
-            ) from error
+    except OSError as error:
+        error.filename = None  # the hidden name says nothing to the person
+        raise FailedError(sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))) from error
         raise
 
 

@@ -12,8 +12,6 @@ import functools
 import hashlib
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +22,11 @@ from machines.grbl.settings import ControllerSettings
 from machines.preflight.limits import MillLimits, limits_of, placement_problems, word_at_present_zero
 from machines.preflight.preflight import Finding, Preflight
 from machines.profile import MachineProfile
-from phrases.phrase import Phrase, restore
+from phrases.phrase import Phrase
 from service.errors import sentence_of_os_error
-from service.processes.private import make_private
-from service.processes.source_tree import hash_files, python_path
+from service.processes.child import Child, ChildError
+from service.processes.private import forget_oldest, make_private
+from service.processes.source_tree import hash_files
 
 _ROOT = Path(__file__).parents[2]
 _KEPT_BYTES = 200_000_000  # of results and quick keys
@@ -71,7 +70,7 @@ def run_preflight(
             found = _load_kept(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
         if found is None:
             found = _compute(path, limits, folder, held_against, on_progress)
-            _forget_oldest(folder)
+            forget_oldest(folder, _KEPT_BYTES)
         _note(quick, f"{found.bytes}-{found.sha256}")
     except OSError as error:
         words = Phrase("{reason}", reason=sentence_of_os_error(error, doing="pre-flight"))
@@ -86,59 +85,27 @@ def _compute(
 ) -> Preflight:
     """Run the child; its result gets the name of its content."""
     staging = folder / f".new-{os.getpid()}-{_digest([str(path), held_against])}.json"
-    request = json.dumps({"path": str(path), "limits": limits.to_dict(), "result": str(staging)})
-    child = subprocess.Popen(
-        [sys.executable, "-m", "service.milling.preflight_child"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": python_path()},
-        text=True,
-    )
+    request = {"path": str(path), "limits": limits.to_dict(), "result": str(staging)}
+    child = Child("service.milling.preflight_child")
     try:
-        answer = _exchange(child, request, on_progress)
+        answer = child.ask(request, on_share=on_progress)
         if refused := answer.get("refused"):
-            raise ProgramRefusedError(**restore(refused, refused["phrases"]))
-        if "done" not in answer:
-            raise PreflightError(
-                Phrase(
-                    "pre-flight of {path}: {reason}",
-                    path=path,
-                    reason=answer.get("failed") or "the reading process ended early",
-                )
-            )
+            raise ProgramRefusedError(**refused)
+        if reason := answer.get("failed"):
+            raise _failed(path, reason)
         text = staging.read_text(encoding="utf-8")
         found = Preflight.from_json(text)
         staging.replace(folder / f"{held_against}-{found.bytes}-{found.sha256}.json")
         return found
+    except ChildError as error:
+        raise _failed(path, f"the reading process ended early ({error})") from None
     finally:
-        if child.poll() is None:
-            child.kill()
-        child.wait()
-        for end in (child.stdin, child.stdout, child.stderr):
-            if end is not None:
-                with contextlib.suppress(OSError):  # what was left unsent to a child that is gone
-                    end.close()
+        child.end()
         staging.unlink(missing_ok=True)
 
 
-def _exchange(
-    child: subprocess.Popen[str], request: str, on_progress: Callable[[float], None] | None
-) -> dict[str, Any]:
-    """Give the request, pass shares on, return the last answer."""
-    assert child.stdin is not None and child.stdout is not None and child.stderr is not None
-    with contextlib.suppress(BrokenPipeError):  # a child that is gone says why on its error output
-        child.stdin.write(request)
-        child.stdin.close()
-    answer: dict[str, Any] = {}
-    for line in child.stdout:
-        answer = json.loads(line)
-        if "share" in answer and on_progress is not None:
-            on_progress(answer["share"])
-    if "share" in answer or not answer:
-        said = child.stderr.read().strip().splitlines()
-        return {"failed": f"the reading process ended early{f' ({said[-1]})' if said else ''}"}
-    return answer
+def _failed(path: Path, reason: str) -> PreflightError:
+    return PreflightError(Phrase("pre-flight of {path}: {reason}", path=path, reason=reason))
 
 
 def _load_kept(folder: Path, held_against: str, content: str | None) -> Preflight | None:
@@ -166,18 +133,6 @@ def _note(quick: Path, content: str) -> None:
     staging = quick.with_name(f".{quick.name}.{os.getpid()}")
     staging.write_text(content, encoding="ascii")
     staging.replace(quick)
-
-
-def _forget_oldest(folder: Path) -> None:
-    """Keep the folder small: least recently used first."""
-    with contextlib.suppress(OSError):
-        files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
-        excess = sum(file.stat().st_size for file in files) - _KEPT_BYTES
-        for file in files[:-2]:
-            if excess <= 0:
-                break
-            excess -= file.stat().st_size
-            file.unlink(missing_ok=True)
 
 
 def _sha256(path: Path) -> str:

@@ -1,15 +1,12 @@
 """The child process of pre-flight: reads a whole program compiled, and writes what it found as one JSON file.
 
-Run as `python -m service.milling.preflight_child` with the request as JSON on standard input. Answers are JSON lines on
-standard output: {"share": 0..1} while it works, then {"done": true}, {"refused": ...} or {"failed": "..."}.
+Request: {"path", "limits", "result": the file to write}. Result: {}, or {"refused": ...} or {"failed": "..."}.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from math import inf
@@ -17,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machines.gcode.dialects import RML
-from phrases.phrase import phrases_in
+from service.processes.child_work import answer_requests
 from service.processes.kernel_cache import use_current_kernels
-from service.processes.priority import give_way
 
 if TYPE_CHECKING:
     from machines.preflight.limits import MillLimits
@@ -28,25 +24,24 @@ if TYPE_CHECKING:
 _CHUNK_BYTES = 1 << 22
 
 
-def main() -> int:
-    """Carry out one request; the exit code is 0 whenever an answer was given."""
-    request = json.load(sys.stdin)
+def main() -> None:
     use_current_kernels()
-    give_way()  # the stream of another program goes first
+    answer_requests("cm-preflight", _answer)
+
+
+def _answer(request: dict[str, Any], on_share: Callable[[float], None]) -> dict[str, Any]:
     from machines.errors import ProgramRefusedError
     from machines.preflight.limits import MillLimits
 
     try:
-        limits = MillLimits.from_dict(request["limits"])
-        found = examine(Path(request["path"]), limits, lambda share: _answer({"share": share}))
-        _write(Path(request["result"]), found)
-        _answer({"done": True})
+        _write(
+            Path(request["result"]), examine(Path(request["path"]), MillLimits.from_dict(request["limits"]), on_share)
+        )
     except ProgramRefusedError as error:
-        told = {"line": error.line, "text": error.text, "reason": error.reason}
-        _answer({"refused": told | {"phrases": phrases_in(error.reason)}})
+        return {"refused": {"line": error.line, "text": error.text, "reason": error.reason}}
     except OSError as error:
-        _answer({"failed": f"{error.filename or request['path']}: {error.strerror}"})
-    return 0
+        return {"failed": f"{error.filename or request['path']}: {error.strerror}"}
+    return {}
 
 
 def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
@@ -210,9 +205,5 @@ def _write(target: Path, found: Preflight) -> None:
         staging.unlink(missing_ok=True)
 
 
-def _answer(words: dict[str, Any]) -> None:
-    print(json.dumps(words), flush=True)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -162,29 +162,33 @@ class Child:
         request: dict[str, Any],
         *,
         within_s: float = float("inf"),
-        on_share: Callable[[float], None] = lambda _: None,
+        on_share: Callable[[float], None] | None = None,
     ) -> dict[str, Any]:
         """Return the result of a request; ServiceError as its work raises it, ChildError where there is none."""
         self.begin(request)
+        return self.finish(within_s=within_s, on_share=on_share)
+
+    def begin(self, request: dict[str, Any]) -> None:
+        """Hand it a request; `finish` tells where it has died."""
+        assert self._process.stdin is not None
+        text = json.dumps(request).encode() + b"\n"
+        with contextlib.suppress(OSError):
+            while text:
+                text = text[self._process.stdin.write(text) :]
+
+    def finish(
+        self, *, within_s: float = float("inf"), on_share: Callable[[float], None] | None = None
+    ) -> dict[str, Any]:
+        """Return the result of the request that was begun, as `ask` does."""
         until = time.monotonic() + within_s
         while not self._words.last:
             if (left_s := until - time.monotonic()) <= 0:
                 raise ChildLate
             self._read(min(left_s, 60.0))
-            if (share := self._words.take_share()) is not None:
+            if (share := self._words.take_share()) is not None and on_share is not None:
                 on_share(share)
         word, self._words.last = self._words.last, {}
         return result_of(word)
-
-    def begin(self, request: dict[str, Any]) -> None:
-        """Hand it a request whose answer nobody waits for."""
-        assert self._process.stdin is not None
-        text = json.dumps(request).encode() + b"\n"
-        try:
-            while text:
-                text = text[self._process.stdin.write(text) :]
-        except OSError:
-            raise ChildDied(self._explain_end()) from None
 
     def kill(self) -> None:
         """Kill its group, from any thread: who waits for its answer gets ChildDied."""

@@ -61,7 +61,8 @@ def answer_requests(
     for line in sys.stdin:
         request = json.loads(line)
         if beside_bytes:
-            _limit_memory(base + beside_bytes + bytes_per_pixel * request["max_pixels"])
+            with contextlib.suppress(OSError, ValueError):  # not every system has such a limit
+                limit_memory(base + beside_bytes + bytes_per_pixel * request["max_pixels"])
         words.send(word_of(lambda request=request: work(request, words.send_share)))  # type: ignore[misc]
 
 
@@ -72,12 +73,12 @@ def word_of(work: Callable[[], dict[str, Any]], *, no_memory: Phrase | None = No
     """
     try:
         word = {"result": work()}
-    except BaseException as error:  # SystemExit of a library, too: the process has its say
+    except (Exception, SystemExit) as error:  # of a library: the process has its say
         word = _word_of_error(error, no_memory)
     return {**word, "phrases": phrases_in(word)}
 
 
-def _word_of_error(error: BaseException, no_memory: Phrase | None) -> dict[str, Any]:
+def _word_of_error(error: Exception | SystemExit, no_memory: Phrase | None) -> dict[str, Any]:
     match error:
         case SpecError():
             return {"refused": error.lines, "problems": error.problems, "use": error.use}
@@ -98,10 +99,12 @@ def _is_short_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or no_thread or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
 
 
-def _limit_memory(most: int) -> None:
+def limit_memory(most_bytes: int, *, for_good: bool = False) -> None:
+    """Limit the address space, and allow no core. for_good: it cannot be raised again, even from here."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    most = most_bytes if hard == resource.RLIM_INFINITY else min(most_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most if for_good else hard))
 
 
 class WordPipe:
@@ -115,7 +118,7 @@ class WordPipe:
     def send_share(self, share: float) -> None:
         now = time.monotonic()
         with self._lock:
-            if now - self._shared_at < _SHARE_EVERY_S:
+            if now - self._shared_at < _SHARE_EVERY_S and share < 1.0:
                 return
             self._shared_at = now
             os.set_blocking(self._pipe, False)

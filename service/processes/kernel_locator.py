@@ -26,6 +26,7 @@ from numba.core import caching, dispatcher
 from numba.core import config as numba_config
 
 from service.processes.source_tree import PACKAGES, hash_files, parse
+from service.processes.whole_file import write_whole
 
 _ROOT = Path(__file__).parents[2]
 _MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # for another process to compile a kernel
@@ -156,10 +157,8 @@ def _read_hashes(path: Path) -> dict[str, str]:
 
 def _keep_hashes(path: Path, known: dict[str, str], count: int) -> None:
     if len(known) > count:
-        own = path.with_name(f"{path.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
-            own.write_text(json.dumps({**_read_hashes(path), **known}))
-            own.replace(path)
+            write_whole(path, json.dumps({**_read_hashes(path), **known}))
 
 
 def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:

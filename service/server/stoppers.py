@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+from service.processes.whole_file import write_whole
 
 FILE = "stop-tokens.json"  # in the data folder
 
@@ -39,11 +40,7 @@ def read_stoppers(path: Path) -> dict[str, Stopper]:
 
 def write_stoppers(path: Path, stoppers: Mapping[str, Stopper]) -> None:
     """Write the file as a whole or not at all. OSError."""
-    draft = path.with_suffix(".new")
-    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        json.dump({digest: asdict(stopper) for digest, stopper in stoppers.items()}, file)
-    draft.replace(path)
+    write_whole(path, json.dumps({digest: asdict(stopper) for digest, stopper in stoppers.items()}), 0o600)
 
 
 class StopperFile:

@@ -126,7 +126,7 @@ def test_a_program_works_in_the_one_offset_asked_for(dialect: str) -> None:
     assert down is not None
     changed = first[: down.start()] + word % numbers[1] + b"\n" + first[down.start() :]
     for texts in ([first, second], [changed]):
-        with pytest.raises(ProgramError, match="one offset"):
+        with pytest.raises(ProgramError, match="one work offset"):
             list(read_parts(([text] for text in texts), language))
 
 

@@ -239,7 +239,7 @@ def test_a_lost_link_interrupts_and_recovery_by_hand_is_said_in_words(shop: Shop
         shop.mill.step(0.5)
     assert shop.state is RunState.INTERRUPTED, "nothing goes on by itself"
     plan = shop.mill.plan_recovery(shop.id)
-    assert not plan.ready and "program of the rest" in " ".join(plan.refusals)
+    assert not plan.ready and "program with the remaining lines" in " ".join(plan.refusals)
     assert executed <= len(shop.link.executed(shop.machine))
 
 

@@ -118,7 +118,7 @@ def test_a_bad_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        ({"bench": 'extends = "bench"'}, "a profile that does not come back to this one ('bench' -> 'bench')"),
+        ({"bench": 'extends = "bench"'}, "a profile that does not lead back to this one ('bench' -> 'bench')"),
         (
             {"bench": 'extends = "b"', "b": 'extends = "bench"'},
             "extends 'b', which cannot be used: ",

@@ -189,7 +189,7 @@ def test_what_cannot_be_made_is_said_beside_its_field_with_a_cure_and_cannot_be_
     bar.get_by_role("button", name="Height").click()
     expect(page.get_by_label("Height", exact=True)).to_be_focused()
     red = page.locator(".field:has([aria-invalid=true]):visible .fault")
-    expect(red).to_have_text(["'abc' is no number.", "'two' is no number."])
+    expect(red).to_have_text(["'abc' is not a number.", "'two' is not a number."])
     expect(bar.locator(".why")).to_have_text("Look at:WidthHeight")
 
 
@@ -227,7 +227,7 @@ def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_
 CHANGES = [
     {"what": "a lens of 150 x 150 mm", "values": {"optics.width_mm": 150, "optics.height_mm": 150}},
     {"what": "the wall 65 mm away", "values": {"optics.throw_mm": 65}},
-    {"what": "a picture that is prepared for what shows", "values": {"image.prepare": "detail"}},
+    {"what": "a picture prepared for what will show", "values": {"image.prepare": "detail"}},
     {"what": "passes as recommended", "values": {"preset": "recommended"}},
 ]
 

@@ -66,7 +66,7 @@ def test_what_speaks_against_a_finish_is_said(opened: Opened) -> None:
     notices = page.locator(".finishing .notice")
     expect(notices).to_have_count(2)
     expect(notices.first).to_contain_text("makes the picture worse")
-    expect(notices.last).to_contain_text("lies outside")
+    expect(notices.last).to_contain_text("is outside the known range")
 
 
 def test_a_job_without_a_finish_has_no_card(opened: Opened) -> None:

@@ -114,7 +114,7 @@ def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(modul
     """So that nobody who was told of a poor picture reads for a while only of a good one."""
     designed, hard = {"psnr_db": 32.0}, "hard to recognise"
     first, second = modules.evaluate(HEADLINES, [designed, None, 18.0])
-    assert first == ["On the wall, as milled", hard, "as foretold, simulated in the last steps"]
+    assert first == ["On the wall, as milled", hard, "as predicted; the last steps simulate it"]
     assert second[0] == "On the wall, if polished"
     (only,) = modules.evaluate(HEADLINES, [designed, None, None])
     assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
@@ -386,7 +386,7 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
     page = shown(opened, planned, files)
     points, chosen = page.get_by_role("radio", name="will blur"), page.locator(".plan-chosen")
     expect(points).to_have_count(len(PLAN_HOURS))
-    expect(chosen).to_contain_text("This is the plan of this job.")
+    expect(chosen).to_contain_text("This is the plan of this job,")
     assert page.locator(".plan-words").all_text_contents() == ["hard to recognise", "recognisable"]  # words beside dB
     boxes = "dots => dots.map((dot) => dot.getBoundingClientRect()).map(({x, y}) => [x, -y])"
     places = page.locator("[role=radio] .plan-dot").evaluate_all(boxes)  # all at once: pictures that come move the page

@@ -91,7 +91,7 @@ def of_a_new_job_with_everything(opened: Opened) -> Page:
     for label, value in (("Width", "abc"), ("Height", "two")):
         page.get_by_label(label, exact=True).fill(value)
     page.get_by_role("button", name="Make the lens").click()
-    expect(page.get_by_text("'abc' is no number.")).to_be_visible()
+    expect(page.get_by_text("'abc' is not a number.")).to_be_visible()
     expect(page.locator(".stale")).to_have_count(0)  # dimmed while it is asked for anew
     return page
 

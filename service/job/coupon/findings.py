@@ -37,8 +37,8 @@ _WALL_OFF = 0.06
 
 SENTENCES: dict[str, Callable[[Mapping[str, float]], Phrase]] = {
     "not_a_coupon": lambda v: Phrase(
-        "no test piece is found in the photograph (likeness {confidence:.2f}); allowed: the light of this test "
-        "piece on its screen, all of it, in a dark room", **v
+        "the photograph shows no test piece (likeness {confidence:.2f}); allowed: the light of this test piece on "
+        "its screen, all of it, in a dark room", **v
     ),
     "too_small": lambda v: Phrase(
         "the piece is {pixels_per_mm:.0f} pixels per mm in the photograph; allowed: at least {least:.0f}, "
@@ -62,12 +62,12 @@ SENTENCES: dict[str, Callable[[Mapping[str, float]], Phrase]] = {
     "not_finished": lambda v: Phrase(
         "both halves are as they were milled: all ripples are there; allowed: one half finished"
     ),
-    "right_finished": lambda v: Phrase("the right half was finished, not the left one: taken as such"),
+    "right_finished": lambda v: Phrase("the right half was finished, not the left one: treated as such"),
     "mirrored": lambda v: Phrase(
-        "the photograph was taken from the other side of the paper, or is mirrored: taken as such"
+        "the photograph was taken from the other side of the paper, or is mirrored: treated as such"
     ),
     "wall_off": lambda v: Phrase(
-        "the wall stood {off_mm:+.1f} mm off: at {throw_mm:.1f} mm, where {nominal_mm:g} mm were foretold; the "
+        "the wall stood {off_mm:+.1f} mm off: at {throw_mm:.1f} mm, where {nominal_mm:g} mm were planned; the "
         "finish is measured all the same", **v
     ),
     "too_light": lambda v: Phrase(

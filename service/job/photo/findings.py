@@ -61,8 +61,8 @@ REFUSALS: dict[str, Callable[[Values], Phrase]] = {
         "it with some dark wall around", **v
     ),
     "not_this_lens": lambda v: Phrase(
-        "what the lens of this job should show is not in it (likeness {likeness:.2f}, allowed: {least:.2f} at least); "
-        "is it this job's lens, focused, in a dark room, and all of it lit?", **v
+        "the photograph does not show what the lens of this job should show (likeness {likeness:.2f}, allowed: "
+        "{least:.2f} at least); is it this job's lens, focused, in a dark room, and all of it lit?", **v
     ),
 }  # fmt: skip
 
@@ -80,8 +80,8 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     ),
     "wall_in_place": lambda v: Phrase("the wall's distance is right within {within_mm:.2g} mm", **v),
     "wall_unknown": lambda v: Phrase(
-        "this photograph does not tell the wall's distance to better than {within_mm:.2g} mm; check with a rule that "
-        "it is {throw_mm:g} mm from the top of the block", **v
+        "this photograph does not give the wall's distance to better than {within_mm:.2g} mm; check with a rule "
+        "that it is {throw_mm:g} mm from the top of the block", **v
     ),
     "wall_tilted": lambda v: Phrase(
         "the wall leans by {deg:.2g}° (± {deviation_deg:.1g}°) against the block: its {side} is too far away; square "
@@ -103,24 +103,25 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
         )
     ),
     "softer": lambda v: Phrase(
-        "the light is softer than foretold {how}, by {mm:.2g} mm on the wall (foretold itself: {foretold_mm:.2g} mm): "
-        "{causes}", **v, how=_FORETOLD[v["foretold"]], causes=_why_softer(v)
+        "the light is softer than predicted {how}, by {mm:.2g} mm on the wall (the prediction itself: "
+        "{foretold_mm:.2g} mm): {causes}", **v, how=_FORETOLD[v["foretold"]], causes=_why_softer(v)
     ),
     "sharper": lambda v: Phrase(
-        "the light is sharper than foretold {how}, by {mm:.2g} mm on the wall: mill and finish did better than their "
-        "figures say", **v, how=_FORETOLD[v["foretold"]]
+        "the light is sharper than predicted {how}, by {mm:.2g} mm on the wall: mill and finish did better than "
+        "their figures say", **v, how=_FORETOLD[v["foretold"]]
     ),
     "as_soft_as_foretold": lambda v: Phrase(
-        "the light is as sharp as foretold {how}", how=_FORETOLD[v["foretold"]]
+        "the light is as sharp as predicted {how}", how=_FORETOLD[v["foretold"]]
     ),
     "surface_off": lambda v: Phrase(
         "the surface is off by {peak_to_valley_um:.2g} µm from highest to lowest: {terms}",
         peak_to_valley_um=v["peak_to_valley_um"], terms=_terms(v)
     ),
     "surface_right": lambda v: Phrase(
-        "no long-wave error of the surface is seen (of those that can be told none is over {within_um:.2g} µm)", **v
+        "no long-wave error of the surface is seen (of those that can be measured, none is over {within_um:.2g} µm)",
+        **v,
     ),
-    "surface_unknown": lambda v: Phrase("this photograph tells nothing of long-wave errors of the surface"),
+    "surface_unknown": lambda v: Phrase("this photograph shows nothing of long-wave errors of the surface"),
     "partly_clipped": lambda v: Phrase(
         "{clipped_percent:.0f} % of the picture is white in the photograph and was left out: a shorter exposure tells "
         "more", **v
@@ -174,6 +175,6 @@ def _why_softer(v: Values) -> Phrase:
         "focus",
         cause=Phrase("the finish is not yet done")
         if v["foretold"] == "finished"
-        else Phrase("mill or finish leave more than foretold"),
+        else Phrase("mill or finish leave more than predicted"),
         source_deg=v["source_deg"],
     )

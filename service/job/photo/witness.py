@@ -22,11 +22,14 @@ from service.wording import duration
 _DONE = 0.06  # of the dose: nearer to the plan no difference is seen
 _REFUSALS: dict[Refusal, Phrase] = {
     "no_light": Phrase(
-        "no lit strip is found in it; allowed: the light of the witness marks alone, all else covered, in a dark room"
+        "the photograph shows no lit strip; allowed: the light of the witness marks alone, everything else "
+        "covered, in a dark room"
     ),
     "too_dark": Phrase("the strip's light is hardly above the dark around it; expose longer"),
     "too_bright": Phrase("the strip's light is white and shows no fringes; expose one or two stops less"),
-    "too_small": Phrase("the strip is too small in it; allowed: at least 300 pixels along it, all of it seen"),
+    "too_small": Phrase(
+        "the strip is too small in the photograph; allowed: at least 300 pixels along it, all of it seen"
+    ),
 }
 
 
@@ -45,7 +48,7 @@ class WitnessFinding:
         """Yield where the finish stands, then what to do."""
         dose = self.reading.dose
         yield Phrase(
-            "the finish has come to {percent:.0f} % of the plan (+-{error:.0f})",
+            "the finish has reached {percent:.0f} % of the plan (+-{error:.0f})",
             percent=100 * dose,
             error=100 * self.reading.error,
         )

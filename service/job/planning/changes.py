@@ -72,7 +72,7 @@ def _possible_changes(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
         yield Change(what=Phrase("a mill as exact as {mill}", mill=finer), values={"machine.profile": finer})
     if spec.image.prepare == "none":
         coarser = {"image.prepare": "detail", "image.prepare_detail_mm": float(f"{detail_mm:.2g}")}
-        yield Change(what=Phrase("a picture that is prepared for what shows"), values=coarser)
+        yield Change(what=Phrase("a picture prepared for what will show"), values=coarser)
 
 
 def _to_fives(length_mm: float) -> float:

@@ -122,13 +122,13 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
         return None
     radius_mm = math.ceil(10.0 * max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)) / 10.0
     return Phrase(
-        "the tool of the finish does not get to the rims: they lie {least_mm:.1f} to {most_mm:.1f} mm under the "
-        "block's top, the cutters leave a wall {wall_mm:.1f} mm beside them, and the finish has to go {beyond_mm:.1f} "
-        "mm beyond them. A round tool of {largest_mm:.1f} mm would fit there, the usual one has {pad_mm:g} mm, and "
-        "under {hand_mm:g} mm none works evenly: the outermost {band_mm:.1f} mm will keep marks of the mill. What "
-        "helps: a ball of R {radius_mm:.1f} or more to finish with, and stock.margin_mm = {margin_mm:.0f} or more for "
-        "it; less of this finish; a coat of lacquer, which needs no room. A thinner block or a wall farther away does "
-        "not: the ball decides where the wall stands",
+        "the tool of the finish does not reach the rims: they lie {least_mm:.1f} to {most_mm:.1f} mm under the "
+        "block's top, the cutters leave a wall {wall_mm:.1f} mm beside them, and the finish has to go "
+        "{beyond_mm:.1f} mm beyond them. A round tool of {largest_mm:.1f} mm would fit there, the usual one has "
+        "{pad_mm:g} mm, and under {hand_mm:g} mm none works evenly: the outermost {band_mm:.1f} mm will keep marks "
+        "of the mill. What helps: a ball of R {radius_mm:.1f} or more to finish with, and stock.margin_mm = "
+        "{margin_mm:.0f} or more for it; less of this finish; a coat of lacquer, which needs no room. A thinner "
+        "block or a wall farther away does not help: the ball decides where the wall stands",
         least_mm=room.depth_mm[0],
         most_mm=room.depth_mm[1],
         wall_mm=room.wall_mm,

@@ -107,8 +107,8 @@ def best_possible(planned: Planned) -> Phrase:
     best = planned.plan.best
     perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
     return Phrase(
-        "No plan does better than {best_db:.1f} dB on this mill ({time}): its steps of {step_um:g} µm and its noise of "
-        "{noise_um:g} µm decide; the lens itself could show {perfect_db:.1f} dB.",
+        "No plan does better than {best_db:.1f} dB on this mill ({time}): its steps of {step_um:g} µm and its "
+        "noise of {noise_um:g} µm set the limit; the lens itself could show {perfect_db:.1f} dB.",
         best_db=best.psnr_db,
         time=duration(3600 * best.hours),
         step_um=1000 * planned.machine.step_mm,
@@ -199,9 +199,9 @@ def _ball(planned: Planned) -> Iterator[Phrase]:
     if planned.shapes_lens:
         perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
         yield Phrase(
-            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
-            "mrad), a smaller ball steeper ones; the lens is shaped for it, which takes {lost_db:.1f} dB of the "
-            "{least_db:.1f} dB of one without marks.",
+            "The finishing ball is {size}: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm "
+            "({slope_um_per_mm:.1f} mrad); a smaller ball leaves steeper ones. The lens is shaped for this ball, "
+            "which costs {lost_db:.1f} dB of the {least_db:.1f} dB of a lens without marks.",
             size=size,
             slope_um_per_mm=slope_um_per_mm,
             lost_db=max(0.0, least - perfect),
@@ -209,8 +209,8 @@ def _ball(planned: Planned) -> Iterator[Phrase]:
         )
     else:
         yield Phrase(
-            "A ball {size} finishes: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm ({slope_um_per_mm:.1f} "
-            "mrad), a smaller ball steeper ones.",
+            "The finishing ball is {size}: its rows leave slopes of {slope_um_per_mm:.1f} µm per mm "
+            "({slope_um_per_mm:.1f} mrad); a smaller ball leaves steeper ones.",
             size=size,
             slope_um_per_mm=slope_um_per_mm,
         )
@@ -247,8 +247,8 @@ def _rest(planned: Planned) -> Iterator[Phrase]:
         )
     elif filled is not None and filled.share >= _SEEN_SHARE:
         yield Phrase(
-            "It leaves {percent:.2g} % of the lens filled, in valleys too narrow for it: a rest pass with a smaller "
-            "ball would not show enough more for its time.",
+            "It leaves {percent:.2g} % of the lens filled, in valleys too narrow for it: a rest pass with a "
+            "smaller ball would take its time and show hardly more.",
             percent=100 * filled.share,
         )
 
@@ -268,8 +268,8 @@ def _rows(planned: Planned) -> Iterator[Phrase]:
         )
     else:
         yield Phrase(
-            "Rows {pitch_mm:g} mm apart: closer ones would not help, as the rows that lie deepest by the mill's noise "
-            "hide the others and make stripes, here of {percent:.0f} % of the light.",
+            "Rows {pitch_mm:g} mm apart: closer rows would not help. The mill's noise cuts some rows deeper than "
+            "others; these hide their neighbours and make stripes, here of {percent:.0f} % of the light.",
             pitch_mm=finish.pitch_mm,
             percent=100 * planned.light.grain(chosen.marks),
         )
@@ -302,8 +302,8 @@ def _steps(planned: Planned) -> Iterator[Phrase]:
     )
     gain = chosen.psnr_db - planned.light.aimed_db(replace(chosen.marks, slopes=between))
     yield Phrase(
-        "Heights are written in whole steps of the mill, {step_um:g} µm: vertices stand where the path goes through "
-        "one, which gains {gain_db:.1f} dB.",
+        "The program gives heights in whole steps of the mill, {step_um:g} µm: the path's vertices lie where it "
+        "crosses a step, which gains {gain_db:.1f} dB.",
         step_um=1000 * machine.step_mm,
         gain_db=max(0.0, gain),
     )

@@ -64,7 +64,7 @@ def _of_begin(machine: Mapping[str, Any]) -> Iterator[Phrase]:
         turning = post is not None and post.traces_with_spindle_on
         yield Phrase(
             "Before its first cut the first program goes once around the block and once around the lens at Z "
-            "{safe_z_mm} mm, {spindle}: look whether the block lies under it, and stop it if not.",
+            "{safe_z_mm} mm, {spindle}: check that the block lies under it, and stop the mill if it does not.",
             safe_z_mm=number(machine.get("safe_z_mm")),
             spindle=Phrase("the spindle turning") if turning else Phrase("the spindle off"),
         )

@@ -33,11 +33,11 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
         (Phrase("Straight down into stock; spindle off in stock"), Phrase("none"), _none),
         (Phrase("Widest gap between tracks"), Phrase("1.5 row distances, 1.02 for contour"), _gap),
         (
-            Phrase("Stock left above what the pass leaves, where the ball reaches"),
-            Phrase("cusps, 5 µm and a quarter of it"),
+            Phrase("Stock left above the planned amount, where the ball reaches"),
+            Phrase("cusps, 5 µm and a quarter of the cusps"),
             lambda p: _number(p, "excess_um", 1, "µm"),
         ),
-        (Phrase("Shank and end of flutes against stock that stands"), Phrase("no contact"), _shank),
+        (Phrase("Shank and end of flutes against standing stock"), Phrase("no contact"), _shank),
         (Phrase("Extent within the mill's travel"), Phrase("travel of each axis"), _extent),
         (Phrase("Entries, on ramps of {ramp_deg:g}° or in air", ramp_deg=RAMP_DEG), "", _entries),
         (Phrase("Cut climbing, by volume"), "", lambda p: _percent(p, "climb_share")),
@@ -47,7 +47,7 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
             "",
             lambda p: _percent(_part(p, "contour"), "aligned_share"),
         ),
-        (Phrase("Places gone over, of a rest pass"), "", _rest),
+        (Phrase("Places that a rest pass mills"), "", _rest),
         (
             Phrase("Left above Z0 by the facing, or in the slot of the cut-out"),
             Phrase("cusps"),

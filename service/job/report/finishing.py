@@ -22,20 +22,19 @@ _SIDES = {
 }
 _OBSTACLES = {
     "room": Phrase(
-        "There are no witness marks beside this lens: its margin has no free strip for them that a pad reaches into "
-        "and the mill travels to. A wider stock.margin_mm makes room, or clamps elsewhere."
+        "There are no witness marks beside this lens: its margin has no free strip that both a pad and the mill "
+        "can reach. A wider stock.margin_mm, or clamps elsewhere, make room."
     ),
     "steps": Phrase(
-        "There are no witness marks beside this lens: the mill's steps in height are higher than the ripples on which "
-        "this pad stays in touch."
+        "There are no witness marks beside this lens: the mill's steps in height are higher than the ripples that "
+        "this pad can follow."
     ),
     "noise": Phrase(
-        "There are no witness marks beside this lens: the mill's errors from row to row are as high as the ripples on "
-        "which this pad stays in touch."
+        "There are no witness marks beside this lens: the mill's errors from row to row are as high as the ripples "
+        "that this pad can follow."
     ),
     "slope": Phrase(
-        "There are no witness marks beside this lens: on ripples that this pad stays in touch with, a lamp shows too "
-        "little."
+        "There are no witness marks beside this lens: a lamp shows too little of the ripples that this pad can follow."
     ),
 }
 _STOP = 1.0
@@ -83,7 +82,7 @@ def _work_rows(work: Mapping[str, Any]) -> Iterator[tuple[Phrase, str]]:
         yield Phrase("Levels"), levels
     if work.get("run_out_mm"):
         mask = Phrase(
-            "mask them, or finish {run_out} beyond the lens: edges are rounded as far as that",
+            "mask them, or finish {run_out} beyond the lens: edges are rounded that far in",
             run_out=_mm(work["run_out_mm"]),
         )
         yield Phrase("Rims"), mask
@@ -126,8 +125,8 @@ def _warnings(report: Mapping[str, Any], work: Mapping[str, Any]) -> Iterator[Ph
     minutes, least, most = (work.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:
         yield Phrase(
-            "{duration} lies outside what this process is known for, {least} to {most} on a lens of this size: what is "
-            "foretold may be wrong. A test piece tells.",
+            "{duration} is outside the known range of this process, {least} to {most} on a lens of this size: the "
+            "prediction may be wrong. Try it on a test piece.",
             duration=duration(60 * minutes),
             least=duration(60 * least),
             most=duration(60 * most),
@@ -154,8 +153,8 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
     if minutes is None:
         less, more = (abs(100 * (ratio - 1)) for ratio in (low, high))
         yield Phrase(
-            "Do the planned work; up to {less:.0f} % less or {more:.0f} % more keep the wall within about {loss_db:g} "
-            "dB of the {planned_db:.1f} dB foreseen.",
+            "Do the planned work; up to {less:.0f} % less or {more:.0f} % more keep the picture within about "
+            "{loss_db:g} dB of the predicted {planned_db:.1f} dB.",
             less=less,
             more=more,
             **values,
@@ -163,8 +162,8 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
         parts = [str(Phrase("{percent:.0f} % of the work", percent=100 * one)) for one in found["minutes_ratio"]]
     else:
         yield Phrase(
-            "Finish for {minutes}; up to {less} less or {more} more keep the wall within about {loss_db:g} dB of the "
-            "{planned_db:.1f} dB foreseen.",
+            "Finish for {minutes}; up to {less} less or {more} more keep the picture within about {loss_db:g} dB "
+            "of the predicted {planned_db:.1f} dB.",
             minutes=duration(60 * minutes),
             less=duration(60 * minutes * (1 - low)),
             more=duration(60 * minutes * (high - 1)),
@@ -179,11 +178,11 @@ def list_finish_tolerance(report: Mapping[str, Any]) -> Iterator[Phrase]:
         **values,
     )
     if little >= much:
-        yield Phrase("Too little is the safer side: work can be added, and never taken back.")
+        yield Phrase("Too little is safer: you can add work, but not take it back.")
     if (pad_mm := work.get("pad_mm")) is not None:
         yield Phrase(
-            "All this is for a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and everywhere "
-            "alike: what presses less leaves the hollows, and what is harder levels the ridges alone.",
+            "All this assumes a pad of {pad_mm} mm, as soft as the list says, pressed as the steps say and evenly: "
+            "with less pressure the hollows stay rough, and a harder pad levels only the ridges.",
             pad_mm=number(pad_mm, 1),
         )
 
@@ -225,24 +224,25 @@ def _sentences(made: Mapping[str, Any], marks: list[Mapping[str, Any]], minutes:
         side=_SIDES[str(made["side"])],
     )
     yield Phrase(
-        "Look first after {first}, then every {every}: wash and dry the strip, hold a lamp almost flat along it, so "
-        "that the light crosses the ripples, and look at the middle of each mark, not at the ends of its ripples. A "
-        "ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm ({slope_um_per_mm:g} mrad).",
+        "Look for the first time after {first}, then every {every}: wash and dry the strip, hold a lamp almost "
+        "flat along it, so that the light crosses the ripples, and look at the middle of each mark, not at the "
+        "ends of its ripples. A ripple shows while its slope is over about {slope_um_per_mm:g} µm per mm "
+        "({slope_um_per_mm:g} mrad).",
         first=duration(60 * minutes * marks[0]["share"]),
         every=duration(60 * minutes * 0.1),
         slope_um_per_mm=1000 * made["visible_slope_rad"],
     )
     if made["wall_mm"] is not None:
         yield Phrase(
-            "A photograph says it to a few percent: cover all but the strip with tape, put one small bright LED 2 m or "
-            "more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph the paper from "
-            "its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
+            "A photograph measures it to a few percent: cover all but the strip with tape, put one small bright "
+            "LED 2 m or more behind the flat back and tracing paper {wall_mm:g} mm before the strip, photograph "
+            "the paper from its other side in a dark room, and run causticmill look PHOTO --job FOLDER --marks.",
             wall_mm=made["wall_mm"],
         )
     yield Phrase(
-        "The marks count, not the clock: stop as soon as mark {stop} cannot be seen any more. If mark 1 goes earlier "
-        "or later than the table says, all others do in the same ratio. Mark {after} must still be plain: too little "
-        "can be mended, too much cannot.",
+        "Go by the marks, not by the clock: stop as soon as mark {stop} can no longer be seen. If mark 1 "
+        "disappears earlier or later than the table says, all others do so in the same ratio. Mark {after} must "
+        "still be plainly visible: you can add work, but not take it back.",
         stop=stop,
         after=stop + 1,
     )

@@ -83,7 +83,7 @@ def plan_holding(
     highest_mm = min(clearance_mm, under_rapids_mm)
     sentences: tuple[Phrase, ...]
     if block is None or block.swept_mm is None:
-        sentences = (Phrase("outside of what the cutters sweep."),)
+        sentences = (Phrase("outside the area that the cutters sweep."),)
     else:
         sentences = (
             _word_sweep(block.swept_mm),

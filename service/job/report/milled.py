@@ -13,7 +13,7 @@ CAUSES = {
     "scallops": (Phrase("the grooves between rows"), Phrase("a finer pitch or a bigger ball leaves less of them")),
     "steps": (
         Phrase("the machine's steps"),
-        Phrase("a machine with finer ones, or a bigger pitch that asks for longer moves, helps"),
+        Phrase("a machine with finer ones, or a bigger pitch, which asks for longer moves, helps"),
     ),
     "noise": (
         Phrase("height errors of the machine from row to row"),
@@ -21,7 +21,7 @@ CAUSES = {
     ),
     "screws": (
         Phrase("the machine's screws"),
-        Phrase("better screws, or an axis that measures where it is, help"),
+        Phrase("better screws, or axes with linear encoders, help"),
     ),
     "haze": (Phrase("the haze of the block"), Phrase("a clearer block, or a better polish of both sides, helps")),
     "back": (
@@ -54,7 +54,7 @@ def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
     if lost_db <= 0 or gain_db >= _MOST_OF_IT * lost_db:
         return [
             Phrase(
-                "Most of the loss comes from {cause} ({gain_db:.1f} dB would be won without them): {remedy}.",
+                "Most of the loss comes from {cause} ({gain_db:.1f} dB would be gained without them): {remedy}.",
                 cause=cause,
                 gain_db=gain_db,
                 remedy=remedy,
@@ -65,8 +65,8 @@ def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
         others = Phrase("the other marks, {cause} first,", cause=CAUSES[name][0])
     return [
         Phrase(
-            "Of the {lost_db:.1f} dB that milling costs, the largest part are {cause} ({remedy}); but without them "
-            "alone only {gain_db:.1f} dB come back: {others} then hide as much.",
+            "Of the {lost_db:.1f} dB that milling costs, the largest part comes from {cause} ({remedy}); without "
+            "them alone only {gain_db:.1f} dB would come back, because {others} hide as much.",
             lost_db=lost_db,
             cause=cause,
             remedy=remedy,

@@ -56,7 +56,7 @@ def _rows_of_colours(optics: Mapping[str, Any]) -> list[tuple[Phrase, str, Phras
         return []
     words = Phrase("the colours that all these figures hold under; others need another distance to the wall")
     if light.get("dispersion") is None:
-        words = Phrase("how the block bends colours is not known: all count as one")
+        words = Phrase("the dispersion of the block is unknown: all colours are treated alike")
     elif light["dispersion"] == 0.0:
         words = Phrase("a mirror sends all colours the same way")
     elif (best_db := optics.get("psnr_db_one_wavelength")) is not None:
@@ -149,8 +149,8 @@ def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
     )
     if gain_db >= _SEEN_GAIN_DB:
         words = Phrase(
-            "{steps}; it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at 0.02 "
-            "mm pitch nothing of it is left, with scallops smoothed to a tenth about half",
+            "{steps}; it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at "
+            "0.02 mm pitch nothing of it is left, and with scallops smoothed to a tenth about half of it",
             steps=words,
         )
     return [(Phrase("Polish"), words)]
@@ -164,8 +164,8 @@ def sentences_of_preparation(report: Mapping[str, Any]) -> list[Phrase]:
     if not image["prepared"]:
         return [
             Phrase(
-                "The picture was to be prepared for what will show, and was left as it is: it has two tones only, and "
-                "no contrast to bring out."
+                "The picture was to be prepared for what will show, but was left as it is: it has only two tones, "
+                "and no contrast to bring out."
             )
         ]
     raised = Phrase(
@@ -182,9 +182,9 @@ def sentences_of_preparation(report: Mapping[str, Any]) -> list[Phrase]:
         )
     return [
         Phrase(
-            "{raised}. Scores are against the prepared picture, whose stronger contrast asks for more, so that they "
-            "are no measure of what the preparation is worth; against the picture as it was given they are: {scores}. "
-            "What it is worth, eyes must tell, side by side.",
+            "{raised}. The scores compare with the prepared picture, whose stronger contrast is harder to reach, "
+            "so they do not measure what the preparation is worth; compared with the picture as it was given they "
+            "are: {scores}. Judge the preparation by eye, side by side.",
             raised=raised,
             scores=join(", ", _scores_in_words(report)),
         )
@@ -225,7 +225,7 @@ def light_sentences(spec: Mapping[str, Any]) -> list[Phrase]:
         )
     if optics.get("outline", "rectangle") != "rectangle":
         sentences.append(
-            Phrase("Light beyond the outline of the lens must not pass: cut the block along it, or mask it.")
+            Phrase("No light may pass beyond the outline of the lens: cut the block along it, or mask it.")
         )
     return sentences
 
@@ -290,7 +290,7 @@ def _tilt(found: Mapping[str, Any]) -> Phrase:
     point = min(found["tilts"], key=lambda tilt: abs(tilt["tilt_deg"] - _TILT_DEG))
     moved = (point["shift_mm"][0] ** 2 + point["shift_mm"][1] ** 2) ** 0.5
     return Phrase(
-        "Light that comes {tilt_deg}° aslant moves the picture by {shift_mm} mm and {costs} beside that.",
+        "Light tilted by {tilt_deg}° moves the picture by {shift_mm} mm and also {costs}.",
         tilt_deg=number(point["tilt_deg"]),
         shift_mm=number(moved, 2),
         costs=_costs(found["psnr_db"] - point["psnr_db"]),

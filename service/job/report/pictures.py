@@ -126,9 +126,9 @@ PICTURES = (
         part="light",
         title="Tolerances of the set-up",
         caption=Phrase(
-            "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken "
-            "out), and a source of another size. Simulated with fewer rays than the scores above, so a decibel or two "
-            "may lie between them: what counts is the loss along a curve."
+            "When the set-up is not exact: the wall at another distance, tilted light (the picture's shift taken "
+            "out), and a source of another size. Simulated with fewer rays than the scores above, so the two may "
+            "differ by a decibel or two: what counts is the loss along a curve."
         ),
     ),
     ReportPicture(

@@ -311,7 +311,7 @@ def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _place_in_words(place: Mapping[str, Any]) -> Phrase:
     return Phrase(
-        "X {x_mm} Y {y_mm}: {excess_um} µm stay, over {area_mm2} mm²",
+        "X {x_mm} Y {y_mm}: {excess_um} µm remain, over {area_mm2} mm²",
         x_mm=number(place.get("x_mm"), 2),
         y_mm=number(place.get("y_mm"), 2),
         excess_um=number(place.get("excess_um"), 1),

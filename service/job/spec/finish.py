@@ -27,7 +27,7 @@ from service.job.spec.section import Section, none_or_from, shown, unknown_name
 NONE, BEST = "none", "best"
 _PROCESSES = {
     NONE: "no: as the mill leaves it",
-    BEST: "yes, whatever shows most",
+    BEST: "yes, the one that shows most",
     **{process.name: process.offered for process in built_in_processes().values() if process.offered},
 }
 
@@ -39,7 +39,7 @@ class FinishSpec(Section):
     depth_um             : what comes off on average; where it is more than 0 and there is a tool, that tool works by
                            contact and takes nothing off where it does not reach; else all is levelled, as by a film
     minutes              : of work on the whole lens; the planner of "recommended" chooses them where they are left out
-    pad_mm               : size of the tool, which follows whatever is longer; more than 500 mm: there is none
+    pad_mm               : size of the tool, which follows longer waves; more than 500 mm: there is none
     witness              : marks beside the lens show when to stop, where a pad does the work and the margin has room
     """
 
@@ -74,13 +74,13 @@ class FinishSpec(Section):
         Annotated[float, Field(ge=1e-4, le=100_000)] | None,
         shown(
             "Work",
-            "On the whole lens. Empty: planned with “Recommended”, else as the process takes.",
+            "On the whole lens. Empty: planned with “Recommended”, otherwise the usual time of the process.",
             usual="planned",
         ),
     ] = None
     pad_mm: Annotated[
         Annotated[float, Field(ge=LEAST_PAD_MM, le=5000)] | None,
-        shown("Size of the tool", "Of the pad or block: it follows whatever is longer.", usual="usual"),
+        shown("Size of the tool", "Of the pad or block: it follows longer waves.", usual="usual"),
     ] = None
 
     witness: Annotated[
@@ -187,5 +187,5 @@ def _require_own_figures(finish: FinishSpec) -> None:
         raise SpecError([(f"finish.{missing}", words)])
     if finish.k0_rad_per_mm is None and (finish.minutes is not None or finish.depth_um is not None):
         given = "minutes" if finish.minutes is not None else "depth_um"
-        words = Phrase("says nothing without a process; allowed: with finish.process, or k0_rad_per_mm and order")
+        words = Phrase("has no effect without a process; allowed: with finish.process, or k0_rad_per_mm and order")
         raise SpecError([(f"finish.{given}", words)])

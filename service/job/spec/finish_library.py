@@ -211,7 +211,7 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
     place = f"{path}: {name}"
     if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
         raise InputError(
-            Phrase("{place}: allowed as a name: small letters, digits and hyphens, at most 40", place=place)
+            Phrase("{place}: allowed as a name: lower-case letters, digits and hyphens, at most 40", place=place)
         )
     try:
         values = {key: _VALUES.check(key, value, "") for key, value in row.items()}

@@ -191,7 +191,7 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     key, equals, written = text.partition("=")
     steps = [step.strip() for step in key.split(".")]
     if not equals or not all(steps) or not written.strip():
-        words = Phrase("'{text}' must read key=value, for example optics.width_mm=40", text=text)
+        words = Phrase("'{text}' must have the form key=value, for example optics.width_mm=40", text=text)
         raise SpecError([("--set", words)])
     try:
         parsed = tomllib.loads(f"value = {written.strip()}")

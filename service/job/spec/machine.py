@@ -33,7 +33,7 @@ class MachineSpec(Section):
     z_noise_mm: Annotated[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)] | None, _shown("Noise in Z")] = None
     screw_error_mm: Annotated[
         Annotated[list[Annotated[float, Field(ge=0, le=0.1), none_or_from(1e-7)]], Three] | None,
-        shown("Screw errors", "An axis's error that comes back with every turn of its screw.", names=_XYZ),
+        shown("Screw errors", "An axis error that repeats with every turn of the screw.", names=_XYZ),
     ] = None
     screw_lead_mm: Annotated[
         Annotated[list[Annotated[float, Field(ge=0.1, le=100)]], Three] | None,

@@ -95,7 +95,7 @@ class ImageSpec(Section):
         Annotated[float, Field(ge=0.01, le=1000)] | None,
         shown(
             "Smallest detail that will show",
-            "As the estimate says it. Empty: about 1 mm for every 100 mm to the wall.",
+            "As the estimate gives it. Empty: about 1 mm for every 100 mm to the wall.",
             card="picture",
             usual="by the wall",
             when={"image.prepare": "detail"},
@@ -189,7 +189,7 @@ class JobSpec(Section):
             if not row.is_ball:
                 raise RuleError(
                     Phrase(
-                        "passes.{number}.corner_radius_mm = {radius_mm:g} follows a pass that has left its shape; "
+                        "passes.{number}.corner_radius_mm = {radius_mm:g} follows a pass that has cut the shape; "
                         "allowed: in the first pass, a ball after it",
                         number=number,
                         radius_mm=row.corner_radius_mm,

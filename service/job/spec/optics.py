@@ -235,7 +235,7 @@ class OpticsSpec(Section):
     def _suits_the_lens(cls, light: LightSpec, info: ValidationInfo) -> LightSpec:
         if info.data.get("method") == "paper" and (light.distance_mm is not None or not light.even):
             raise RuleError(
-                Phrase("only parallel, even light is possible with optics.method = 'paper'; 'transport' knows all")
+                Phrase("only parallel, even light is possible with optics.method = 'paper'; 'transport' allows all")
             )
         least = _LEAST_GAUSSIAN * max(info.data.get("width_mm", 0.0), info.data.get("height_mm", 0.0))
         if light.gaussian_mm is not None and light.gaussian_mm < least:
@@ -252,7 +252,7 @@ class OpticsSpec(Section):
 
 def _none_but(value: str) -> Phrase:
     return Phrase(
-        "no other than {value} is possible with optics.method = 'paper'; 'transport' knows all",
+        "only {value} is possible with optics.method = 'paper'; 'transport' allows all",
         value=value,
     )
 

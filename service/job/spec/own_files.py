@@ -35,9 +35,7 @@ def require_own_file(name: str) -> Path:
     """Return the same. InputError says how to have such a folder."""
     path = find_own_file(name)
     if path is None:
-        raise InputError(
-            Phrase("no folder for files of one's own; set CAUSTICMILL_CONFIG_DIR and start the server again")
-        )
+        raise InputError(Phrase("no folder for your own files; set CAUSTICMILL_CONFIG_DIR and start the server again"))
     return path
 
 
@@ -110,7 +108,7 @@ def read_stated_profiles() -> dict[str, dict[str, Any]]:
 
 def _require_free(name: str) -> Path:
     if name in profile_names(()):
-        raise InputError(Phrase("'{name}' is a built-in profile; allowed: a name of its own", name=name))
+        raise InputError(Phrase("'{name}' is a built-in profile; choose another name", name=name))
     file = require_own_file(f"machines/{name}.toml")
     if file.exists() and _parse_statement(file) is None:
         words = Phrase(

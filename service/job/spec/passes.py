@@ -94,8 +94,8 @@ class PassRow(Section):
         if self.shank_radius_mm is not None and self.flute_length_mm is None:
             raise RuleError(
                 Phrase(
-                    "shank_radius_mm = {radius_mm:g} says nothing without the height at which it begins; allowed: with "
-                    "flute_length_mm",
+                    "shank_radius_mm = {radius_mm:g} has no effect without the height at which the shank begins; "
+                    "allowed: with flute_length_mm",
                     radius_mm=self.shank_radius_mm,
                 )
             )

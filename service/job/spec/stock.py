@@ -147,7 +147,7 @@ def cut_out_fault(
     if room_mm < need_mm:
         thinner = (room_mm - FRAME_MM) / 2
         words = Phrase(
-            "stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, and the cutter of radius "
+            "stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, but the cutter of radius "
             "{radius_mm:g} mm needs {need_mm:g} mm: its slot and {frame_mm:g} mm of frame; allowed: a margin of at "
             "least {least_mm:.4g}",
             margin_mm=margin_mm,

@@ -79,7 +79,7 @@ def _tools_of(path: Path, data: dict[str, Any]) -> tuple[Tool, ...]:
     if data:
         raise InputError(
             Phrase(
-                "{path}: {key}: there is no such key; allowed: [[tool]] tables alone", path=path, key=next(iter(data))
+                "{path}: {key}: there is no such key; allowed: only [[tool]] tables", path=path, key=next(iter(data))
             )
         )
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):

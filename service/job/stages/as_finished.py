@@ -101,8 +101,9 @@ def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> Phrase | None:
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None
     return Phrase(
-        "the finish rounds whatever stands within {reach_mm:.2g} mm, and {milled_mm:g} mm are milled around the lens: "
-        "its outermost {narrower_mm:.2g} mm may come out rounder than foretold; mask the rim, or take a larger ball",
+        "the finish rounds everything within {reach_mm:.2g} mm of an edge, but only {milled_mm:g} mm are milled "
+        "around the lens: its outermost {narrower_mm:.2g} mm may come out rounder than predicted; mask the rim, or "
+        "use a larger ball",
         reach_mm=finish.reach_mm,
         milled_mm=milled_mm,
         narrower_mm=narrower_mm,

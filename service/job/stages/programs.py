@@ -174,10 +174,10 @@ def _of_starving(machine: MachineProfile, spec: PassSpec, verdict: PassCheck) ->
         return
     carried, moving_s = 60 * verdict.path_length_mm / verdict.time_s, verdict.time_s - verdict.starved_s
     yield Phrase(
-        "the link is too slow: F{feed_mm_per_min:g} is asked for, and {lines_per_s:g} lines a second carry "
-        "F{carried_mm_per_min:.0f} on average; the mill waits for lines {starved} of {whole}. {need_per_s:.0f} lines a "
-        "second would carry it (machine.lines_per_s), so would the control's own memory; else ask for the feed that is "
-        "carried and turn the spindle slower by as much, or the cutter rubs",
+        "the link is too slow: the program asks for F{feed_mm_per_min:g}, but {lines_per_s:g} lines a second carry "
+        "F{carried_mm_per_min:.0f} on average; the mill waits for lines {starved} of {whole}. {need_per_s:.0f} "
+        "lines a second would be enough (machine.lines_per_s), and so would the control's own memory; otherwise "
+        "ask for the feed that the link carries and slow the spindle in proportion, or the cutter rubs",
         feed_mm_per_min=spec.feed_mm_per_min,
         lines_per_s=machine.lines_per_s,
         carried_mm_per_min=carried,
@@ -255,7 +255,7 @@ def _check(
     called = (
         files[0]
         if len(files) == 1
-        else Phrase("{first} to {last}, lines counted through", first=files[0], last=files[-1])
+        else Phrase("{first} to {last}, lines numbered consecutively", first=files[0], last=files[-1])
     )
     with context.watch.stage(f"check pass {context.number} {spec.name}") as on_progress:
         try:

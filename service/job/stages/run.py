@@ -84,7 +84,7 @@ def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[
         try:
             store.fetch(sha256, scratch / name)
         except MissingObjectError:
-            raise FailedError(Phrase("{name}: it is not in the artifact store any more", name=called)) from None
+            raise FailedError(Phrase("{name}: it is no longer in the artifact store", name=called)) from None
     return set(wanted)
 
 

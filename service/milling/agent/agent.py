@@ -7,8 +7,8 @@ from pathlib import Path
 
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
+from service.http.event_hub import Hub, Reader
 from service.milling.agent.audit import AuditLog
-from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
@@ -23,7 +23,7 @@ class Agent:
     profile: MachineProfile
     access: MillAccess
     store: ProgramStore
-    hub: Hub
+    hub: Hub[Reader]
     connector: Connector
     keys: ClientKeys
     audit: AuditLog

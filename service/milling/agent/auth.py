@@ -34,7 +34,7 @@ def read_token(path: Path) -> str:
             Phrase("--token-file: {path} is not plain text; allowed: one line of ASCII", path=path)
         ) from None
     if others:
-        raise InputError(Phrase("--token-file: {path} can be read by others; say: chmod 600 {path}", path=path))
+        raise InputError(Phrase("--token-file: {path} can be read by others; run: chmod 600 {path}", path=path))
     if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
         raise InputError(
             Phrase("--token-file: {path} must hold one word of at least {least} characters", path=path, least=_SHORTEST)

@@ -16,6 +16,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from service.processes.whole_file import write_whole
+
 CARD_FILE = "agent.json"
 _ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
@@ -55,7 +57,7 @@ def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file
         version=metadata.version("causticmill"),
     )
     with contextlib.suppress(OSError):
-        _write(folder / CARD_FILE, card)
+        write_whole(folder / CARD_FILE, json.dumps(asdict(card)))
     try:
         yield
     finally:
@@ -67,12 +69,3 @@ def agent_url(host: str, port: int) -> str:
     """Return how a program on this computer reaches a server bound to `host`."""
     host = _ANY.get(host, host)
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-
-
-def _write(path: Path, card: AgentCard) -> None:
-    fresh = path.with_suffix(".new")
-    with fresh.open("w", encoding="utf-8") as file:
-        json.dump(asdict(card), file)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)

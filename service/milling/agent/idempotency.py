@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from pathlib import Path
+
+from service.processes.whole_file import write_whole
 
 _MOST = 1000
 
@@ -27,9 +28,4 @@ class ClientKeys:
         self._runs[key] = run_id
         while len(self._runs) > _MOST:
             del self._runs[next(iter(self._runs))]
-        fresh = self._path.with_suffix(".new")
-        with fresh.open("w") as file:
-            json.dump(self._runs, file)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(self._path)
+        write_whole(self._path, json.dumps(self._runs))

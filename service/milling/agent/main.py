@@ -29,12 +29,12 @@ from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
 from service.errors import InputError, printable
 from service.http.admission import Admission
+from service.http.event_hub import Hub, Reader
 from service.http.uvicorn_protocol import HEADER_BYTES, HttpServer, allow_open_files
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
 from service.milling.agent.audit import AuditLog
 from service.milling.agent.card import announce
-from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
@@ -112,7 +112,7 @@ async def _serve(
     catch_stop: CatchStop,
 ) -> None:
     access = MillAccess(thread)
-    hub = Hub(ring=settings.ring_events, readers=settings.subscribers)
+    hub: Hub[Reader] = Hub(ring=settings.ring_events, readers=settings.subscribers)
     audit = AuditLog(settings.folder / "orders")
     store = ProgramStore(settings.folder / "programs", max_bytes=settings.max_program_bytes)
     agent = Agent(

@@ -7,8 +7,8 @@ import threading
 
 from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
+from service.http.event_hub import Hub, Reader
 from service.milling.agent.audit import AuditLog
-from service.milling.agent.event_hub import Hub
 
 _WAIT_S = 1.0
 _LEAST_GAP_S = 0.2
@@ -17,7 +17,7 @@ _LEAST_GAP_S = 0.2
 class SnapshotFeed:
     """A thread that waits for changes and hands snapshots to the event loop, which tells the readers."""
 
-    def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub, audit: AuditLog) -> None:
+    def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub[Reader], audit: AuditLog) -> None:
         self._thread = thread
         self._loop = loop
         self._hub = hub

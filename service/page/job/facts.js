@@ -9,7 +9,7 @@ import { foretoldOf } from "./foretold.js";
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
-  const wait = h("p", { class: "dim soon" }, t("Figures come as the steps are done."));
+  const wait = h("p", { class: "dim soon" }, t("Figures appear as the steps finish."));
   const title = h("h2", { id: "facts-title" }, t("What to expect")), scores = h("div"), light = h("p", { class: "dim" });
   const experts = h("details", { hidden: true }, h("summary", {}, t("Figures for experts")), scores, light, cause);
   const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, experts);

@@ -10,7 +10,7 @@ const CAUSES = {
   scallops: [t("the grooves between rows"), t("a finer pitch or a bigger ball leaves less of them")],
   steps: [t("the machine's steps"), t("a machine with finer ones leaves less of them")],
   noise: [t("height errors of the machine"), t("a stiffer set-up leaves less of them")],
-  screws: [t("the machine's screws"), t("better ones, or an axis that measures where it is, leave less of them")],
+  screws: [t("the machine's screws"), t("better ones, or axes with linear encoders, leave less of them")],
   haze: [t("the haze of the block"), t("a clearer block, or a better polish of both sides, leaves less of it")],
   back: [t("the waves of the block's back"), t("a block whose back is flatter leaves less of them")],
   rounding: [t("the decimals of the program"), t("a dialect with more of them leaves less")],
@@ -89,9 +89,9 @@ function seenByHand(report) {
 
 /** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
 function onTheWall(milled, polished, foretold) {
-  const seen = milled ?? foretold ?? null, how = milled === undefined ? t("as foretold, simulated in the last steps") : "";
+  const seen = milled ?? foretold ?? null, how = milled === undefined ? t("as predicted; the last steps simulate it") : "";
   const shown = polished === undefined ? [] : [[t("On the wall, if polished"), eyeWords(polished)]];
-  if (seen === null) return shown.map((row) => [...row, t("as milled it may be less, as the last steps tell")]);
+  if (seen === null) return shown.map((row) => [...row, t("as milled it may be less; the last steps show how much")]);
   if (polished < seen) return [[t("On the wall"), eyeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
   return [[t("On the wall, as milled"), eyeWords(seen), how], ...shown];
 }
@@ -140,7 +140,7 @@ export function mainCause(report) {
   const most = t`Most of the loss comes from ${what}: ${less}.`;
   if (!(lost > 0) || gain >= MOST_OF_IT * lost) return most;
   const other = next && next[0] in CAUSES ? t`, ${CAUSES[next[0]][0]} first,` : "";
-  return t`Milling costs ${lost.toFixed(1)} dB. The largest part are ${what} (${less}), but without them alone only ${gain.toFixed(1)} dB come back: the other marks${other} then hide as much.`;
+  return t`Milling costs ${lost.toFixed(1)} dB. The largest part comes from ${what} (${less}), but without them alone only ${gain.toFixed(1)} dB would come back, because the other marks${other} hide as much.`;
 }
 
 /** Whether the lens draws more than the picture, for the blur of its tool's marks. */

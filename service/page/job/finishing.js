@@ -46,7 +46,7 @@ export function warnings({ finishing, as_milled: milled, as_finished: finished }
   if (finished?.psnr_db < milled?.psnr_db - WORTH_DB)
     found.push(t("This finish makes the picture worse than the mill left it: leave it out, or finish for longer."));
   if (minutes < least || minutes > most)
-    found.push(t`${inTime(minutes)} lies outside what this process is known for, ${inTime(least)} to ${inTime(most)} on a lens of this size. A test piece tells.`);
+    found.push(t`${inTime(minutes)} is outside the known range of this process, ${inTime(least)} to ${inTime(most)} on a lens of this size. Try it on a test piece.`);
   if (!finishing.steps.length) found.push(t("This process is in no library: there are no instructions for it, its figures are your own."));
   return found;
 }

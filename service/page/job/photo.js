@@ -4,7 +4,7 @@ import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";
 import { jobName, sentence } from "../lib/words.js";
 
-const INTRO = t("Photograph the lens's light in a dark room, all of it and some dark wall around, not too bright; this says what is off.");
+const INTRO = t("Photograph the lens's light in a dark room, all of it and some dark wall around, not too bright; the answer says what is off.");
 const NEEDS = ["heightfield.npz", "map.npz"]; // there once the lens is made
 
 /** {node, update(job, artifacts)} */
@@ -13,7 +13,7 @@ export function photoPart() {
   const photo = photograph({
     address: () => `/v1/jobs/${encodeURIComponent(job.id)}/photos`,
     lines: (answer) => answer.findings.map((one) => sentence(one.text)),
-    alt: () => t`The photograph, set straight, beside what was foretold of ${jobName(job)}, and their difference`,
+    alt: () => t`The photograph, straightened, beside the prediction for ${jobName(job)}, and their difference`,
   });
   const node = h(
     "section", { class: "card job-photo", "aria-labelledby": "photo-title", hidden: true },

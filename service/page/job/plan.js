@@ -161,7 +161,7 @@ function inWords(job, row, k, made) {
     row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own
-      ? h("p", { class: "dim" }, t("This is the plan of this job. It was foretold before the programs were written; what they will do stands under “What to expect”."))
+      ? h("p", { class: "dim" }, t("This is the plan of this job, predicted before the programs were written; what they will do is under “What to expect”."))
       : h("a", { class: "button primary", href: `#/new?from=${job.id}&plan=${k}` }, t("Make this job")),
   ];
 }

@@ -8,8 +8,8 @@ import { sentence } from "./words.js";
 
 const CODE = /^[0-9A-Z]{12}$/;
 const WHAT = {
-  "machine:run": t("Whoever runs a mill enters the code first."),
-  "jobs:write": t("Whoever makes or changes jobs enters the code first."),
+  "machine:run": t("Enter the code to run a mill."),
+  "jobs:write": t("Enter the code to make or change jobs."),
   "jobs:read": t("This server asks for its code."),
 };
 
@@ -69,7 +69,7 @@ function form(scope, close) {
       "details",
       {},
       h("summary", {}, t("No code at hand?")),
-      h("p", {}, t("Where the server runs, this prints a new one, DIR being the server's folder:")),
+      h("p", {}, t("On the server's computer, this prints a new one (DIR is the server's folder):")),
       h("p", {}, h("code", {}, "causticmill token pair --data DIR")),
       h("p", {}, t("A token may be pasted in place of a code, too.")),
     ),

@@ -1,7 +1,7 @@
 /**
  * The page's words in the language of who reads it. English stands in the sources, and is the key of the tables in
  * languages/; a table is loaded before anything else, and only where it is needed; that of the server's sentences with the
- * first that is not seen on every screen. tests/page/test_languages.py holds them complete.
+ * first that is not seen on every screen. what they lack is shown in English (docs/page.md).
  */
 
 import { at } from "./root.js";

@@ -12,7 +12,7 @@ export function controlBar(link) {
   const free = h("button", { type: "button", onclick: () => take(false) }, t("Take control"));
   const give = h("button", { type: "button", onclick: () => link.lease.release() }, t("Give control back"));
   const over = guardedButton(t("Take over"), {
-    words: () => t`${link.machine.control?.operator ?? t("Nobody")} loses control of this mill at once. Have you spoken?`,
+    words: () => t`${link.machine.control?.operator ?? t("Nobody")} loses control of this mill at once. Have you asked them?`,
     yes: t("Take over"),
     act: () => take(true),
   });

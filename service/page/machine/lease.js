@@ -71,7 +71,7 @@ export class Lease {
   /** Who has control, as the mill says; a server that has lost the mill does not know, and what it said before is late. */
   check({ agent, control }) {
     if (!this.held || !agent.reachable || Date.now() < this.freshUntil || control?.since === this.since) return;
-    this.lose(control ? t`${control.operator} has taken control.` : t("Control has ended: this page was not heard of for a minute."));
+    this.lose(control ? t`${control.operator} has taken control.` : t("Control has ended: the server heard nothing from this page for a minute."));
   }
 
   lose(words) {

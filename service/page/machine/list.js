@@ -92,7 +92,7 @@ function empty() {
     "div",
     { class: "card stack" },
     h("p", {}, t("No mill is set up on this computer.")),
-    h("p", {}, t("Write a file "), h("code", {}, "~/.config/causticmill/machines/my-mill.toml"), t(" with what yours is and where its cable ends:")),
+    h("p", {}, t("Write a file "), h("code", {}, "~/.config/causticmill/machines/my-mill.toml"), t(" that says what your mill is and which port its cable is on:")),
     h("pre", { tabIndex: 0 }, 'extends = "grbl"\ndescription = "the mill by the window"\n[link]\nport = "/dev/serial/by-id/..."'),
     h("p", {}, t("Then start the server again. To try everything without a mill: "), h("code", {}, "causticmill serve --with-simulated-mill"), "."),
   );

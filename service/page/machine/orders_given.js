@@ -30,7 +30,7 @@ export function ordersGiven(link) {
     const found = await api.get(`${link.path}/orders?limit=${PAGE}${before ? `&before=${before}` : ""}`);
     const made = found.orders.map(row);
     if (before) rows.append(...made);
-    else replace(rows, made.length ? made : h("li", { class: "dim" }, t("Nobody has told this mill anything yet.")));
+    else replace(rows, made.length ? made : h("li", { class: "dim" }, t("Nobody has sent this mill an order yet.")));
     next = found.next;
     older.hidden = !next;
   }

@@ -62,7 +62,7 @@ export function part(link) {
       if (node.hidden) return;
       if (run.id !== shown) prepare(run);
       const [x, y, z] = machine?.mill?.work_mm ?? [];
-      write(where, Number.isFinite(x) ? t`Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : t("Where the tool is, is not known."));
+      write(where, Number.isFinite(x) ? t`Tool at X ${coordinate(x, 2)}, Y ${coordinate(y, 2)}, Z ${coordinate(z, 2)} mm` : t("The position of the tool is unknown."));
       draw();
     },
     close() {

@@ -44,7 +44,7 @@ export function readout(link) {
       pace.buffer.node.hidden = !live || !Number.isFinite(buffer);
       if (link.machine !== seen) for (const [one, value] of [[pace.feed, feed], [pace.buffer, buffer]]) one.plot(live && known ? value : null);
       seen = link.machine;
-      write(trust, !mill ? "" : !known ? t("Last known. Look at the mill.") : mill.position_trusted ? "" : t("Where the mill stands is not sure."));
+      write(trust, !mill ? "" : !known ? t("Last known. Look at the mill.") : mill.position_trusted ? "" : t("The position of the mill is not certain."));
     },
   };
 }

@@ -123,7 +123,7 @@ function needs(link, plan, { raise, words }) {
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words, codes)]);
   const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
   const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Number(Boolean(other)) - Number(Boolean(one)));
-  if (!rows.length) return h("p", {}, t("Nothing: the mill stands, its position is sure, its work zero is the same."));
+  if (!rows.length) return h("p", {}, t("Nothing: the mill stands still, its position is certain, its work zero is the same."));
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }
 
@@ -155,7 +155,7 @@ function whatHappens(plan) {
   const again = plan.recut_lines ? againWords(plan.recut_lines) : "";
   return [
     h("p", {}, `${way} ${again}`),
-    plan.differences.length > 0 && h("p", {}, t("What the controller holds is not what it was then:")),
+    plan.differences.length > 0 && h("p", {}, t("The controller's settings have changed since then:")),
     plan.differences.length > 0 && h("ul", {}, plan.differences.map((text) => h("li", {}, text.replaceAll(/-(?=\d)/g, "−")))),
     h("details", {}, h("summary", {}, t("Everything the plan says")), h("ul", {}, plan.words.map((text) => h("li", {}, text))), h("pre", { tabIndex: 0 }, plan.blocks.join("\n"))),
   ];
@@ -167,7 +167,7 @@ function againWords(lines) {
 }
 
 function giveUp(link, run, words) {
-  if (!run.open) return h("p", { class: "dim" }, t("Or load another program: this one can still be gone on with later, as long as the block stays clamped."));
+  if (!run.open) return h("p", { class: "dim" }, t("Or load another program: you can go on with this one later, as long as the block stays clamped."));
   const act = () => words.run(() => link.abandonRun());
   return guardedButton(t("Give it up"), { words: t("The mill is free for another program. What was cut stays known."), yes: t("Give it up"), act }).node;
 }

@@ -94,9 +94,9 @@ const DOUBTS = {
   restarted: t("The controller has restarted since the run stopped, its position is lost"),
   unconfirmed: t("Nobody had confirmed the position when the run stopped"),
   settings: t("Settings that define the position have changed since the run stopped"),
-  unseen: t("Nothing shows that the controller went on without a restart while it was out of sight"),
+  unseen: t("The controller may have restarted while the link was lost"),
 };
-const POSITION = t("home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you know that it is right, say so.");
+const POSITION = t("home the mill, or touch off again at the same points of the part (zero of X, Y, Z), or, if you know that the position is right, confirm it.");
 
 const NO_ANSWER = t("The computer beside the mill does not answer.");
 const unansweredWords = ({ seconds }) => (seconds ? t`The computer beside the mill did not answer within ${seconds} s.` : NO_ANSWER);
@@ -106,25 +106,25 @@ const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
 /** code: a sentence, or how it is made of the values; {brief, whole} where a line has no room for all of it, with `parts`: what is folded. */
 const SENTENCES = {
   // an order that was refused
-  grant_missing: t("Not carried out: it came without a word of the mill for it. Press again."),
-  grant_unknown: t("Not carried out: the mill does not know this order any more. Look at the mill, then press again."),
-  grant_expired: t("Not carried out: it came to the mill too late. Look at the mill, then press again."),
-  grant_stopped: t("Not carried out: the mill was told to stop after you pressed. Look at the mill, then press again."),
+  grant_missing: t("Not carried out: the mill had not granted this order. Press again."),
+  grant_unknown: t("Not carried out: the mill no longer knows this order. Look at the mill, then press again."),
+  grant_expired: t("Not carried out: it reached the mill too late. Look at the mill, then press again."),
+  grant_stopped: t("Not carried out: the mill was stopped after you pressed. Look at the mill, then press again."),
   grant_lease: t("Not carried out: control of the mill has changed since you pressed."),
   control_held: ({ operator }) => t`${operator ?? t("Somebody else")} has control: ask them, or take over.`,
-  control_lost: t("You had control and were not heard of for too long: take control again."),
+  control_lost: t("Control has ended: the server heard nothing from you for too long. Take control again."),
   control_needed: t("Nobody has control: take control first."),
   plan_changed: t("Not carried out: the way to go on has changed since it was shown. Read it again, then tick again."),
   setup_changed: t("Not started: zero or position have changed since you looked. Compare the readout with the block, then tick again."),
-  owner_ended: ({ reason }) => t`The computer beside the mill has let go of it${reason && ` (${reason})`}: start causticmill mill on it again.`,
+  owner_ended: ({ reason }) => t`The computer beside the mill has given the mill up${reason && ` (${reason})`}: start causticmill mill on it again.`,
   owner_silent: ({ seconds, taken_back: back }) => t`The computer beside the mill gave no answer within ${seconds} s, ${back ? t("the order was taken back") : t("the order may still be carried out")}; use the mill's own stop button.`,
-  no_block: ({ text }) => t`'${text}' is no line of G-code.`,
+  no_block: ({ text }) => t`'${text}' is not a line of G-code.`,
   mill_state: ({ state }) => t`Not carried out: the mill is ${mill(state)}.`,
   run_state: ({ state }) => t`Not carried out. The state of the program: ${program(state)}.`,
   run_live: t("Not carried out: another program is on the mill."),
   run_unstarted: t("Not carried out: this program was never started. Load it again."),
   travel: ({ detail }) => {
-    const brief = t("Not started: from this zero the program leaves the travel. Set the zero where it fits, or home the mill if it counts wrongly.");
+    const brief = t("Not started: from this zero the program leaves the travel. Set the zero where it fits, or home the mill if its position is wrong.");
     const parts = detail.split("\n").map(sentence);
     return { brief, whole: [brief, ...parts].join(" "), parts };
   },
@@ -146,7 +146,7 @@ const SENTENCES = {
   agent_key_refused: t("The computer beside the mill does not take this server's key."),
   agent_other: t("Another program answers in place of the computer beside the mill."),
   agent_silent: t("The connection to the computer beside the mill has ended."),
-  agent_wrong: t("The computer beside the mill says what cannot be: is causticmill there of the same version as here?"),
+  agent_wrong: t("The computer beside the mill gave an answer that makes no sense: does it run the same version of causticmill as this server?"),
   agent_fault: ({ status, reason }) => sentence(t`The computer beside the mill answered ${status}: ${reason}`),
 
   // why a program is as it is
@@ -170,20 +170,20 @@ const SENTENCES = {
 
   // why a mill is as it is
   locked: ({ alarm }) => ({ brief: lockedWords(alarm), whole: `${capital(alarmWords(alarm))}.` }),
-  locked_until_reset: ({ alarm }) => ({ brief: lockedWords(alarm), whole: t`${capital(alarmWords(alarm))}; waits for the controller to take a reset.` }),
+  locked_until_reset: ({ alarm }) => ({ brief: lockedWords(alarm), whole: t`${capital(alarmWords(alarm))}; waiting until the controller accepts a reset.` }),
   silent: {
     brief: t("The mill does not answer."),
-    whole: t("Nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not answer either: look at the mill; where it stands, send a reset."),
+    whole: t("Nothing answers '?'. After a limit alarm a controller accepts nothing but a reset, and while it homes it does not answer either: look at the mill; if it stands still, send a reset."),
   },
 
   // what has to be done first
-  connect: ({ state }) => (state === "idle" ? t("The mill has not reported its position yet: wait a second.") : t`The mill is ${mill(state)}: connect it; it does not move by that.`),
-  wait: ({ state }) => t`The mill is ${mill(state)}: wait until it has carried that out, or hold it.`,
+  connect: ({ state }) => (state === "idle" ? t("The mill has not reported its position yet: wait a second.") : t`The mill is ${mill(state)}: connect it; connecting moves nothing.`),
+  wait: ({ state }) => t`The mill is ${mill(state)}: wait until that has ended, or hold it.`,
   "stand still": ({ state }) => t`The mill is ${mill(state)} and may hold unfinished blocks: reset it, which clears them and, from standstill, keeps the position.`,
   unlock: t("The mill is locked: home it, or unlock it."),
   position: ({ doubt, settings }) =>
     settings
-      ? t`Settings that define the position have changed since the part was cut (${settings}): put them back and home the mill, or, if you know that the position is right, say so.`
+      ? t`Settings that define the position have changed since the part was cut (${settings}): put them back and home the mill, or, if you know that the position is right, confirm it.`
       : `${DOUBTS[doubt]}: ${POSITION}`,
   zero: t("The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again."),
 

@@ -19,7 +19,7 @@ export function setup(link) {
     act: () => order("unlock"),
   });
   const reset = guardedButton(t("Reset"), {
-    words: t("A reset ends whatever the mill still holds. From standstill it keeps its position."),
+    words: t("A reset clears everything that the mill still holds. From standstill it keeps its position."),
     yes: t("Reset it"),
     act: () => order("reset"),
   });

@@ -42,7 +42,7 @@ export function stops(link) {
 /** Why HOLD and STOP may not reach the mill; "" where they do. */
 function outageWords({ away, machine }) {
   if (away) return t("The server does not answer. To stop, use the button on the mill itself.");
-  return machine && !isConnected(machine) ? t("The mill does not hear this page. To stop, use the button on the mill itself.") : "";
+  return machine && !isConnected(machine) ? t("This page cannot reach the mill. To stop, use the button on the mill itself.") : "";
 }
 
 function bigButton(kind, label, [key, keyWords], act) {

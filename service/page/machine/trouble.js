@@ -9,9 +9,9 @@ import { millWords, outOfReach } from "./words.js";
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
   if (gone) return makeTrouble("bad", sentence(gone), t("go back to the list of machines."));
-  if (away) return makeTrouble("bad", t("The server does not answer."), t("to stop, use the button on the mill."), t("The mill goes on with what it has; what is shown is what was said last. This page goes on by itself when the server is back."));
+  if (away) return makeTrouble("bad", t("The server does not answer."), t("to stop, use the button on the mill."), t("The mill goes on with what it has; the page shows its last report. The page goes on by itself when the server is back."));
   if (!machine) return null;
-  if (machine.problem) return makeTrouble("bad", t("The file of this machine is not right."), t("correct it; this page sees it at once."), machine.problem);
+  if (machine.problem) return makeTrouble("bad", t("The file of this machine has an error."), t("correct it; this page sees it at once."), machine.problem);
   if (!machine.agent.reachable) return makeTrouble("bad", t("The server has lost this mill."), machine.remote ? t("look at the mill, then at the computer beside it.") : t("look at the mill, then start the server again."), t`${outOfReach(machine)} The mill may still be moving: stop it with its own button.`);
   return troubleOfMill(machine) ?? troubleOfRun(machine, run);
 }
@@ -31,7 +31,7 @@ function troubleOfMill({ mill, run, profile }) {
     case "tool":
       return makeTrouble("warn", t("A tool change is due."), t("change it, then Resume; or STOP."));
     case "sleep":
-      return makeTrouble("warn", t("The mill is asleep, its motors are off."), t("reset it, then home it."), t("It may have been moved by hand: without homing, set the work zero anew."));
+      return makeTrouble("warn", t("The mill is asleep, its motors are off."), t("reset it, then home it."), t("It may have been moved by hand: without homing, set the work zero again."));
     default:
       return null;
   }
@@ -46,13 +46,13 @@ function makeLockedTrouble(mill, run, profile) {
 }
 
 function makeUnpluggedTrouble(mill, run) {
-  const latched = mill.latched ? t` Your ${orderWord(mill.latched)} is carried out first when it is back.` : "";
+  const latched = mill.latched ? t` Your ${orderWord(mill.latched)} is carried out first when the mill is back.` : "";
   const cut = run?.state === "interrupted" ? t(" Its program is interrupted; what was cut is known.") : "";
   return makeTrouble(
     "bad",
     t("The mill is not connected."),
     t("look at the mill, then at cable and power."),
-    t`${millWords(mill).whole}${cut} It may still carry out what it holds, and the spindle may turn: stop it with its own button. It is found again by itself, and nothing moves by that.${latched}`,
+    t`${millWords(mill).whole}${cut} It may still carry out what it holds, and the spindle may turn: stop it with its own button. The server finds it again by itself; that moves nothing.${latched}`,
   );
 }
 

@@ -25,7 +25,7 @@ export function zeroDrawing(link) {
       if (key === shown) return;
       shown = key;
       const known = stock && t`${mm(stock.margin_mm)} inside the block's left and front edges.`;
-      write(inside, t`${known ?? t("How far inside the block is known once a program is loaded.")} Z0 is the block's top.`);
+      write(inside, t`${known ?? t("The distance inside the block is known once a program is loaded.")} Z0 is the block's top.`);
       replace(drawing, stock ? drawStock(stock, sizes(stock)) : drawStock(ANY, [t("block, not to scale"), t("inside the block, not to scale")], "guess"));
     },
   };

@@ -9,7 +9,7 @@ import { sentence } from "../lib/words.js";
 
 const TITLE = t("Measure your mill and your finish");
 const INTRO =
-  t("Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: how exact the mill is and what your finish takes off come out. The sheet in the archive says how.");
+  t("Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: the result says how exact the mill is and how much your finish takes off. The sheet in the archive says how.");
 const WAIT = t("The archive takes about a quarter of a minute the first time.");
 
 /** {element, show(profile)}: of the machine that the job is for. take({what, values}): a person wants the figures. */
@@ -21,7 +21,7 @@ export function couponPart({ take }) {
     words: t("Photograph of its light"),
     address: () => `${address()}/photos`,
     lines,
-    alt: () => t("The photograph, set straight, and how much of each ripple is left"),
+    alt: () => t("The photograph, straightened, and how much of each ripple is left"),
   });
 
   function show(chosen) {

@@ -174,7 +174,7 @@ export function estimateCard() {
     none: t("It appears as soon as there is a picture."),
     busy: BUSY,
     known: "",
-    problems: t("None until what is marked in red is right."),
+    problems: t("None until the fields marked in red are right."),
   };
   function stateWords(result) {
     if (result.slow) return `${BUSY} ${FIRST}`;

@@ -10,7 +10,7 @@ import { put } from "./spec.js";
 const WORTH_DB = 1;
 // Of their own: what is asked here does not end the question about the job itself.
 const HEADERS = { "Causticmill-Tab": freshKey() };
-const NONE = t("No single change of what is set here shows plainly more.");
+const NONE = t("No single change of these settings shows clearly more.");
 
 /** A spec with a change taken; passes that were given make way for recommended ones. */
 export function withChange(spec, values) {

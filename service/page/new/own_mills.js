@@ -6,7 +6,7 @@ import { t } from "../lib/language.js";
 import { sentence } from "../lib/words.js";
 import { labelled, numberInput } from "./cutters.js";
 
-const INTRO = t("State a mill of yours by what differs from one that is known: plans, programs and checks follow. What is left empty is as there.");
+const INTRO = t("Describe your mill by what differs from a known one: plans, programs and checks follow. An empty field is as in the known one.");
 const AXES = ["X", "Y", "Z"];
 const FIGURES = [["step_mm", t("Smallest step, µm"), 1000], ["z_noise_mm", t("Height error, µm"), 1000], ["collet_mm", t("Collet takes, mm"), 1], ["spindle_w", t("Spindle, W"), 1]];
 

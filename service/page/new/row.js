@@ -97,8 +97,8 @@ function withUnit(input, unit) {
 function readNumber(input, { whole = false } = {}) {
   if (!input.value.trim()) return undefined;
   const value = numberOf(input.value);
-  if (!Number.isFinite(value)) throw new TypeError(t`'${input.value.trim()}' is no number.`);
-  if (whole && !Number.isInteger(value)) throw new TypeError(t`${value} is no whole number.`);
+  if (!Number.isFinite(value)) throw new TypeError(t`'${input.value.trim()}' is not a number.`);
+  if (whole && !Number.isInteger(value)) throw new TypeError(t`${value} is not a whole number.`);
   return value;
 }
 

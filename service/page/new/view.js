@@ -115,7 +115,7 @@ function newJob(profiles, app, withMills) {
     { class: "new-job", onkeydown: leaveField },
     side.element,
     h("section", { class: "card main-choices", "aria-label": t("Mill, size, time") }, form.main),
-    h("section", { class: "settings stack tight", "aria-label": t("All else") }, settings),
+    h("section", { class: "settings stack tight", "aria-label": t("Everything else") }, settings),
     h("div", { class: "estimate-side" }, card.element, improve.element),
     foot.element,
   );

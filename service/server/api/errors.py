@@ -51,7 +51,7 @@ def problem_of(error: Exception) -> Problem:
     for kinds, told in _TABLE:
         if isinstance(error, kinds):
             return told(error)
-    return Problem(500, Phrase("a fault inside the server; its log says which"))
+    return Problem(500, Phrase("internal server error; see the server's log"))
 
 
 def _of_spec(error: Exception) -> Problem:
@@ -78,7 +78,7 @@ def _of_http(error: Exception) -> Problem:
     words = {
         404: Phrase("no such address"),
         405: Phrase("this address does not take that method"),
-        408: Phrase("the body stopped coming"),
+        408: Phrase("the body stopped arriving"),
         413: Phrase("the request is too large"),
     }
     headers = {key: value for key, value in (getattr(error, "headers", None) or {}).items() if key.lower() == "allow"}
@@ -92,7 +92,7 @@ def _of_database(error: Exception) -> Problem:
     broken = not isinstance(error, DBAPIError) or isinstance(error, OperationalError | InterfaceError)
     if broken or getattr(error, "connection_invalidated", False):
         return Problem(503, Phrase("the database cannot be reached or written at present"), headers=_RETRY)
-    return Problem(500, Phrase("a fault inside the server; its log says which"))
+    return Problem(500, Phrase("internal server error; see the server's log"))
 
 
 def _of_disk(error: Exception) -> Problem:

@@ -25,7 +25,7 @@ _WORDS = {
     428: "an order needs a grant: POST .../grants hands one out",
     429: "too many requests; Retry-After tells when to come back",
     431: "the headers are too large",
-    500: "a fault inside the server",
+    500: "internal server error",
     502: "the mill's agent answered with something else",
     503: "a part of the server cannot be reached at present; Retry-After tells when to come back",
     504: "the mill's agent did not answer in time",

@@ -59,7 +59,7 @@ class Readiness:
         with begin_reading(self._engine) as connection:
             live = executors.c.seen_at > clock(connection) - lease_s
             if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
-                raise _WrongError(Phrase("no worker was heard of for {lease_s:g} s; jobs wait", lease_s=lease_s))
+                raise _WrongError(Phrase("no worker has reported for {lease_s:g} s; jobs are waiting", lease_s=lease_s))
 
     def _check_disk(self) -> None:
         settings = self._settings

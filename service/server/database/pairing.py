@@ -51,8 +51,8 @@ class NoCodeError(Exception):
     def __init__(self) -> None:
         super().__init__(
             Phrase(
-                "no code is valid; a new one, on the server's computer: `causticmill token pair --data DIR` "
-                "(DIR: the folder that `serve` was given)"
+                "no code is valid; make one on the server's computer: `causticmill token pair --data DIR` (DIR: "
+                "the folder given to `serve`)"
             )
         )
 

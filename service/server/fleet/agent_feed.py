@@ -1,9 +1,9 @@
 """The event stream of one agent, read once for all who follow its runs: an agent has room for few readers.
 
-Theory of operation: one task reads as long as somebody follows, and puts each message into everybody's queue. Who comes
-back with the id of the last event it has asks the agent itself for what it missed, a few at a time, while its queue
-fills already; what it finds in there and has by then is left out. When the stream breaks everybody is told so, once,
-and comes back in the same way.
+Theory of operation: one task reads as long as somebody follows, and hands each message to everybody. A reader that
+comes back with the id of the last event it has asks the agent itself for what it missed, a few at a time, while its
+queue fills already; what it finds in there and has by then is left out. When the stream breaks all readers end with the
+error, once, and come back in the same way.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
+from service.http.event_hub import Hub, Message, Reader
 from service.http.problems import ServerCode
 
 AGAIN_S = (0.2, 0.5, 1.0, 2.0)  # after so long a broken stream is asked for again
 _EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
-_QUEUE = 1000
+_MOST_WAITING = 1000
+_MOST_READERS = 1000  # of one mill; the fleet allows fewer in all
 _CATCH_UP = 4  # connections beside the one
+_HEARTBEAT = Message("", "")
 
-Message = dict[str, str]  # the fields of an event: id, event, data; empty: a heartbeat
-End = tuple[str, str, Mapping[str, object]]  # the stream broke: why, in words, and as code and values
 Opened = Callable[[str], AbstractAsyncContextManager[AsyncIterator[str]]]
 
 
@@ -33,58 +34,50 @@ class AgentFeed:
     def __init__(self, opened: Opened, lost: Callable[[str, str, Mapping[str, object]], Exception]) -> None:
         self._opened = opened
         self._lost = lost
-        self._queues: set[asyncio.Queue[Message | End]] = set()
-        self._reader: asyncio.Task[None] | None = None
-        self._status: Message = {}
+        self._hub: Hub[Reader] = Hub(readers=_MOST_READERS)
+        self._task: asyncio.Task[None] | None = None
+        self._status: Message | None = None
         self._catching_up = asyncio.Semaphore(_CATCH_UP)
 
     async def follow(self, last_id: str) -> AsyncGenerator[Message]:
         """Yield those after last_id, then how things stand, then each new one; ends with the error for a broken
         stream.
         """
-        queue: asyncio.Queue[Message | End] = asyncio.Queue(_QUEUE)
-        self._queues.add(queue)
+        reader = Reader(_MOST_WAITING)
+        self._hub.add(reader)
         try:
             first = await self._catch_up(last_id) if last_id else [self._status] if self._status else []
             for message in first:
-                last_id = message.get("id") or last_id
+                last_id = message.id or last_id
                 yield message
             self._start_reading()
-            while isinstance(news := await queue.get(), dict):
-                if not _is_known(news.get("id", ""), last_id):
+            while (news := await reader.queue.get()) is not None:
+                if not _is_known(news.id, last_id):
                     yield news
-            raise self._lost(*news)
+            raise reader.error or self._lost("this reader does not keep up", ServerCode.AGENT_SILENT, {})
         finally:
-            self._queues.discard(queue)
-            if not self._queues and self._reader is not None:
-                self._reader.cancel()
+            self._hub.remove(reader)
+            if not self._hub.readers and self._task is not None:
+                self._task.cancel()
 
     def _start_reading(self) -> None:
-        if self._reader is None or self._reader.done():
-            self._reader = asyncio.create_task(self._read(), name="agent feed")
+        if self._task is None or self._task.done():
+            self._task = asyncio.create_task(self._read(), name="agent feed")
 
     async def _read(self) -> None:
-        end: End = "the event stream of the agent has ended", ServerCode.AGENT_SILENT, {}
+        end = self._lost("the event stream of the agent has ended", ServerCode.AGENT_SILENT, {})
         try:
             async with self._opened("") as lines:
                 async for message in _parse(lines):
-                    self._status = message if message.get("event") == "status" else self._status
-                    self._hand_out(message)
+                    self._status = message if message.kind == "status" else self._status
+                    self._hub.send(message, self._hub.readers)
         except Exception as error:  # whatever it was: everybody is told, and tries again
-            end = str(error) or type(error).__name__, getattr(error, "code", ""), getattr(error, "values", {})
+            words = str(error) or type(error).__name__
+            end = self._lost(words, getattr(error, "code", ""), getattr(error, "values", {}))
         finally:
-            self._status = {}
-        self._hand_out(end)
-
-    def _hand_out(self, message: Message | End) -> None:
-        for queue in list(self._queues):
-            told = message
-            if queue.full():
-                told = "this reader does not keep up", ServerCode.AGENT_SILENT, {}
-                queue.get_nowait()  # it asks for it again
-            if isinstance(told, tuple):
-                self._queues.discard(queue)
-            queue.put_nowait(told)
+            self._status = None
+        for reader in list(self._hub.readers):
+            self._hub.end(reader, end)
 
     async def _catch_up(self, last_id: str) -> list[Message]:
         """Return what has happened since, and how things stand, with which the agent ends what it tells at first."""
@@ -93,7 +86,7 @@ class AgentFeed:
             self._start_reading()
             async for message in messages:
                 found.append(message)
-                if message.get("event") == "status" or not message:
+                if message.kind == "status" or message is _HEARTBEAT:
                     break
         return found
 
@@ -130,18 +123,18 @@ async def iterate_until(
 
 
 async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
-    """Yield the messages of a stream; an empty one for each heartbeat."""
-    message: Message = {}
+    """Yield the messages of a stream, and one without data for each heartbeat."""
+    fields: dict[str, str] = {}
     async for line in lines:
         if line.startswith(":"):
-            yield {}
+            yield _HEARTBEAT
         elif line:
             name, _, value = line.partition(": ")
-            message[name] = value
-        elif message:
-            if "data" in message:
-                yield message
-            message = {}
+            fields[name] = value
+        elif fields:
+            if "data" in fields:
+                yield Message(fields.get("event", ""), fields["data"], fields.get("id", ""))
+            fields = {}
 
 
 def _is_known(event_id: str, last_id: str) -> bool:

@@ -73,7 +73,7 @@ class Cameras:
                 502, Phrase("the camera does not answer: {reason}", reason=error or type(error).__name__)
             ) from None
         if not picture.startswith(_JPEG):
-            raise Problem(502, Phrase("what the camera sends is no JPEG"))
+            raise Problem(502, Phrase("the camera does not send a JPEG"))
         return picture
 
 

@@ -12,11 +12,12 @@ import time
 from collections.abc import AsyncGenerator
 from dataclasses import replace
 
+from service.http.event_hub import Message
 from service.http.problems import Problem, ServerCode
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, as_problem
-from service.server.fleet.agent_feed import AGAIN_S, Message, iterate_until, known_id
+from service.server.fleet.agent_feed import AGAIN_S, iterate_until, known_id
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore
 from service.server.fleet.registry import KnownMachine
@@ -73,15 +74,15 @@ class MachineEvents:
                 if message is not None:
                     for entry in await self._read_history(link):
                         yield entry
-                    self._last_id = known_id(message.get("id", "")) or self._last_id
+                    self._last_id = known_id(message.id) or self._last_id
                 if piece := await self._read_piece(message):
                     yield piece
 
     async def _read_piece(self, message: Message | None) -> bytes:
-        if not message or "data" not in message:
+        if message is None or not message.data:
             return await self._make_state()
-        data = json_object(message["data"].encode(), self._machine.name)
-        if message.get("event") == "status":
+        data = json_object(message.data.encode(), self._machine.name)
+        if message.kind == "status":
             self._status = data
             return await self._make_state()
         return self._make_entry(data, self._last_id)

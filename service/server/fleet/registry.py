@@ -133,7 +133,7 @@ def remote_machines(path: Path) -> list[KnownMachine]:
     machines = [_remote(path, number, row) for number, row in enumerate(rows, start=1)]
     names = [machine.name for machine in machines]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(Phrase("agents file {path}: machine '{twice}' is there twice", path=path, twice=twice))
+        raise InputError(Phrase("agents file {path}: machine '{twice}' is named twice", path=path, twice=twice))
     return machines
 
 

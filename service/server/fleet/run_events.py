@@ -13,11 +13,12 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 
 from phrases.phrase import Phrase
+from service.http.event_hub import Message
 from service.http.problems import Problem
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentAwayError, Json, as_problem
-from service.server.fleet.agent_feed import AGAIN_S, Message, iterate_until, known_id
+from service.server.fleet.agent_feed import AGAIN_S, iterate_until, known_id
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore
 from service.server.fleet.representation import make_live_run
@@ -62,12 +63,12 @@ class RunEvents:
         async for message in iterate_until(self._core.ending, _follow_agent(self._core, self._run, self._last_id)):
             if message is None:
                 continue
-            self._failures, self._last_id = 0, known_id(message.get("id", "")) or self._last_id
-            if not message:
+            self._failures, self._last_id = 0, known_id(message.id) or self._last_id
+            if not message.data:
                 yield PING
                 continue
-            data = json_object(message.get("data", "").encode(), self._run.machine)
-            if message.get("event") != "status":
+            data = json_object(message.data.encode(), self._run.machine)
+            if message.kind != "status":
                 if _is_since(data, self._run):
                     yield event_bytes("log", compact_json(data), self._last_id)
             elif (now := _told(self._run, table(data, "run")) or await self._look()) != self._shown:

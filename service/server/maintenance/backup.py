@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.processes.whole_file import open_whole
 from service.server.database.connection import copy_sqlite
 from service.settings import ServerSettings
 from service.store.base import MissingObjectError, Store, StoredObject
@@ -141,17 +142,11 @@ def _create_whole(target: Path) -> Iterator[IO[bytes]]:
         return
     if target.exists():
         raise InputError(f"{target} is there already; allowed: a new file")
-    part = target.with_name(f".{target.name}.part")
     try:
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+        with open_whole(target, 0o600) as file:
             yield file
-            file.flush()
-            os.fsync(file.fileno())
-        part.rename(target)
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot write the backup")) from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def verify_store(settings: ServerSettings) -> list[str]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.processes.whole_file import write_whole
 
 _OURS = "# Written by `causticmill service install`."
 _SYSTEM = Path("/etc/systemd/system")
@@ -135,9 +136,7 @@ def install(order: UnitOrder, *, force: bool) -> list[str]:
             raise InputError(f"{order.path} is not ours; allowed: with --force")
         order.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         order.path.parent.mkdir(parents=True, exist_ok=True)
-        part = order.path.with_name(f".{order.path.name}.part")
-        part.write_text(text, encoding="utf-8")
-        part.rename(order.path)
+        write_whole(order.path, text)
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot write the unit")) from None
     return [f"written: {order.path}", *_next_steps(order)]

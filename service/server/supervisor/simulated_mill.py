@@ -10,13 +10,13 @@ import signal
 import sys
 import threading
 from dataclasses import replace
-from pathlib import Path
 from typing import NoReturn
 
 from machines.simulated import GRBL_11, CornerPlate, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, ServiceError, sentence_of_os_error
 from service.processes import lifeline
 from service.processes.private import make_private
+from service.processes.whole_file import write_whole
 from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
@@ -41,7 +41,7 @@ def main() -> int:
         folder = folder_of_simulated(ServerSettings.load())
         try:
             make_private(folder)
-            _write_whole(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
+            write_whole(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
             endpoint = serve_pty(make_mill(), TIME_FACTOR, folder / "port")
         except OSError as error:
             raise FailedError(sentence_of_os_error(error, doing="simulated mill: cannot use")) from None
@@ -68,12 +68,6 @@ def make_mill() -> SimulatedMill:
     plate = CornerPlate(left_mm=left, front_mm=front, tool_radius_mm=_PIN_RADIUS_MM)
     traits = replace(GRBL_11, homing=True, probe_surface_mm=top, corner_plate=plate)
     return SimulatedMill(traits, recording=Recording(keep=False))
-
-
-def _write_whole(path: Path, text: str) -> None:
-    fresh = path.with_suffix(".new")
-    fresh.write_text(text, encoding="utf-8")
-    fresh.replace(path)
 
 
 if __name__ == "__main__":

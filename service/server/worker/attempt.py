@@ -58,7 +58,7 @@ class Attempt:
                 self._fail(claim, {"stage": None, "detail": str(error), "field": None})
             except Exception:
                 log.exception("fault of the worker")
-                words = Phrase("a fault of the server itself; its log tells more")
+                words = Phrase("internal server error; see the server's log")
                 self._fail(claim, {"stage": None, "detail": words, "field": None})
 
     def _fail(self, claim: Claim, error: dict[str, object]) -> None:

@@ -72,8 +72,8 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
         with open_worker(settings, processes) as worker:
             worker.start()
             print(f"ready: worker {worker.context.executor}", flush=True)
-            if prepare and (process := warmup.begin()):
-                threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
+            if prepare:
+                threading.Thread(target=warmup.compile_for_jobs, name="warm-up", daemon=True).start()
             gc.freeze()  # what is here now stays: not worth looking at again and again
             end.recv(1)
             worker.stop()

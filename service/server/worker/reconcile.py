@@ -25,7 +25,7 @@ from service.server.worker.lease import list_live_executors
 
 CHUNK = 200
 GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
-GIVEN_UP = Phrase("the job engine has given it up without a result; the server's log may tell why. It can be retried")
+GIVEN_UP = Phrase("the job engine gave the job up without a result; the server's log may say why. You can retry it")
 log = structlog.get_logger()
 
 Queued = dict[Ticket, int]  # and the priority of each

@@ -155,7 +155,7 @@ class StageRunner:
                     "it ended {count} times without a result: {cause}", count=STAGE_TRIES, cause=printable(crash)
                 )
             case _:
-                words = Phrase("it ended as {end}", end=str(end))
+                words = Phrase("it ended in the state {end}", end=str(end))
         self._close(begun, StageState.FAILED, words, record)
         self._finish(JobState.FAILED, error={"stage": begun.stage, "detail": words, "field": field})
 

@@ -1,27 +1,23 @@
 """What stages need is compiled where it was not yet, by small jobs that nobody asked for: soon after a worker's start,
 so that the first person's job need not wait for it, and beside a command whose first stages compile other kernels.
 
-A process of its own, with TASK and PARENT as arguments, that gives way to all others and ends with the thread that
-started it. It begins with light, while whoever waits for a lens solves its map; for whole jobs it goes on
-with a lens and with reading a program, and another one, begun by it, makes programs for a lens that is there already
-and shows them as milled. The marks of `kernel_cache` say that all is done.
+A child process that gives way to all others. It begins with light, while whoever waits for a lens solves its map; for
+whole jobs it goes on with a lens and with reading a program, and another child, begun by it, makes programs for a lens
+that is there already and shows them as milled. The marks of `kernel_cache` say that all is done.
 """
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from service.errors import ServiceError
+from service.processes.child import Child, ChildError
 from service.processes.kernel_cache import JOBS, LENSES, ready_mark, use_current_kernels
-from service.processes.priority import give_way
-from service.processes.source_tree import python_path
 
 if TYPE_CHECKING:
     from service.job.spec.resolved import ResolvedJob
@@ -37,23 +33,32 @@ _SMALL = (
 _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\n"
 
 
-def begin(task: str = JOBS) -> subprocess.Popen[bytes] | None:
-    """Start the process; None where nothing of the task is left to compile. Somebody has to wait for its end."""
-    return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _start_process(task)
+def begin(task: str = JOBS) -> Child | None:
+    """Start the process; None where nothing of the task is left to compile. Whoever begins it ends it."""
+    return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _begin_part(task)
+
+
+def compile_for_jobs() -> None:
+    """Compile what jobs need, and return when that is done."""
+    if (child := begin()) is not None:
+        try:
+            with suppress(ChildError, ServiceError):  # the first job compiles what is missing
+                child.finish()
+        finally:
+            child.end(signal.SIGTERM)
 
 
 @contextmanager
 def compile_beside(task: str) -> Iterator[None]:
     """Compile for this task while the block does it, which then leaves nothing to compile."""
-    process = begin(task)
+    child = begin(task)
     try:
         yield
-        if process is not None:
+        if child is not None:
             _mark_ready(task)
     finally:
-        if process is not None:
-            process.terminate()
-            process.wait()
+        if child is not None:
+            child.end(signal.SIGTERM)
 
 
 def _mark_ready(task: str) -> None:
@@ -61,33 +66,33 @@ def _mark_ready(task: str) -> None:
         ready_mark(task).touch()
 
 
-def _start_process(part: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "service.server.worker.warmup", part, str(os.getpid())],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": python_path()},
-        start_new_session=True,
-    )
+def _begin_part(part: str) -> Child:
+    child = Child("service.server.worker.warmup")
+    child.begin({"part": part})
+    return child
 
 
-def main(part: str, parent: int) -> int:
-    from service.processes.linux import die_with_parent, name_process
+def main() -> None:
+    from service.processes.child_work import answer_requests
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # its folder is taken away
-    die_with_parent(parent, signal.SIGTERM)
-    name_process("cm-preparing")
-    give_way()
-    other = _start_process(_PROGRAMS) if part == JOBS else None
-    use_current_kernels()  # before numba is imported
-    with tempfile.TemporaryDirectory() as folder:
-        _PARTS[part](Path(folder))
-    if other is not None and other.wait() != 0:
-        return other.returncode
-    if part == JOBS:
-        _mark_ready(part)
-    return 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # its folder is taken away
+    answer_requests("cm-preparing", _compile, parent_ends_it_with=signal.SIGTERM)
+
+
+def _compile(request: dict[str, Any], _: Callable[[float], None]) -> dict[str, Any]:
+    part = request["part"]
+    other = _begin_part(_PROGRAMS) if part == JOBS else None
+    try:
+        use_current_kernels()  # before numba is imported
+        with tempfile.TemporaryDirectory() as folder:
+            _PARTS[part](Path(folder))
+        if other is not None:
+            other.finish()
+            _mark_ready(part)
+    finally:
+        if other is not None:
+            other.end(signal.SIGTERM)
+    return {}
 
 
 def _warm_lenses(folder: Path) -> None:
@@ -147,4 +152,4 @@ def _resolve_small_job() -> ResolvedJob:
 _PARTS = {LENSES: _warm_lenses, JOBS: _warm_jobs, _PROGRAMS: _warm_programs}
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], int(sys.argv[2])))
+    main()

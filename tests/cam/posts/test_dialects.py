@@ -165,15 +165,15 @@ REFUSED = {
     "fanuc": [
         ("X2.5Z-0.123", "X2Z-0.123", "least input"),
         ("X2.5Z-0.123", "X2.5Z-0.1234", "more decimals"),
-        ("G4X4.0", "G4P4000", "its seconds"),
-        ("%\n", "", "alone on its line"),
+        ("G4X4.0", "G4P4000", "(seconds)"),
+        ("%\n", "", "must stand alone"),
         ("O0007\n", "O\n", "name"),
         ("M30\n%", "M30\nG0X1.0\n%", "nothing may follow"),
     ],
     "okuma": [
         ("G15H1", "G54", "not allowed"),
         ("F612.5", "F612", "least input"),
-        ("G4F4.0", "G4P4", "its seconds"),
+        ("G4F4.0", "G4P4", "(seconds)"),
         ("G15H1", "H1", "H belongs"),
         ("G15H1", "G15H7", "1 to 6"),
     ],

@@ -87,7 +87,7 @@ def test_dwell_and_spindle_stop_the_motion_for_their_time():
         (APPROACH + "G0 X1.2.3\n", 4, "starts with a letter"),
         (APPROACH + "G0 X--1\n", 4, "decimal number"),
         (APPROACH + "G0 X123456789012345678\n", 4, "17 digits"),
-        (APPROACH + "G0 X1 (open\n", 4, "closed"),
+        (APPROACH + "G0 X1 (open\n", 4, "must close"),
         (APPROACH + "G4\n", 4, "P"),
         (APPROACH + "G4 P-1\n", 4, "P"),
         (APPROACH + "G4 P1 X1\n", 4, "without a motion"),

@@ -202,7 +202,7 @@ def test_a_stop_where_nothing_answers_is_written_and_ends_in_a_reset() -> None:
 def test_a_silent_port_is_given_up_in_words_that_speak_of_the_reset() -> None:
     bench = critical_at_opening()
     assert bench.until(lambda: bench.state() is MillState.DISCONNECTED, 20.0)
-    assert "hears nothing but a reset" in bench.of(Faulted)[0].words
+    assert "accepts nothing but a reset" in bench.of(Faulted)[0].words
     bench = critical_at_opening()
     bench.mill._off = True
     assert bench.until(lambda: bench.driver._session.link.offers_reset, 3.0)

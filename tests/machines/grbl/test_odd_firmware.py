@@ -96,10 +96,10 @@ MODES: dict[str, tuple[Say, str]] = {
         lambda line, _: [line.replace(b".", b",")] if line[:1] == b"$" else [line],
         "cannot be used: settings are written with decimal commas",
     ),
-    "another word for ok": (for_ok(b"done"), "but 'done', which is nothing a controller says"),
+    "another word for ok": (for_ok(b"done"), "but 'done', which is not a reply that a controller sends"),
     "nothing for ok": (for_ok(), "neither .I nor .. is answered"),
-    "no number": (in_reports("FS:", b"FS:nan,"), "nothing answers|not a GRBL controller"),
-    "a restart in a run": (for_ok(*BOOT, b"ok", every=40), "an ESP32 says when it starts: the board has restarted"),
+    "not a number": (in_reports("FS:", b"FS:nan,"), "nothing answers|not a GRBL controller"),
+    "a restart in a run": (for_ok(*BOOT, b"ok", every=40), "the start message of an ESP32: the board has restarted"),
 }  # fmt: skip
 
 ENDS = {"LF": b"\n", "LF CR": b"\n\r", "CR CR LF": b"\r\r\n", "NUL": b"\r\n\0", "NULs": b"\0\r\n\0\0"}

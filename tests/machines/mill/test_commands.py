@@ -50,7 +50,7 @@ LINES = (
     ("$f=/part.nc", "a file"),
     ("$/axes/x/max_travel_mm=900", "for good"),
     ("$$", ""),
-    ("$MD", "not known here"),
+    ("$MD", "unknown command"),
     ("[ESP220]/part.nc", "files and network"),
     ("#5221=1", "parameter"),
     ("g10 l20 p1 x0", "work zero or a tool's length"),
@@ -90,7 +90,7 @@ def words(command: Command, failure: str = "", **answer: Any) -> str:
         (Unlock(), "Unlock"),
         (Reset(), "Reset"),
         (JogCancel(), "End jog"),
-        (TrustPosition(), "Position taken as right"),
+        (TrustPosition(), "Position trusted"),
         (ReadSettings(), "Read settings"),
     ],
 )

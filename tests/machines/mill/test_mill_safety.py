@@ -281,7 +281,7 @@ def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, mon
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(JournalError, match="can be written"):
+    with pytest.raises(JournalError, match="a writable folder"):
         Mill(name="m", connect=lambda: None, folder=tmp_path / "file" / "mill", reentry=Reentry(safe_z_mm=5.0))  # type: ignore[arg-type, return-value]
 
 

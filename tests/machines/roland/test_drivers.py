@@ -54,7 +54,7 @@ def test_the_okuma_profile_gets_a_drip_feed_on_a_port_without_handshake_of_its_o
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:1", "rfc2217://127.0.0.1:1"])
 def test_a_roland_on_a_port_that_hides_its_queue_is_refused_before_it_is_opened(url: str) -> None:
-    with pytest.raises(NotAllowedError, match="cannot tell what it still holds"):
+    with pytest.raises(NotAllowedError, match="cannot tell how many bytes it still holds"):
         open_driver(linked(driver="roland-serial", flow="rtscts"), url)
 
 

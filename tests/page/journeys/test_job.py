@@ -24,7 +24,7 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     make_it(page).click()
     width, height = (page.get_by_label(name, exact=True) for name in ("Width", "Height"))
     expect(width).to_be_focused()
-    expect(width).to_have_accessible_description("'abc' is no number.")
+    expect(width).to_have_accessible_description("'abc' is not a number.")
     bar = page.locator(".submit-bar")
     fill(page, Width="30")
     expect(width).to_have_attribute("aria-invalid", "false")

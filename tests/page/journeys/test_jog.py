@@ -134,7 +134,7 @@ def test_a_word_to_go_that_a_word_to_stop_has_overtaken_moves_nothing(at_mill: P
     with at_mill.expect_response("**/control/jog") as answer:
         farther(waiting[0])
     assert answer.value.status == 409
-    expect(at_mill.locator(".jog .said")).to_contain_text("the mill was told to stop after you pressed")
+    expect(at_mill.locator(".jog .said")).to_contain_text("the mill was stopped after you pressed")
     expect(machine_state(at_mill)).to_have_text("idle")
     assert place_mm(at_mill, "X") == place
     at_mill.wait_for_timeout(1500)  # the word to stop is said until it is certain

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from phrases.phrase import phrases_in
 from service.errors import FailedError, InputError, PictureError, ServiceError, SpecError
 from service.processes.child import Child, ChildCrashed, ChildDied, ChildLate
+from service.processes.child_work import WordPipe
 from tests.service.server.worker.stage_bench import lives
 from tests.waiting import until
 
@@ -116,3 +118,21 @@ def test_it_ends_with_a_killed_asker_even_at_work() -> None:
     asker.communicate()
     until(lambda: not lives(pid))
     os.kill(of_its_family, 9)  # nobody is left who knows of it
+
+
+def test_progress_is_dropped_while_the_pipe_is_full_and_the_last_word_waits() -> None:
+    """The child's side alone: a worker that reads nothing for minutes."""
+    pipe, its_end = os.pipe()
+    words = WordPipe(its_end)
+    os.set_blocking(its_end, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(its_end, b"\n" * 4096)
+    words.send_share(0.5)
+    with ThreadPoolExecutor(1) as pool:
+        last = pool.submit(words.send, {"result": "x" * 200_000})
+        with os.fdopen(pipe, "rb") as file:
+            lines = iter(file.readline, b"")
+            assert next(line for line in lines if line != b"\n") == b'{"result": "' + b"x" * 200_000 + b'"}\n'
+        last.result()
+    os.close(its_end)

@@ -8,8 +8,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from service.http.event_hub import HubStream, Reader
 from service.milling.agent.agent import Agent
-from service.milling.agent.event_hub import HubStream
 
 
 class MillRoutes:
@@ -27,8 +27,8 @@ class MillRoutes:
         return JSONResponse(self._agent.access.status())
 
     async def events(self, request: Request) -> HubStream:
-        last = request.headers.get("last-event-id", "")
-        return HubStream(self._agent.hub, last, heartbeat_s=self._agent.settings.heartbeat_s)
+        hub, reader, last = self._agent.hub, Reader(), request.headers.get("last-event-id", "")
+        return HubStream(hub, reader, lambda: hub.add(reader, last), heartbeat_s=self._agent.settings.heartbeat_s)
 
     async def machine(self, _request: Request) -> Response:
         settings = self._agent.settings

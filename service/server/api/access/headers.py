@@ -49,10 +49,10 @@ def refuse_foreign_page(scope: Scope, headers: Headers, *, behind_proxy: bool) -
     origin, host = (headers.get(name, b"").lower() for name in (b"origin", b"host"))
     schemes = (b"http", b"https") if behind_proxy or not is_here(scope, headers) else (b"http",)
     if b"origin" in headers and origin not in {scheme + b"://" + host for scheme in schemes}:
-        words = Phrase("Origin is another site; changes are taken from this server's own pages only")
+        words = Phrase("Origin is another site; this server accepts changes only from its own pages")
         raise Problem(403, words, field="Origin")
     if headers.get(b"sec-fetch-site", b"none").lower() not in (b"none", b"same-origin"):
-        words = Phrase("another site sent this; changes are taken from this server's own pages only")
+        words = Phrase("another site sent this; this server accepts changes only from its own pages")
         raise Problem(403, words, field="Origin")
 
 

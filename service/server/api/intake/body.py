@@ -40,7 +40,7 @@ class RequestBody:
                 async with asyncio.timeout(self._wait_s):
                     piece = await self._receive_piece()
             except TimeoutError:
-                words = Phrase("nothing came for {wait_s:g} s in the middle of the request", wait_s=self._wait_s)
+                words = Phrase("the request stopped arriving; nothing came for {wait_s:g} s", wait_s=self._wait_s)
                 raise Problem(408, words) from None
             taken += len(piece)
             if time.monotonic() - began > 2 * self._wait_s + taken / _SLOWEST_BYTES_PER_S:

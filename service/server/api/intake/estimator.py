@@ -81,7 +81,7 @@ class Estimator(KeptChild):
         refusals = _REFUSALS[self._what]
         match error:
             case ChildClosed():
-                return Problem(503, Phrase("the server is ending"), headers=_RETRY)
+                return Problem(503, Phrase("the server is shutting down"), headers=_RETRY)
             case TooManyWaiting():
                 return Problem(503, refusals.too_many, headers=_RETRY)
             case Superseded():

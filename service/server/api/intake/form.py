@@ -91,7 +91,7 @@ async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm
         try:
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
-            raise Problem(400, Phrase("the body is not multipart/form-data, or not well made"), field="body") from None
+            raise Problem(400, Phrase("the body is not multipart/form-data, or is malformed"), field="body") from None
     return await asyncio.to_thread(reader.finish)
 
 

@@ -43,9 +43,9 @@ class PictureChecker:
                 Phrase("{name}: the picture is damaged (decoding it ended the process that did it)", name=name)
             ) from None
         except ChildClosed:
-            raise FailedError(Phrase("pictures are not checked any more: the server is ending")) from None
+            raise FailedError(Phrase("pictures are no longer checked: the server is shutting down")) from None
         except ChildError:
-            raise FailedError(Phrase("pictures cannot be checked: the process for it does not start")) from None
+            raise FailedError(Phrase("pictures cannot be checked: the process that does it does not start")) from None
 
     def close(self) -> None:
         """End the child."""

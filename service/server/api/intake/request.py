@@ -60,7 +60,12 @@ def _resolve(text: bytes) -> ResolvedJob:
     except SpecError:
         raise
     except (TypeError, ValueError, KeyError, AttributeError, RecursionError, ArithmeticError) as error:
-        raise Problem(422, Phrase("the spec is not made as a spec is"), field="spec", kind=Kind.SPEC) from error
+        raise Problem(
+            422,
+            Phrase("the spec has the wrong structure: it must be a JSON object of tables and values"),
+            field="spec",
+            kind=Kind.SPEC,
+        ) from error
 
 
 def _parse(text: bytes) -> dict[str, Any]:
@@ -92,13 +97,13 @@ def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for key, value in pairs:
         if key in made:
-            raise RuleError(Phrase("the key '{key}' is there twice", key=" ".join(key[:60].split())))
+            raise RuleError(Phrase("the key '{key}' is given twice", key=" ".join(key[:60].split())))
         made[key] = value
     return made
 
 
 def _refuse_constant(word: str) -> float:
-    raise RuleError(Phrase("{word} is no number", word=word))
+    raise RuleError(Phrase("{word} is not a number", word=word))
 
 
 def _depth(value: object) -> int:

@@ -11,7 +11,6 @@ from starlette.responses import Response
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
-from service.server.api.answers.event_feed import EventStream
 from service.server.api.openapi import Responses, answers, event_stream
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import Services, services_of
@@ -50,7 +49,7 @@ async def events(
         return Response(status_code=204)
     if services.feed.full:
         raise Problem(503, Phrase("too many followers already; ask again later"), headers={"Retry-After": "5"})
-    return EventStream(services.feed, services.book, str(job_id), after or 0)
+    return services.feed.stream(str(job_id), after or 0)
 
 
 def _after(last_event_id: str | None) -> int | None:
@@ -58,7 +57,7 @@ def _after(last_event_id: str | None) -> int | None:
         return None
     text = last_event_id.strip()
     if not (text.isascii() and text.isdigit() and len(text) <= 9):
-        raise Problem(422, Phrase("this is no id of an event of ours"), field="Last-Event-ID")
+        raise Problem(422, Phrase("this is not an event id of this server"), field="Last-Event-ID")
     return int(text)
 
 

@@ -82,5 +82,5 @@ async def metrics(request: Request) -> Response:
     try:
         text = await services.metrics.text()
     except TimeoutError:
-        raise Problem(503, Phrase("the figures are not counted yet"), headers={"Retry-After": "2"}) from None
+        raise Problem(503, Phrase("the figures have not been computed yet"), headers={"Retry-After": "2"}) from None
     return Response(text, headers={"Content-Type": CONTENT_TYPE_LATEST})

@@ -130,7 +130,9 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
     try:
         found = services.book.list_rows(states=states, limit=limit + 1, before=before)
     except UnknownJobError:
-        raise Problem(422, Phrase("the job of this cursor is gone; begin again without it"), field="cursor") from None
+        raise Problem(
+            422, Phrase("the job of this cursor no longer exists; start again without the cursor"), field="cursor"
+        ) from None
     page = found[:limit]
     more = [("state", str(state)) for state in states] + [("limit", str(limit))]
     address = "/v1/jobs?" + urlencode([*more, ("cursor", page[-1].id)]) if len(found) > limit else None

@@ -108,7 +108,7 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
         archive = await asyncio.to_thread(Path(found["archive"]).read_bytes)
     except FileNotFoundError:
         raise Problem(
-            503, Phrase("the test piece is being made anew; try again"), headers={"Retry-After": "5"}
+            503, Phrase("the test piece is being made again; try again"), headers={"Retry-After": "5"}
         ) from None
     headers = {
         "Cache-Control": "private, no-cache",

@@ -83,7 +83,7 @@ def test_the_lens_is_of_the_branch_that_the_job_s_own_picture_suggests(
 
 
 def test_a_tool_that_does_not_get_to_the_rims_is_told_in_every_language() -> None:
-    words, felt = "the tool of the finish does not get to the rims", "finish.process=felt"
+    words, felt = "the tool of the finish does not reach the rims", "finish.process=felt"
     thin = ("passes.1.radius_mm=0.5", "passes.1.pitch_mm=0.05", "optics.min_radius_mm=3")
     told = estimated(small(felt, *thin))
     (warning,) = (one for one in told["warnings"] if words in one)

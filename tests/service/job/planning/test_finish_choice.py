@@ -100,7 +100,7 @@ def test_passes_leave_room_for_the_tool_of_a_finish() -> None:
 
 
 def test_where_no_pass_leaves_room_a_given_finish_stays_with_a_warning() -> None:
-    words = "the tool of the finish does not get to the rims"
+    words = "the tool of the finish does not reach the rims"
     own = ("finish.k0_rad_per_mm=1.2", "finish.order=1", "finish.depth_um=20", "stock.margin_mm=4")
     plan = planned(*own, *ROUGH)
     assert plan.finishing is not None and plan.rim_room is not None and not plan.rim_room.is_reached

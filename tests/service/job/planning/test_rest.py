@@ -106,7 +106,7 @@ def test_what_is_not_worth_the_time_is_left_and_said() -> None:
     found = planned(lens(0.05), spec)
     assert found.light.fillings
     assert found.chosen.rest is None
-    assert any("would not show enough more" in sentence for sentence in reasons(found))
+    assert any("show hardly more" in sentence for sentence in reasons(found))
 
 
 def unmarked() -> RowSlopes:

@@ -71,7 +71,7 @@ def test_the_page_shows_the_picture_beside_the_design():
     page = render_report({"as_milled": MILLED}, files=["caustic.png", "caustic-as-milled.png", "as-milled.png"])
     assert 'src="caustic-as-milled.png"' in page
     assert 'src="as-milled.png"' in page
-    assert "the largest part are" in page
+    assert "the largest part comes from" in page
     assert "As milled: light in wrong places" in page
 
 

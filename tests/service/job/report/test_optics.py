@@ -83,7 +83,7 @@ def test_dark_leak_stands_beside_what_physics_allows() -> None:
         ),
         ({"spectrum": "monochromatic", "dispersion": 0.0085}, None, "light of one wavelength", "another distance"),
         ({"spectrum": {"centre_nm": 530, "width_nm": 35}, "dispersion": 0.0085}, None, "an LED of 530 nm", "another"),
-        ({"spectrum": "sun", "dispersion": None}, None, "sunlight", "is not known: all count as one"),
+        ({"spectrum": "sun", "dispersion": None}, None, "sunlight", "is unknown: all colours are treated alike"),
         ({"spectrum": "white", "dispersion": 0.0}, None, "a white LED", "a mirror sends all colours the same way"),
     ],
 )
@@ -150,7 +150,7 @@ def test_tolerances_are_sentences_with_the_worse_side() -> None:
     distance, tilt, sun = tolerance_sentences(TOLERANCES, throw_mm=100.0)
     assert "(1 mm) costs 12.0 dB" in distance
     assert "0.25 mm too near or 0.3 mm too far" in distance
-    assert "0.5° aslant moves the picture by 1 mm and costs 6.0 dB" in tilt
+    assert "0.5° moves the picture by 1 mm and also costs 6.0 dB" in tilt
     assert "0.93 mm, 4.7 pixels, and leave 27 dB" in sun
     own = tolerance_sentences(TOLERANCES | {"blur_mm": 2.0, "blur_px": 3.0}, throw_mm=100.0)
     assert "made for spreads each point over 2 mm on the wall, 3 pixels" in own[-1]

@@ -159,7 +159,7 @@ def test_only_what_the_last_ball_cannot_reach_is_listed():
     first = PROGRAM | {"unreached": [{"x_mm": 1.0, "y_mm": 2.0, "excess_um": 9.0, "area_mm2": 1.0}]}
     last = PROGRAM | {"unreached": [{"x_mm": 31.25, "y_mm": 40.5, "excess_um": 3.14, "area_mm2": 0.02}]}
     text = Page(render_report(REPORT | {"passes": [first, last]}, spec=SPEC)).text
-    assert "X 31.25 Y 40.5: 3.1 µm stay, over 0.02 mm²" in text
+    assert "X 31.25 Y 40.5: 3.1 µm remain, over 0.02 mm²" in text
     assert "X 1 Y 2" not in text
 
 

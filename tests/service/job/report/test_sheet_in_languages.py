@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from functools import cache
 from html import unescape
 from typing import Any
 
 import pytest
 
+from docs.languages import PLACEHOLDER, SAME, TABLES, keys_of_the_page, keys_of_the_server
 from phrases.phrase import Phrase, phrases_in
 from service.job.files import is_drawing, page_in
 from service.job.report import setup_sheet
 from service.job.report.milled import detail_lost
 from service.job.report.pictures import PICTURES
 from service.job.report.setup_sheet import LANGUAGES, describe_setup, render_page
-from tests.page.test_languages import PLACEHOLDER, SAME, TABLES
 from tests.service.job.report.test_checks import PASSED
 from tests.service.job.report.test_milled import MILLED
 from tests.service.job.report.test_optics import CLOSING, POLISH, TOLERANCES
@@ -25,7 +26,6 @@ from tests.service.job.spec.test_finish_library import SEEN, told
 
 # Each entry stands between two letters that nobody sees; what stands in for a placeholder is outside of them.
 BEGIN, END = "\N{ZERO WIDTH SPACE}", "\N{SOFT HYPHEN}"
-MARKED = {key: BEGIN + PLACEHOLDER.sub(rf"{END}\g<0>{BEGIN}", key) + END for key in TABLES["de"]}
 NAMES = re.compile(r"\b(?:face|blob|rough|witness|cut-out|transport|[0-9a-f]{64}|[GMP]\d+|[md]|mrad|px)\b")
 CURVATURE = {"p50": 0.01, "p90": 0.1, "p99.9": 0.4, "p100": 2.0}
 LAST = PASSED | {
@@ -106,11 +106,17 @@ JOBS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
+@cache
+def marked_sentences() -> dict[str, str]:
+    keys = keys_of_the_page() | keys_of_the_server()
+    return {key: BEGIN + PLACEHOLDER.sub(rf"{END}\g<0>{BEGIN}", key) + END for key in keys}
+
+
 def said_past_the_tables(
     report: Mapping[str, Any], spec: Mapping[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
     """Texts of the sheet that no table has, of a report that was read from a file."""
-    monkeypatch.setattr(setup_sheet, "_read_table", lambda _language: MARKED)
+    monkeypatch.setattr(setup_sheet, "_read_table", lambda _language: marked_sentences())
     read = json.loads(json.dumps({"phrases": phrases_in(report), **report, "timings_s": {}, "versions": {}}))
     files = [*(picture.name for picture in PICTURES), "lens.stl"]
     page = render_page(describe_setup(read, spec=spec, files=files), "de").partition("<title>")[2]

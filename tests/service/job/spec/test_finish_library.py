@@ -129,7 +129,7 @@ def test_the_own_file_is_found_in_the_configuration_folder(tmp_path: Path, monke
         (GOOD + 'minutes_range = "often"\n', ["minutes_range = 'often'", "[least, most]"]),
         (GOOD + "by_area = 1\n", ["by_area = 1", "true or false"]),
         (GOOD + 'steps = "rub"\n', ["steps = 'rub'", "sentences"]),
-        (GOOD.replace("[buffing]", "[Buff_ing]"), ["Buff_ing", "small letters"]),
+        (GOOD.replace("[buffing]", "[Buff_ing]"), ["Buff_ing", "lower-case letters"]),
         ("felt = 3\n", ["felt", "[felt]"]),
         ("[felt\n", ["not valid TOML"]),
     ],
@@ -225,7 +225,7 @@ def test_a_finish_that_makes_it_worse_is_said_first() -> None:
     assert card is not None
     assert "12.0 dB instead of 15.3 dB" in card["warnings"][0]
     (outside,) = make_finishing_card({**SEEN, "finishing": told(minutes=0.2)})["warnings"]  # type: ignore[index]
-    assert "12 s lies outside" in outside
+    assert "12 s is outside the known range" in outside
 
 
 @pytest.mark.parametrize(

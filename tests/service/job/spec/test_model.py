@@ -82,7 +82,7 @@ BAD_VALUES = [
     ("optics.light.gaussian_mm=20", "optics.light", ["gaussian_mm = 20", "at least 50 mm"]),
     ("optics={creases=true, min_radius_mm=1}", "optics.creases", ["min_radius_mm = 1"]),
     ("optics={method='paper', surface='mirror'}", "optics.surface", ["'lens'", "'paper'", "'transport'"]),
-    ("optics={method='paper', polish=true}", "optics.polish", ["other than false", "'paper'"]),
+    ("optics={method='paper', polish=true}", "optics.polish", ["only false", "'paper'"]),
     ("optics={method='paper', light={gaussian_mm=90}}", "optics.light", ["parallel, even light", "'paper'"]),
     ("optics.height_mm=1", "spec", ["image.pixels", "rows", "16 to 4096"]),
     ("image.pixels=4", "image.pixels", ["4", "16 to 4096"]),

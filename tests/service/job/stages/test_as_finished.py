@@ -100,7 +100,7 @@ def test_a_block_that_ends_beside_the_rim_is_told(tmp_path: Path) -> None:
 def test_the_job_tells_that_no_tool_gets_to_its_rims(finished: StagedJob) -> None:
     """Balls of 1 and 0.5 mm."""
     made = finished.results["as-finished"]
-    assert "the tool of the finish does not get to the rims" in " ".join(made.notes["passes"])
+    assert "the tool of the finish does not reach the rims" in " ".join(made.notes["passes"])
     assert made.report["rim_room"]["largest_mm"] == 0.0
     assert made.report["rim_room"]["removed_g"] == pytest.approx(0.02 * (12 + 6 * 2**0.5 / 5) ** 2 * 1.19e-3, rel=1e-3)
 

@@ -50,7 +50,7 @@ def test_the_minutes_come_first_and_then_what_too_little_and_too_much_show() -> 
     first, second, third, fourth = list_finish_tolerance({"finish_tolerance": FOUND, "finishing": TOLD})
     assert "Finish for 1 h 40 min; up to 15 min less or 10 min more" in first and "about 1 dB of the 26.3 dB" in first
     assert "1 h 20 min: 24.5 dB" in second and "2 h 5 min: 22.3 dB" in second
-    assert "Too little is the safer side" in third and "10 mm" in fourth
+    assert "Too little is safer" in third and "10 mm" in fourth
 
 
 def test_work_that_no_clock_measures_is_said_in_percent() -> None:

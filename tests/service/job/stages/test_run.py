@@ -69,7 +69,7 @@ def test_a_link_that_starves_the_mill_is_told_with_figures(tmp_path: Path) -> No
     """The feed it carries is that of way and time; one that carries all of it is not told of."""
     slow = staged_job(tmp_path, "machine.lines_per_s=20").run_all(until="check", without=("caustic",))
     row, (told,) = slow.report["passes"][1], slow.results["pass-2"].notes["passes"]
-    found = re.search(r"F(\d+) is asked for, and 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
+    found = re.search(r"F(\d+), but 20 lines a second carry F(\d+) .* (\d+) lines a second would", told)
     assert found is not None, told
     asked, carried, enough = map(float, found.groups())
     assert asked == row["settings"]["feed_mm_per_min"]
@@ -90,9 +90,9 @@ def test_a_file_that_the_store_has_lost_is_named(job: StagedJob) -> None:
     order = job.order("heightfield")
     gone = {**order.inputs, ".heights.npz": FileRef("0" * 64, 1)}
     words = refused(job, replace(order, inputs=gone), FailedError)
-    assert words == ".heights.npz: it is not in the artifact store any more"
+    assert words == ".heights.npz: it is no longer in the artifact store"
     words = refused(job, replace(job.order("image"), image_sha256="0" * 64), FailedError)
-    assert words == "blob.png: it is not in the artifact store any more"
+    assert words == "blob.png: it is no longer in the artifact store"
 
 
 def test_a_damaged_input_is_a_failure_not_the_persons_fault(job: StagedJob, tmp_path: Path) -> None:

@@ -119,13 +119,14 @@ def test_the_sheet_says_where_they_are_and_what_is_gone_when(job: StagedJob) -> 
     page = re.sub(r"\s+", " ", job.bytes("report.html").decode())
     box = [number(side, 1) for side in job.report["witness"]["box_mm"]]
     for words in (
-        "Finish for 1 min", "keep the wall within about 1 dB", "finish-tolerance.png", "Too much", "pass-3-witness.nc",
-        f"at X {box[0]} to {box[1]}", "no clamp stands there", "The marks count, not the clock",
-        "as soon as mark 3 cannot be seen", "has just disappeared: stop now", "rows beside the lens",
+        "Finish for 1 min", "keep the picture within about 1 dB", "finish-tolerance.png", "Too much",
+        "pass-3-witness.nc",
+        f"at X {box[0]} to {box[1]}", "no clamp stands there", "Go by the marks, not by the clock",
+        "as soon as mark 3 can no longer be seen", "has just disappeared: stop now", "rows beside the lens",
         "All 4 programs passed", f"the cutters sweep X {number(-2.0)} to 5, Y {number(-2.0)} to 5 mm",
     ):  # fmt: skip
         assert words.lower() in page.lower(), words
-    assert page.index("keep the wall within") < page.index("You need:") < page.index("When to stop.")
+    assert page.index("keep the picture within") < page.index("You need:") < page.index("When to stop.")
     report, spec = (json.loads(job.bytes(name)) for name in ("report.json", "spec.json"))
     with pytest.MonkeyPatch.context() as patch:
         assert said_past_the_tables(report, spec, patch) == []

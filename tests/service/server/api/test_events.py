@@ -12,9 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from service.server.api.answers import event_feed
 from service.server.database.connection import begin_writing
-from service.server.database.records import JobEvent
 from service.server.database.tables import events, jobs, progress
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S, until
@@ -174,18 +172,6 @@ def test_a_reader_that_does_not_read_is_dropped_and_holds_nobody_up(server: ApiS
         thread.join(PATIENCE_S)
         assert seen.over and seen.ids == list(range(1, 9001))
         until(lambda: server.services.feed.followers == 0)  # the stuck one as well
-
-
-def test_a_reader_that_is_dropped_gets_nothing_out_of_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it lacks is what follows the last that it got; it used to lose the oldest of its queue."""
-    monkeypatch.setattr(event_feed, "_QUEUE", 10)
-    follower, stream = event_feed.Follower("job", 0), event_feed.Feed(None)  # type: ignore[arg-type]
-    stream._followers.add(follower)
-    events = [JobEvent(job_id="job", seq=seq, at=0.0, kind="started", data={}) for seq in range(1, 16)]
-    stream._hand_events(follower, events, whole=True)
-    got = [follower.queue.get_nowait() for _ in range(follower.queue.qsize())]
-    assert [message and message.seq for message in got] == [None]
-    assert stream.followers == 0
 
 
 class stuck_reader:

@@ -156,7 +156,7 @@ def test_a_mill_and_a_finish_are_measured_by_the_test_piece_that_was_downloaded(
     assert looking.client.get(f"{coupon}.zip", timeout=PATIENCE_S).content == archive.content
     grey = {"photo": ("grey.png", encoded(Image.linear_gradient("L")))}
     refused = problem(looking.client.post(f"{coupon}/photos", files=grey, timeout=PATIENCE_S), 422, "photo")
-    assert "no test piece is found" in refused["detail"]
+    assert "shows no test piece" in refused["detail"]
 
 
 def test_there_is_no_test_piece_for_a_mill_that_nobody_knows(looking: ApiServer) -> None:

@@ -283,7 +283,7 @@ def test_a_closed_checker_says_so_and_leaves_no_process(tmp_path: Path) -> None:
     pid = pid_of(checker)
     checker.close()
     assert not Path(f"/proc/{pid}").exists()
-    with pytest.raises(FailedError, match="ending"):
+    with pytest.raises(FailedError, match="shutting down"):
         checker.check(tmp_path / "picture.png", NAME, MAX_PIXELS)
 
 

@@ -47,9 +47,9 @@ from machines.recovery.plan_model import Reentry
 from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import MemoryPort
+from service.http.event_hub import Hub
 from service.milling.agent.agent import Agent
 from service.milling.agent.app import make_app
-from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore

@@ -50,5 +50,6 @@ def test_the_job_is_one_that_can_be_made() -> None:
     mark.unlink(missing_ok=True)
     process = warmup.begin()
     assert process is not None
-    assert process.wait(timeout=PATIENCE_S) == 0
+    assert process.finish(within_s=PATIENCE_S) == {}
+    process.end()
     assert mark.exists()

@@ -99,7 +99,7 @@ def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> No
     found = stand.book.get(job.id)
     assert found.state == JobState.FAILED
     assert found.error is not None
-    assert "given it up" in found.error["detail"]
+    assert "gave the job up" in found.error["detail"]
     assert stand.book.list_events(job.id)[-1].kind == "ended"
 
 
