@@ -24,9 +24,6 @@ SHORTEST_MM = 0.014
 SHORTEST_LOW_MM = 0.003
 """No parts shorter than this where a chord cuts too low: under a ball of 0.1 mm it is 11 nm."""
 
-SAG_SHARE = 0.8
-"""Of the rule's sag that equal parts should have on average."""
-
 MOST_PARTS, WAITING = 64, 512
 """Parts cut at once; parts that wait to be judged, several times cut."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,21 +13,6 @@ from cam.moves import Array
 from optics.heightfield import Heightfield
 
 NEARLY_EVERYWHERE = 0.999
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BallEndMill:
-    """A ball of this radius on a shank no thicker."""
-
-    radius_mm: float
-
-    def cusp_height_mm(self, pitch_mm: float) -> float:
-        """Return the ridge left on a flat between lines pitch_mm apart: R - sqrt(R^2 - (p/2)^2)."""
-        return self.radius_mm - sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
-
-    def cusp_slope(self, pitch_mm: float) -> float:
-        """Return the steepest slope of that ridge: (p/2) / sqrt(R^2 - (p/2)^2)."""
-        return pitch_mm / 2 / sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
 
 
 def rise_mm(shape: CutterShape, radius_mm: float, away_mm: ArrayLike) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -63,14 +63,6 @@ class FlowSnapshot:
     step: int
     difference: Array
     lens_mm: Array
-
-    def isoparametric_lines(self, count: int = 32) -> Iterator[Array]:
-        """Yield about `count` polylines (k, 2) each way: images of lines of constant screen x and y, frame included."""
-        ny, nx = self.difference.shape
-        for j in np.unique(np.linspace(0, ny - 1, count + 1).round().astype(int)):
-            yield self.lens_mm[j]
-        for i in np.unique(np.linspace(0, nx - 1, count + 1).round().astype(int)):
-            yield self.lens_mm[:, i]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

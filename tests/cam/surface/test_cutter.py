@@ -1,4 +1,4 @@
-"""Ball end mills: cusp formula and the largest ball a lens admits; start values of speeds."""
+"""Ball end mills: the largest ball a lens admits; start values of speeds."""
 
 from __future__ import annotations
 
@@ -10,17 +10,7 @@ from hypothesis import strategies as st
 from cam.errors import CamError, PassValueError
 from cam.materials import PMMA
 from cam.passes import PRESETS, PassSpec, ball_pass
-from cam.surface.cutter import BallEndMill, find_reached_share, largest_fitting_radius_mm
-
-
-@pytest.mark.parametrize(("radius_mm", "pitch_mm", "cusp_um"), [(3, 0.5, 10.4), (0.5, 0.05, 0.6), (0.5, 0.02, 0.1)])
-def test_cusps_of_the_papers_passes(radius_mm, pitch_mm, cusp_um):
-    assert 1e3 * BallEndMill(radius_mm=radius_mm).cusp_height_mm(pitch_mm) == pytest.approx(cusp_um, rel=0.05)
-
-
-def test_steepest_slope_of_a_cusp():
-    """+-20 mrad for the paper's finish: what limits its picture."""
-    assert BallEndMill(radius_mm=0.5).cusp_slope(0.02) == pytest.approx(20e-3, rel=1e-3)
+from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
 
 
 def test_largest_ball_in_a_paraboloid(make_lens):
