@@ -54,7 +54,7 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    return _tools_of(path, read_library(path, Phrase("a tool library")))
+    return _tools_of(path, read_library(path))
 
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
