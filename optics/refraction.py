@@ -30,8 +30,3 @@ def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float)
     """
     path_mm = np.sqrt((shift_mm**2).sum(axis=-1) + drop_mm**2)
     return np.asarray(shift_mm / (refractive_index * path_mm - drop_mm)[..., None])
-
-
-def critical_slope(refractive_index: float) -> float:
-    """Return the steepest slope that still lets vertical light out: tan of the angle of total reflection."""
-    return 1.0 / math.sqrt(refractive_index**2 - 1.0)

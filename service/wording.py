@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor
 from typing import Any
 
@@ -20,6 +20,12 @@ def number(value: Any, digits: int = 3, unit: str = "") -> str:
     text = text.rstrip("0").rstrip(".") if "." in text else text
     text = text.replace("-", "\N{MINUS SIGN}") if text not in ("-0", "0") else "0"
     return f"{text} {unit}".rstrip()
+
+
+def align(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of one length as lines of a terminal, each column as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def whole(value: Any) -> str:

@@ -15,6 +15,7 @@ from machines.profile import (
     user_folders,
 )
 from service.errors import EXIT_FAILURE, InputError
+from service.wording import align
 
 _BUILT_IN = "built in"
 _NOT_SERIAL = ("roland-usb", "none")
@@ -61,8 +62,7 @@ def _table(profiles: list[MachineProfile], sources: dict[str, str]) -> list[str]
         if source != _BUILT_IN and profile.name in profile_names(()):
             source += " (in place of the built-in)"
         rows.append((profile.name, profile.dialect, travel, _link(profile), source, profile.description))
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return align(rows)
 
 
 def _describe_profile(profile: MachineProfile, source: str) -> list[str]:
@@ -89,8 +89,7 @@ def _describe_profile(profile: MachineProfile, source: str) -> list[str]:
         rows["link"] += f", {link.bytesize}{link.parity}{link.stopbits:g}, handshake {link.flow}"
         rows["buffer"] = f"{link.rx_bytes} bytes" if link.rx_bytes else "asked from the controller"
         rows["port"] = link.port or "given with --port"
-    width = max(map(len, rows))
-    return [f"{key.ljust(width)}  {value}".rstrip() for key, value in rows.items()]
+    return align(list(rows.items()))
 
 
 def _explain_own_machines() -> list[str]:

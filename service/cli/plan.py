@@ -24,7 +24,7 @@ from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_j
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.tools import load_tools
-from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
+from service.wording import RECOGNISABLE_DB, align, duration, psnr_in_words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,9 +128,7 @@ def table(planned: Planned) -> Iterator[str]:
     rows = [head, *(_row(planned, one) for one in planned.plan.front)]
     if all(one.rest is None for one in planned.plan.front):
         rows = [(*row[:-2], row[-1]) for row in rows]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    yield from align(rows)
     for name, why in planned.plan.left_out:
         yield f"without {name}: {why}"
 

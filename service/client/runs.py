@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from service.client.follow import explain_interrupt, stream_events
-from service.client.jobs import table, when
+from service.client.jobs import when
 from service.client.server import ServerClient, clean
 from service.errors import FailedError, InputError
-from service.wording import duration
+from service.wording import align, duration
 
 QUESTIONS = {
     "tool": "The tool named above is in the spindle, its length is taken",
@@ -36,7 +36,7 @@ def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
         )
         for run in runs
     ]
-    return table(rows) if runs else ["no runs"]
+    return align(rows) if runs else ["no runs"]
 
 
 def run_lines(run: dict[str, Any]) -> list[str]:

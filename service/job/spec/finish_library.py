@@ -193,7 +193,7 @@ def built_in_processes() -> Mapping[str, Process]:
 
 
 def _read(path: Path) -> dict[str, Process]:
-    data = read_library(path, Phrase("a finish library"))
+    data = read_library(path)
     for name, row in data.items():
         if not isinstance(row, dict):
             raise InputError(

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, find_own_profiles, load_profile, profile_names, user_folders
+from machines.profile_values import UnreadableFileError, read_toml
 from phrases.phrase import Phrase
-from service.errors import InputError, sentence_of_os_error
+from service.errors import InputError
 from service.job.files import write_bytes
 
-_MOST_BYTES = 1_000_000
 PROFILE_KEYS = (
     "extends", "description", "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "spindle_rpm", "step_mm",
     "z_noise_mm", "collet_mm", "spindle_w", "removal_cm3_per_min",
@@ -50,23 +50,12 @@ def format_toml(values: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
 
 
-def read_library(path: Path, what: Phrase) -> dict[str, Any]:
+def read_library(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing=Phrase("{path}: cannot be read", path=path))) from None
-    if len(raw) > _MOST_BYTES:
-        words = Phrase("{path}: is too large; {what} has at most {most} bytes", path=path, what=what, most=_MOST_BYTES)
-        raise InputError(words)
-    try:
-        return tomllib.loads(raw.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(Phrase("{path}: is not UTF-8 text; save it as UTF-8", path=path)) from None
-    except (ValueError, RecursionError) as error:
-        cause = " ".join(str(error).split())
-        raise InputError(Phrase("{path}: not valid TOML: {cause}", path=path, cause=cause)) from None
+        return read_toml(path)
+    except UnreadableFileError as error:
+        raise InputError(Phrase("{path}: {cause}", path=path, cause=error.words)) from None
 
 
 def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:

@@ -16,6 +16,7 @@ from machines.profile_values import BadValueError, Rule, Rules, number, whole
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, format_toml, read_library, require_own_file, write_own_file
+from service.wording import align
 
 BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
@@ -53,7 +54,7 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    return _tools_of(path, read_library(path, Phrase("a tool library")))
+    return _tools_of(path, read_library(path))
 
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
@@ -142,12 +143,10 @@ def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
     """Return lines that list the library for a person."""
     head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     own = find_own_file(_NAME)
     where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
     origin = "built in" if path == BUILT_IN else str(path)
-    return [*lines, "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
+    return [*align(rows), "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
 
 
 def _cell(value: object) -> str:

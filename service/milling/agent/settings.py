@@ -16,8 +16,6 @@ from service.http.streaming import HEARTBEAT_S
 from service.milling.agent.auth import TOKEN_FILE, make_token, read_token
 from service.processes.private import keep_private
 
-DEFAULT_PORT = 8765
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentSettings:
