@@ -10,15 +10,17 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import quote
 
 import httpx
 
 from machines.mill.orders import STOP_S, Stop
 from phrases.phrase import Phrase, restore
 from service.errors import InputError
-from service.http.problems import Problem, ServerCode
+from service.http.problems import BY, CONTROL, FROM, GRANT, Problem, ServerCode
 from service.milling.agent.auth import read_token
 from service.milling.agent.card import read_card
 from service.server.fleet.agent_feed import AgentFeed
@@ -288,3 +290,21 @@ async def _read_lines(answer: httpx.Response, machine: str) -> AsyncIterator[str
             raise make_wrong_problem(machine, "sends an event without an end")
         for line in lines:
             yield line.rstrip(b"\r").decode("utf-8", "replace")
+
+
+AT_THE_SERVER = "somebody at the server's computer"  # a caller there without a token
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrderContext:
+    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
+
+    name: str
+    origin: str
+    control: str = ""
+    grant: str = ""
+    arrived_s: float = 0.0
+
+    def headers(self) -> dict[str, str]:
+        values = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
+        return {name: value for name, value in values.items() if value}
