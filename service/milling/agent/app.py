@@ -17,7 +17,7 @@ from machines.errors import MachineError
 from service.http.event_hub import HubStream, Reader
 from service.http.problems import Problem, on_error, on_http_error
 from service.milling.agent.agent import Agent
-from service.milling.agent.auth import AgentGuard
+from service.milling.agent.requests import AgentGuard
 from service.milling.agent.routes.orders import ControlRoutes, OrderRoutes
 from service.milling.agent.routes.programs import ProgramRoutes
 from service.milling.agent.routes.runs import RunRoutes

@@ -17,9 +17,9 @@ from service.http.event_hub import Message
 from service.http.problems import Problem, ServerCode
 from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import ENDED, RunRow, read_reason
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, as_problem
+from service.server.fleet.agent_client import AgentLink, Json
 from service.server.fleet.agent_feed import AGAIN_S, iterate_until, known_id
-from service.server.fleet.agent_replies import json_object, run_view, table
+from service.server.fleet.agent_replies import AgentAwayError, as_problem, json_object, run_view, table
 from service.server.fleet.core import FleetCore
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import make_live_run, make_machine_view

@@ -19,9 +19,9 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
 from service.server.database.states import PREPARING
-from service.server.fleet.agent_client import AgentAwayError, OrderContext, as_problem, require_answer
+from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_feed import known_id
-from service.server.fleet.agent_replies import parse_reply
+from service.server.fleet.agent_replies import AgentAwayError, as_problem, parse_reply, require_answer
 from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore
 from service.server.fleet.event_streams import MachineEvents, RunEvents

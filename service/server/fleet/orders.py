@@ -21,8 +21,15 @@ from service.http.problems import Problem, ServerCode
 from service.milling.api import GrantView, RecoveryView
 from service.server.database.runs import MachineTakenError, RunRow, word_state
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, OrderContext, require_answer
-from service.server.fleet.agent_replies import make_order_view, parse_holder, parse_reply, run_view
+from service.server.fleet.agent_client import AgentLink, Json, OrderContext
+from service.server.fleet.agent_replies import (
+    AgentAwayError,
+    make_order_view,
+    parse_holder,
+    parse_reply,
+    require_answer,
+    run_view,
+)
 from service.server.fleet.core import FleetCore, not_handed_over
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
 from service.server.schemas.runs import ControlView, OrderView

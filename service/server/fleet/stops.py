@@ -15,8 +15,8 @@ from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
 from service.server.database.runs import ENDED, RunRow, make_reason, read_reason
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
-from service.server.fleet.agent_client import AgentLink, Json, OrderContext, require_answer
-from service.server.fleet.agent_replies import run_view
+from service.server.fleet.agent_client import AgentLink, Json, OrderContext
+from service.server.fleet.agent_replies import require_answer, run_view
 from service.server.fleet.core import FleetCore, not_handed_over
 from service.server.fleet.machine_stops import MachineStops, find_refusal
 
