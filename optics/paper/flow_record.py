@@ -1,4 +1,4 @@
-"""What the paper's flow is told and what it tells: settings, steps, snapshots, the mapping."""
+"""Input and output of the paper's flow: settings, steps, snapshots, the mapping."""
 
 from __future__ import annotations
 

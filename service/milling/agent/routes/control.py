@@ -124,7 +124,7 @@ def _block(fields: Fields) -> Command:
         raise Problem(422, Phrase("text must be one line of plain G-code, without ? ! ~"), field="text")
     if not fields.flag("confirm", False) and (effect := describe_effect(text)):
         effect = Phrase("'{text}' {effect}", text=text.strip(), effect=effect)
-        words = Phrase('{effect}. To send it all the same, send it again with "confirm": true', effect=effect)
+        words = Phrase('{effect}. To send it anyway, send it again with "confirm": true', effect=effect)
         raise Problem(409, words, field="confirm", code=ServerCode.CONFIRM, more={"effect": effect})
     return SendBlock(text)
 
