@@ -12,7 +12,7 @@ from optics.spline import Array
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def tangent_per_slope(slope_squared: float, refractive_index: float) -> float:
-    """Return the way aside per unit of height and slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
+    """Return m, the sideways shift per unit of height and slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 
     With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law),
     here divided by cos: m = k / (n (1 + s^2) - k), k = n - sqrt(1 - (n^2 - 1) s^2).

@@ -73,7 +73,7 @@ def program_lines(job: dict[str, Any]) -> list[str]:
 
 
 def when(text: object) -> str:
-    """Return a server's 2026-11-21T08:00:00.123Z in local time, with its offset."""
+    """Return a server's time, such as 2026-11-21T08:00:00.123Z, in local time with its offset."""
     try:
         return datetime.fromisoformat(str(text)).astimezone().isoformat(" ", "seconds") if text else ""
     except (ValueError, OverflowError, OSError):

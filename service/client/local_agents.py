@@ -1,4 +1,4 @@
-"""The agents of the mills of this computer: the second way of a stop, where no server answers."""
+"""Stop a run through the agents of this computer's mills, if no server answers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Files of TOML in the person's configuration folder: where they are, how they are read and written; among them the
-mills that a person states on the page or over REST, beside profiles written by hand, which are left alone.
+"""TOML files in the person's configuration folder: their paths, reading and writing; also the mills that a person
+describes on the page or over REST. Profiles written by hand are never changed.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ PROFILE_KEYS = (
 
 
 def find_own_file(name: str) -> Path | None:
-    """Return where the person's own file of that name is, or would be; None: there is no such folder."""
+    """Return the path of the person's own file of that name, existing or not; None: there is no such folder."""
     folders = user_folders()
     return folders[0].parent / name if folders else None
 
 
 def require_own_file(name: str) -> Path:
-    """Return the same. InputError says how to have such a folder."""
+    """Return the same path. InputError says how to get such a folder."""
     path = find_own_file(name)
     if path is None:
         raise InputError(Phrase("no folder for your own files; set CAUSTICMILL_CONFIG_DIR and start the server again"))
@@ -40,7 +40,7 @@ def require_own_file(name: str) -> Path:
 
 
 def write_own_file(path: Path, text: str) -> None:
-    """Write it, whole or not at all, with the folders above it."""
+    """Write the file, whole or not at all, and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, text.encode())
 
@@ -51,7 +51,7 @@ def format_toml(values: Mapping[str, Any]) -> str:
 
 
 def read_library(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
+    """Return the tables of a TOML file of data. InputError names the file and the reason if it cannot be read."""
     try:
         return read_toml(path)
     except UnreadableFileError as error:
@@ -90,7 +90,7 @@ def forget_profile(name: str) -> None:
 
 
 def read_stated_profiles() -> dict[str, dict[str, Any]]:
-    """Return the values of each profile that was stated so, by name."""
+    """Return the values of each profile saved by `save_profile`, by name."""
     read = {name: _parse_statement(Path(file)) for name, file in find_own_profiles().items()}
     return {name: values for name, values in read.items() if values is not None}
 
@@ -108,7 +108,7 @@ def _require_free(name: str) -> Path:
 
 
 def _parse_statement(file: Path) -> dict[str, Any] | None:
-    """Return the values of a file that is as `save_profile` writes it."""
+    """Return the values of a file written by `save_profile`."""
     with contextlib.suppress(OSError, ValueError):
         text = file.read_text("utf-8")
         values = tomllib.loads(text)

@@ -1,4 +1,4 @@
-"""The tool library: which end mills the shop has.
+"""The tool library: the end mills of the shop.
 
 `tools.toml` beside this module holds the usual ones; a person's own tools.toml in their configuration folder, beside
 the folder of their machines, takes its place.
@@ -44,7 +44,7 @@ _VALUES = Rules(
 
 
 def library_file(given: Path | None = None) -> Path:
-    """Return the file in use: the one given, else the person's own, else the built-in."""
+    """Return the file in use: the one given, or the person's own, or the built-in one."""
     if given is not None:
         return given
     own = find_own_file(_NAME)
@@ -66,7 +66,7 @@ def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
 
 
 def forget_tools() -> None:
-    """Go back to the shipped library."""
+    """Delete the person's own library, so that the built-in one is used."""
     require_own_file(_NAME).unlink(missing_ok=True)
 
 
@@ -140,7 +140,7 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
 
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
-    """Return lines that list the library for a person."""
+    """Return the library as lines of a table."""
     head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
     own = find_own_file(_NAME)

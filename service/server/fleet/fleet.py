@@ -102,7 +102,7 @@ class Fleet:
         if not machine.camera:
             raise Problem(
                 404,
-                Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are", name=name),
+                Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names the cameras", name=name),
             )
         return await self._cameras.take_picture(machine.camera)
 

@@ -55,7 +55,7 @@ async def _read_command(request: Request, what: str) -> Command:
     command = body.command()
     if isinstance(body, BlockBody) and not body.confirm and (effect := describe_effect(body.text)):
         effect = Phrase("'{text}' {effect}", text=body.text.strip(), effect=effect)
-        words = Phrase('{effect}. To send it all the same, send it again with "confirm": true', effect=effect)
+        words = Phrase('{effect}. To send it anyway, send it again with "confirm": true', effect=effect)
         raise Problem(409, words, field="confirm", code=ServerCode.CONFIRM, more={"effect": effect})
     return command
 
