@@ -144,21 +144,6 @@ def choose_strip(finish: Finish, depth_mm: float, mill: Mill, *, room_mm: float)
     raise NoMarksError("room")
 
 
-def list_visible(marks: Sequence[Mark], finish: Finish, dose: float) -> tuple[bool, ...]:
-    """Return of each mark whether raking light still shows it after that share of the planned dose."""
-    return tuple(mark.slope_rad(finish, dose) > VISIBLE_SLOPE_RAD for mark in marks)
-
-
-def bracket_dose(marks: Sequence[Mark], visible: Sequence[bool]) -> tuple[float, float]:
-    """Return the shares of the planned dose between which the finish stands, by which marks are visible.
-
-    Where one that should be gone is visible and a later one is not, the visible one counts.
-    """
-    still = min((mark.share for mark, seen in zip(marks, visible, strict=True) if seen), default=math.inf)
-    gone = (mark.share for mark, seen in zip(marks, visible, strict=True) if not seen and mark.share < still)
-    return max(gone, default=0.0), still
-
-
 def envelope_mm(places_mm: Array, tips_mm: Array, radius_mm: float, u_mm: Array) -> Array:
     """Return the heights (n,) that a ball leaves at u (n,), from its rows in order."""
     nearest = np.searchsorted(places_mm, u_mm)
