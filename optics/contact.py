@@ -64,7 +64,7 @@ def wear_surface(heights_mm: Array, multipliers: Array, depth_mm: float, *, step
     depth_mm    : what comes off on average, more than 0
     steps       : in which it comes off, each half of the one before, at least 1
     """
-    weights, residual = _weights(heights_mm.shape), 0.0
+    weights, residual = weigh_nodes(heights_mm.shape), 0.0
     removal = np.zeros_like(heights_mm)
     for number in range(steps):
         part = 2.0 ** (steps - 1 - number) / (2.0**steps - 1.0)
@@ -121,7 +121,7 @@ def _relax(gap: Array, linear: Array, lacking: Array, tolerance_mm: float) -> tu
     Gradients conjugate on the nodes that hang, as long as those do not change; a step that would put some below 0 stops
     them at 0. Where more is wrong with nodes that touch, or such a step gains nothing, all sag: g <- max(0, g - r).
     """
-    weights = _weights(gap.shape)
+    weights = weigh_nodes(gap.shape).astype(np.float32)
 
     def product(values: Array) -> Array:
         return transform_back(transform(values) * lacking, values.shape)
@@ -158,8 +158,8 @@ def _relax(gap: Array, linear: Array, lacking: Array, tolerance_mm: float) -> tu
     return gap, removal, wrong_mm
 
 
-def _weights(shape: tuple[int, ...]) -> Array:
-    """Return the parts of the surface that nodes stand for: half along its ends."""
-    down, across = np.ones(shape[0], np.float32), np.ones(shape[1], np.float32)
+def weigh_nodes(shape: tuple[int, ...]) -> Array:
+    """Return the parts of the surface that nodes stand for: half along its ends, where the transform counts them so."""
+    down, across = np.ones(shape[0]), np.ones(shape[1])
     down[[0, -1]] = across[[0, -1]] = 0.5
     return np.asarray(down[:, None] * across[None, :])

@@ -26,6 +26,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from optics.ball_fit import fit_ball
 from optics.bench import Bench
+from optics.contact import weigh_nodes
 from optics.finish import Finish, level
 from optics.heightfield import Heightfield
 from optics.outcomes import MeanError, Outcome, outcomes_of
@@ -45,6 +46,7 @@ _LOST = 0.03  # H^2 of a wave that is not worth its height
 _HALVED_FROM = 256  # pixels along the shorter side
 _ROUND = 16  # steps from one touch to the next: 8 have less error and show less, SSIM 0.795 in place of 0.837
 _SHARES = (1.0, 0.5, 0.25)  # of a round's way that are tried
+_RIM = 0.5  # times the reach of a finish: so near a rim the lens changes no more sharply than the finish leaves it
 _BESIDE = 0.8  # times 1 / k0: where a pad hangs and so near, heights are left alone
 
 
@@ -113,6 +115,9 @@ class _Point:
 class _Preconditioner:
     """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g, I as at the heights that the error saw last.
 
+    Behind a finish P becomes S P S^T: S smooths a change near the rims as the finish does. What is sharper bends the
+    run-out, which the error does not see before the next touch.
+
     free : 0 where heights are left alone, 1 elsewhere; (ny, nx), or one for all
     """
 
@@ -130,20 +135,40 @@ class _Preconditioner:
         power = 2.0 if bench.mirror else bench.refractive_index - 1
         square = (power * bench.throw_mm) ** 2 * (laplacian**2 + beta * laplacian) * (seen + _UNSEEN)
         square[0, 0] = np.inf  # a common lift
-        finish = error.outcomes[0].finish
-        if finish is not None:
-            square *= finish.multipliers((ny, nx), (lens.dy_mm, lens.dx_mm)) ** 2 + _LOST
+        self.kept: Array | None = None
+        if (finish := error.outcomes[0].finish) is not None:
+            self.kept = finish.multipliers((ny, nx), (lens.dy_mm, lens.dx_mm))
+            square *= self.kept**2 + _LOST
+            rising = (_rise(axis, _RIM * finish.reach_mm) for axis in (lens.y_mm, lens.x_mm))
+            self.inside = np.outer(*rising)
         self.symbol = np.sqrt(per_pixel_x * per_pixel_y / square)
-        self.rim = np.ones((ny, nx))  # cosines are orthogonal with rim vertices counted half
-        for edge in (self.rim[0], self.rim[-1], self.rim[:, 0], self.rim[:, -1]):
-            edge *= 0.5
+        self.nodes = weigh_nodes((ny, nx))
         dark = float((target < 0.1).mean())
         irradiance = error.tubes[0].seen_from_vertices(error.misses[0] + target)
         self.weight = 1.0 / (irradiance**2 + _LEAST_LIGHT + 0.8 * min(1.0, 2 * dark))
 
     def __call__(self, gradient: Array) -> Array:
-        inner = self.weight * self.rim * level(self.free * gradient / self.rim, self.symbol)
-        return self.free * level(inner, self.symbol)
+        inner = self._level_transposed(self._smooth_rims_transposed(self.free * gradient), self.symbol)
+        return self.free * self._smooth_rims(level(self.weight * inner, self.symbol))
+
+    def _level_transposed(self, gain: Array, multipliers: Array) -> Array:
+        return self.nodes * level(gain / self.nodes, multipliers)
+
+    def _smooth_rims(self, change: Array) -> Array:
+        if self.kept is None:
+            return change
+        return self.inside * change + (1.0 - self.inside) * level(change, self.kept)
+
+    def _smooth_rims_transposed(self, gain: Array) -> Array:
+        if self.kept is None:
+            return gain
+        return self.inside * gain + self._level_transposed((1.0 - self.inside) * gain, self.kept)
+
+
+def _rise(at_mm: Array, over_mm: float) -> Array:
+    """Return (n,) 0 at either end and 1 from over_mm on, level there and at the ends."""
+    share = np.minimum(at_mm - at_mm[0], at_mm[-1] - at_mm) / over_mm
+    return np.asarray(np.sin(np.pi / 2 * np.minimum(share, 1.0)) ** 2)
 
 
 def _box_power(w: Array, width: float) -> Array:

@@ -12,7 +12,7 @@ so both can be told apart; a prior keeps the blur where order 2 cannot.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -93,8 +93,7 @@ def strip_heights_mm(strip: Strip, *, noise_mm: float = 0.0, seed: int = 0) -> t
 def finish_strip(heights_mm: Array, finish: Finish, dose: float) -> Array:
     """Return heights (n,) after that share of the planned dose, uniform across; the strip has flat at its ends."""
     k = math.pi * np.arange(heights_mm.size, dtype=np.float64) / ((heights_mm.size - 1) * CELL_MM)
-    reached = replace(finish, k0_rad_per_mm=finish.k0_rad_per_mm * dose ** (-1 / finish.order))
-    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * reached.kept(k), type=1))
+    return np.asarray(fft.idct(fft.dct(heights_mm, type=1) * finish.after(dose).kept(k), type=1))
 
 
 def fringes_of(strip: Strip, u_mm: Array, heights_mm: Array, lever_mm: float) -> Array:

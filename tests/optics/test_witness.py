@@ -85,6 +85,14 @@ def test_the_pad_touches_the_ball_fits_and_the_tips_are_whole_steps(
             assert np.abs(steps - np.rint(steps)).max() < 1e-9
 
 
+@given(finishes, mills, st.floats(0.05, 3.0))
+def test_what_is_visible_brackets_the_dose(finish: Finish, mill: Mill, dose: float) -> None:
+    """A mark is seen before its share of the dose, and not after it, whatever the others do."""
+    for mark in chosen(finish, 0.02, mill).marks:
+        assume(abs(dose / mark.share - 1.0) > 1e-3)
+        assert (mark.slope_rad(finish, dose) > VISIBLE_SLOPE_RAD) == (dose < mark.share)
+
+
 @pytest.mark.parametrize(
     ("mill", "room_mm", "obstacle"),
     [
