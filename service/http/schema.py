@@ -67,6 +67,6 @@ class PassedOn:
 def _pass_on(values: object, validate: Callable[[object], Any]) -> Json:
     try:
         json.dumps(values, allow_nan=False, ensure_ascii=False).encode()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         return dict(validate(values))
     return values if isinstance(values, dict) else dict(validate(values))

@@ -1,7 +1,7 @@
 """What the agent of a mill takes and answers: orders, words for a start, and what it says of runs.
 
-Who speaks to an agent and the agent itself go by the same models. An order is validated by the agent, once, and by
-nobody on the way: the job server passes it on as it came. The ranges are those of machines.driver.
+The agent and its callers go by the same models. An order beside a run is validated by the agent, once: the job server
+passes it on as it came. The ranges are those of machines.driver.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class ControlBody(Body):
 class GrantBody(Body):
     stops: Annotated[
         int | None,
-        Field(ge=0, description="`stops` of the mill as the person saw them; refused where it is more"),
+        Field(ge=0, strict=True, description="`stops` of the mill as the person saw them; refused where it is more"),
     ] = None
 
 

@@ -14,7 +14,7 @@ from machines.driver import Home, Jog, Override, ProbeCorner, ProbeZ, SendBlock,
 from machines.runs import RunReport, RunState
 from service.http.problems import Problem
 from service.http.schema import PassedOn
-from service.milling.api import ORDERS, PLAIN_ORDERS, OverrideBody, RunReply
+from service.milling.api import ORDERS, PLAIN_ORDERS, GrantBody, OverrideBody, RunReply
 
 CORNER = {
     "depth_mm": 20.0, "plate_mm": 10.0, "wall_x_mm": 6.0, "wall_y_mm": 6.0, "cutter_radius_mm": 1.5, "margin_mm": 8.0,
@@ -62,6 +62,12 @@ def test_a_number_or_flag_is_never_guessed(what: str, guess: Any) -> None:
             if type(wrong) is not type(value) or isinstance(value, list):
                 with pytest.raises(ValidationError):
                     ORDERS[what].model_validate(GOOD[what] | {name: wrong})
+
+
+@pytest.mark.parametrize("stops", ["7", 7.5, True, -1])
+def test_a_stop_count_is_never_guessed(stops: object) -> None:
+    with pytest.raises(ValidationError):
+        GrantBody.model_validate({"stops": stops})
 
 
 def test_orders_become_what_the_mill_takes() -> None:
