@@ -20,8 +20,9 @@ from markupsafe import Markup
 
 from cam.materials import MATERIALS
 from phrases.phrase import Phrase, restore, say
-from service.job.files import AFTER_PASSES, FACE, WITNESS
+from service.job.files import WITNESS
 from service.job.finite_json import table
+from service.job.program_rows import list_programs
 from service.job.report.around import around_sentences, explain_zero_before_facing
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
 from service.job.report.drawing import side_view, top_view
@@ -254,23 +255,13 @@ def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, fl
 
 
 def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return one row per program, in the order in which they are run: the spec's values, the report's over them, and
-    what follows for the tool. number: of the pass; is_around: not one of the lens.
-    """
-    wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
-    around = table(report.get("around"))
-    first, last = ([table(around[name]) for name in names if name in around] for names in ((FACE,), AFTER_PASSES))
-    numbered = [*((0, row) for row in first), *enumerate(made, 1), *enumerate(last, len(made) + 1)]
-    rows = []
-    for number_, program in numbered:
-        is_around = program in first or program in last
-        own = {} if is_around or number_ > len(wanted) else wanted[number_ - 1]
-        row = {**own, **table(program.get("settings")), **program, "number": number_, "is_around": is_around}
+    """Return the rows of the programs that are made, with what follows for the tool."""
+    rows = [row for row in list_programs(spec, report) if row["is_made"]]
+    for row in rows:
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
-        row["shape"] = shape_of({"tool": "flat", **row} if is_around else row)
+        row["shape"] = shape_of(row)
         row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
-        rows.append(row)
     return rows
 
 
@@ -317,10 +308,6 @@ def _place_in_words(place: Mapping[str, Any]) -> Phrase:
         excess_um=number(place.get("excess_um"), 1),
         area_mm2=number(place.get("area_mm2"), 3),
     )
-
-
-def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
-    return [table(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
 
 
 def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from phrases.phrase import Phrase
 from service.job.files import is_program, program_order
+from service.job.program_rows import list_programs
 from service.server.database.records import Artifact, Job
 from service.wording import ball, shape_of
 
@@ -55,10 +56,11 @@ def programs_of(files: Sequence[Artifact]) -> list[Program]:
 def set_up(job: Job, number: int, part: int = 1) -> Json:
     """Return tool, block, zero and what changes since the program before, from the job's own spec and report.
 
-    number : of the pass, from 1, 0 for the facing before them, one more than they are for the cutting out; part: of
-             it, from 1
+    number : of the pass, as in the program's name; part: of it, from 1
     """
-    row, before = _pass(job, number), _pass(job, number - 1)
+    rows = list_programs(job.spec, job.report or {})
+    row: Json = next((row for row in rows if row["number"] == number), {})
+    before: Json = next((row for row in reversed(rows) if row["number"] < number), {})
     tool = {"shape": _shape(row), "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
     optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
     margin_mm = float(stock.get("margin_mm", 0.0))
@@ -105,26 +107,6 @@ def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
     return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
 
 
-def _pass(job: Job, number: int) -> Mapping[str, Any]:
-    """Return row `number` of the spec's passes, what the report says of it on top; what is milled around them by its
-    table.
-    """
-    wanted, made = _rows(job.spec), _rows(job.report or {})
-    stock = _table(job.spec, "stock")
-    row: dict[str, Any] = {}
-    if number == 0:
-        return _table(stock, "face")
-    if number == max(len(wanted), len(made)) + 1:
-        cut_out = _table(stock, "cut_out")
-        return {"tool": "flat", **cut_out} if cut_out else {}
-    if 1 <= number <= len(wanted):
-        row |= wanted[number - 1]
-    if 1 <= number <= len(made):
-        settings = made[number - 1].get("settings")
-        row |= {key: value for key, value in (settings or {}).items() if value is not None}
-    return row
-
-
 def _shape(row: Mapping[str, Any]) -> str:
     shape = shape_of(row)
     return _SHAPES.get(shape, f"{shape} end mill")
@@ -136,11 +118,6 @@ def _tool(row: Mapping[str, Any]) -> str:
     if shape == "bull-nose":
         return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
     return size if shape == "ball" else Phrase("flat {size}", size=size) if shape == "flat" else f"{shape} {size}"
-
-
-def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    rows = values.get("passes")
-    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
 def _table(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
