@@ -9,15 +9,15 @@ MILL := out/demo-mill.txt
 TYPES := tests/page/types
 TSC := $(VENV)/types/node_modules/typescript/bin/tsc
 
-# Bytecode is kept, whatever the environment says: where it is not, each server that a test starts compiles all modules
-# anew (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
+# Bytecode is always kept, despite the environment: without it each server that a test starts compiles all modules
+# again (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: FORCE demo serve test test-all lint bench soak paper docs release format lock clean
 
-# The locked environments, made anew whenever a lock or the project file changes: what the product needs, then what its
-# developers need on top. By uv, in a tenth of the time that pip takes; by pip where uv, or what it asks for, is not to be
-# had. Nothing is compiled ahead but the tests, which all processes of pytest would compile at once.
+# The locked environments, made again when a lock or the project file changes: the product's packages, then the
+# developers'. By uv, in a tenth of the time that pip takes; by pip if uv or its servers are not available. Only the tests
+# are compiled ahead, because all processes of pytest would compile them at once.
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --no-compile
 UV := $(BIN)/uv --quiet pip install --python $(BIN)/python
 INSTALL = $(UV) $(1) || $(PIP) $(1)

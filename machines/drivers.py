@@ -15,7 +15,8 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
     if kind == "none":
         raise NotAllowedError(
             Phrase(
-                "machine '{machine}' has no link from here: copy the program to its own computer and start it there",
+                "this server has no link to machine '{machine}': copy the program to the machine's own computer "
+                "and start it there",
                 machine=profile.name,
             )
         )

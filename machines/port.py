@@ -144,7 +144,8 @@ def _make_open_error(name: str, error: Exception) -> PortError:
         return PortError(name, Phrase("in use by another program; close that first"))
     if number in (errno.EACCES, errno.EPERM):
         return PortError(
-            name, Phrase("permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew")
+            name,
+            Phrase("permission denied: add your user to the group that owns it (mostly 'dialout'), then log in again"),
         )
     if "://" in name:
         return PortError(name, Phrase("cannot be reached: {reason}", reason=_reason(text)))
@@ -281,7 +282,7 @@ class SerialPort:
     def _make_lost_error(self, error: Exception) -> PortLostError:
         self.close()
         if isinstance(error, serial.SerialTimeoutException):
-            return PortLostError(self.url, Phrase("takes no bytes any more (2 s): unplugged, or switched off"))
+            return PortLostError(self.url, Phrase("has accepted no bytes for 2 s: unplugged, or switched off"))
         gone = Phrase("gone: cable out, power off or the far end closed")
         if isinstance(error, OSError) and error.errno:  # pyserial's own words guess
             gone = Phrase("{what} ({reason})", what=gone, reason=error)

@@ -7,15 +7,32 @@ their own; such a file may say `extends = "grbl"` and give only what differs. Fi
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from machines.driver import Triple
 from machines.errors import MachineError
-from machines.profile_values import LINK_VALUES, PROFILE_VALUES, SPINDLE_VALUES, BadValueError, Rules
+from machines.profile_values import (
+    COOLANTS,
+    DIALECTS,
+    DRIVERS,
+    FLOWS,
+    HIGH_PRECISION,
+    SPINDLE,
+    BadValueError,
+    Rules,
+    UnreadableFileError,
+    flag,
+    number,
+    one_of,
+    pair,
+    read_toml,
+    text,
+    triple,
+    whole,
+)
 from phrases.phrase import Phrase
 
 _MOST_EXTENDS = 8
@@ -53,14 +70,14 @@ class LinkSettings:
     port     : where the mill usually is ("/dev/serial/by-id/...", "socket://host:23"); None: given on the command line
     """
 
-    driver: str = "grbl"
-    baud: int = 115200
-    bytesize: int = 8
-    parity: str = "N"
-    stopbits: float = 1.0
-    flow: str = "none"
-    rx_bytes: int | None = None
-    port: str | None = None
+    driver: Annotated[str, one_of(*DRIVERS)] = "grbl"
+    baud: Annotated[int, whole(300, 12_000_000)] = 115200
+    bytesize: Annotated[int, one_of(7, 8)] = 8
+    parity: Annotated[str, one_of("N", "E", "O")] = "N"
+    stopbits: Annotated[float, one_of(1.0, 1.5, 2.0)] = 1.0
+    flow: Annotated[str, one_of(*FLOWS)] = "none"
+    rx_bytes: Annotated[int | None, whole(16, 1_000_000)] = None
+    port: Annotated[str | None, text(400)] = None
 
     @property
     def bits_per_byte(self) -> float:
@@ -101,8 +118,8 @@ class SpindleSettings:
     on_lost_link : when the computer, or the cable to it, is gone in the middle of a program
     """
 
-    on_hold: str = "unknown"
-    on_lost_link: str = "unknown"
+    on_hold: Annotated[str, one_of(*SPINDLE)] = "unknown"
+    on_lost_link: Annotated[str, one_of(*SPINDLE)] = "unknown"
 
     @property
     def sentences(self) -> tuple[Phrase, Phrase]:
@@ -146,37 +163,37 @@ class MachineProfile:
     description            : what it is, in words
     """
 
-    name: str
-    dialect: str
-    travel_mm: Triple
-    max_rate_mm_per_min: Triple
-    acceleration_mm_per_s2: Triple
-    step_mm: float
-    junction_deviation_mm: float
-    planner_blocks: int
-    lines_per_s: float
-    spindle_rpm: tuple[float, float]
-    safe_z_mm: float
+    name: Annotated[str, text(80)]
+    dialect: Annotated[str, one_of(*DIALECTS)]
+    travel_mm: Annotated[Triple, triple(1, 100_000, "mm")]
+    max_rate_mm_per_min: Annotated[Triple, triple(1, 1_000_000, "mm/min")]
+    acceleration_mm_per_s2: Annotated[Triple, triple(0.1, 100_000, "mm/s2")]
+    step_mm: Annotated[float, number(1e-6, 1, "mm")]
+    junction_deviation_mm: Annotated[float, number(1e-5, 10, "mm")]
+    planner_blocks: Annotated[int, whole(2, 100_000)]
+    lines_per_s: Annotated[float, number(0.1, 1_000_000)]
+    spindle_rpm: Annotated[tuple[float, float], pair(0, 1_000_000, "rpm")]
+    safe_z_mm: Annotated[float, number(0, 10_000, "mm")]
     link: LinkSettings = LinkSettings()
     spindle: SpindleSettings = SpindleSettings()
-    homing: bool = False
-    collet_mm: float | None = None
-    spindle_w: float | None = None
-    removal_cm3_per_min: float | None = None
-    top_z_mm: float | None = None
-    z_noise_mm: float = 0.0005
-    screw_error_mm: Triple | None = None
-    screw_lead_mm: Triple = (2.0, 2.0, 2.0)
-    whole_steps: bool = False
-    most_program_mb: float | None = None
-    most_program_hours: float | None = None
-    coolant: str = "none"
-    work_offset: int = 1
-    blend_tolerance_mm: float | None = None
-    high_precision: str = "none"
-    warm_up_s: float = 0.0
-    trace_outline: bool = False
-    description: str = ""
+    homing: Annotated[bool, flag()] = False
+    collet_mm: Annotated[float | None, number(0.1, 100, "mm")] = None
+    spindle_w: Annotated[float | None, number(1, 100_000, "W")] = None
+    removal_cm3_per_min: Annotated[float | None, number(0.01, 10_000, "cm3/min")] = None
+    top_z_mm: Annotated[float | None, number(-10_000, 10_000, "mm")] = None
+    z_noise_mm: Annotated[float, number(0, 0.1, "mm")] = 0.0005
+    screw_error_mm: Annotated[Triple | None, triple(0, 0.1, "mm")] = None
+    screw_lead_mm: Annotated[Triple, triple(0.1, 100, "mm")] = (2.0, 2.0, 2.0)
+    whole_steps: Annotated[bool, flag()] = False
+    most_program_mb: Annotated[float | None, number(0.1, 1_000_000, "MB")] = None
+    most_program_hours: Annotated[float | None, number(0.05, 10_000, "hours")] = None
+    coolant: Annotated[str, one_of(*COOLANTS)] = "none"
+    work_offset: Annotated[int, whole(1, 6)] = 1
+    blend_tolerance_mm: Annotated[float | None, number(0, 1, "mm")] = None
+    high_precision: Annotated[str, one_of(*HIGH_PRECISION)] = "none"
+    warm_up_s: Annotated[float, number(0, 3600, "s")] = 0.0
+    trace_outline: Annotated[bool, flag()] = False
+    description: Annotated[str, text(300)] = ""
 
 
 def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
@@ -249,7 +266,7 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
     try:
         tables = {name: _check_table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
-        own = {key: PROFILE_VALUES.check(key, value, "") for key, value in raw.items()}
+        own = {key: _PROFILE.check(key, value, "") for key, value in raw.items()}
         if Path(file).parent == _BUILT_IN and "description" in own:
             own["description"] = Phrase.of_text(own["description"])
         if own.setdefault("name", name) != name:
@@ -267,7 +284,8 @@ def _read_values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) 
     return base | own | {name: base[name] | table for name, table in tables.items()}
 
 
-_TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
+_PROFILE = Rules.of(MachineProfile)
+_TABLES = {"link": Rules.of(LinkSettings), "spindle": Rules.of(SpindleSettings)}
 
 
 def _check_table(name: str, values: object, rules: Rules) -> dict[str, Any]:
@@ -291,15 +309,6 @@ def _require_base(name: str, extends: object, sources: Mapping[str, str], trail:
 
 def _read(file: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))  # some editors begin a file with a mark
-    except UnicodeDecodeError:
-        raise ProfileError(file, Phrase("is not UTF-8 text; save it as UTF-8")) from None
-    except OSError as error:
-        words = {
-            IsADirectoryError: Phrase("is a folder"),
-            FileNotFoundError: Phrase("is a link to a file that is not there"),
-        }
-        unread = Phrase("cannot be read: {reason}", reason=error.strerror)
-        raise ProfileError(file, words.get(type(error), unread)) from None
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(file, Phrase("not valid TOML: {error}", error=error)) from None
+        return read_toml(Path(file))
+    except UnreadableFileError as error:
+        raise ProfileError(file, error.words) from None

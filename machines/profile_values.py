@@ -1,11 +1,13 @@
-"""Which keys a profile file may have, what each may hold, and the sentence that says so."""
+"""What a key of a file of data may hold, and the sentence that says so, as annotations of the fields that take it."""
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, get_type_hints
 
 from machines.gcode.dialects import DIALECTS as GCODE_DIALECTS
 from machines.gcode.dialects import RML
@@ -17,6 +19,40 @@ FLOWS = ("none", "rtscts", "xonxoff")
 SPINDLE = ("turns", "stops", "unknown")
 COOLANTS = ("none", "air", "mist", "flood")
 HIGH_PRECISION = ("none", "g05.1", "g08")
+
+
+_MOST_BYTES = 1_000_000
+
+
+class UnreadableFileError(ValueError):
+    """A file of data that cannot be read; the words are what follows its name."""
+
+    def __init__(self, words: Phrase) -> None:
+        super().__init__(words)
+        self.words = words
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the tables of a file of data. UnreadableFileError says why it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_MOST_BYTES + 1)  # a pipe or a device does not say its size
+    except OSError as error:
+        words = Phrase("cannot be read: {reason}", reason=error.strerror)
+        if path.is_dir():
+            words = Phrase("is a folder")
+        elif path.is_symlink() and not path.exists():
+            words = Phrase("is a link to a file that is not there")
+        raise UnreadableFileError(words) from None
+    if len(raw) > _MOST_BYTES:
+        raise UnreadableFileError(Phrase("is too large; a file of data has at most {most} bytes", most=_MOST_BYTES))
+    try:
+        return tomllib.loads(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
+    except UnicodeDecodeError:
+        raise UnreadableFileError(Phrase("is not UTF-8 text; save it as UTF-8")) from None
+    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
+        cause = " ".join(str(error).split())
+        raise UnreadableFileError(Phrase("not valid TOML: {cause}", cause=cause)) from None
 
 
 class BadValueError(ValueError):
@@ -41,6 +77,13 @@ class Rules:
 
     def __init__(self, rules: Mapping[str, Rule]) -> None:
         self._rules = dict(rules)
+
+    @classmethod
+    def of(cls, kind: type) -> Rules:
+        """Return those that the fields of a class are annotated with."""
+        hints = get_type_hints(kind, include_extras=True)
+        annotated = {name: hint.__metadata__ for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+        return cls({name: rule for name, (rule,) in annotated.items()})
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -121,55 +164,11 @@ def text(most: int) -> Rule:
     return Rule(take, Phrase("text on one line, at most {most} characters", most=most))
 
 
+def flag() -> Rule:
+    return Rule(_flag, "true, false")
+
+
 def _flag(value: Any) -> bool:
     if not isinstance(value, bool):
         raise TypeError
     return value
-
-
-PROFILE_VALUES = Rules(
-    {
-        "name": text(80),
-        "description": text(300),
-        "dialect": one_of(*DIALECTS),
-        "travel_mm": triple(1, 100_000, "mm"),
-        "max_rate_mm_per_min": triple(1, 1_000_000, "mm/min"),
-        "acceleration_mm_per_s2": triple(0.1, 100_000, "mm/s2"),
-        "step_mm": number(1e-6, 1, "mm"),
-        "z_noise_mm": number(0, 0.1, "mm"),
-        "screw_error_mm": triple(0, 0.1, "mm"),
-        "screw_lead_mm": triple(0.1, 100, "mm"),
-        "whole_steps": Rule(_flag, "true, false"),
-        "most_program_mb": number(0.1, 1_000_000, "MB"),
-        "most_program_hours": number(0.05, 10_000, "hours"),
-        "coolant": one_of(*COOLANTS),
-        "work_offset": whole(1, 6),
-        "blend_tolerance_mm": number(0, 1, "mm"),
-        "high_precision": one_of(*HIGH_PRECISION),
-        "warm_up_s": number(0, 3600, "s"),
-        "trace_outline": Rule(_flag, "true, false"),
-        "junction_deviation_mm": number(1e-5, 10, "mm"),
-        "planner_blocks": whole(2, 100_000),
-        "lines_per_s": number(0.1, 1_000_000),
-        "spindle_rpm": pair(0, 1_000_000, "rpm"),
-        "safe_z_mm": number(0, 10_000, "mm"),
-        "collet_mm": number(0.1, 100, "mm"),
-        "spindle_w": number(1, 100_000, "W"),
-        "removal_cm3_per_min": number(0.01, 10_000, "cm3/min"),
-        "top_z_mm": number(-10_000, 10_000, "mm"),
-        "homing": Rule(_flag, "true, false"),
-    }
-)
-LINK_VALUES = Rules(
-    {
-        "driver": one_of(*DRIVERS),
-        "baud": whole(300, 12_000_000),
-        "bytesize": one_of(7, 8),
-        "parity": one_of("N", "E", "O"),
-        "stopbits": one_of(1.0, 1.5, 2.0),
-        "flow": one_of(*FLOWS),
-        "rx_bytes": whole(16, 1_000_000),
-        "port": text(400),
-    }
-)
-SPINDLE_VALUES = Rules({"on_hold": one_of(*SPINDLE), "on_lost_link": one_of(*SPINDLE)})

@@ -1,4 +1,4 @@
-"""A lens that a ball cutter reaches everywhere: the nearest one whose concave curvature stays under 1 / radius.
+"""Changes a lens as little as possible so that a ball cutter fits: its concave curvature stays under 1 / radius.
 
 Of surfaces with small slopes those that fit are a convex set, cut out by one half space for each point and direction,
 so the lens is projected onto one after the other that it violates (Kaczmarz, Gauss-Seidel), on the spline's own
@@ -69,7 +69,7 @@ def _tightest(zx: float, zy: float, zxx: float, zxy: float, zyy: float) -> tuple
 
 @njit(cache=True, nogil=True)
 def _relax_point(c: Array, y: float, x: float, inv_dy: float, inv_dx: float, limit: float) -> bool:
-    """Change c where the curvature at (x, y) [cells] is over the limit, to what is allowed; whether it was."""
+    """Change c so that the curvature at (x, y) [cells] is allowed; return whether it was over the limit."""
     i = min(max(int(math.floor(x)), 0), c.shape[1] - 4)
     j = min(max(int(math.floor(y)), 0), c.shape[0] - 4)
     wx, dx, bx = spline_weights(x - i), slope_weights(x - i), _bend_weights(x - i)
@@ -119,8 +119,8 @@ def _sweep(
 
 
 def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> Heightfield:
-    """Return the lens, its top where it was, with concave curvature of 1 / radius_mm at the most; itself where that is
-    so.
+    """Return the lens with concave curvature of at most 1 / radius_mm, its top unchanged; the lens itself if that is so
+    already.
 
     sweeps : over the points that still violate it. A lens may come back before it fits, nearer to it than it was
 
@@ -149,12 +149,12 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
 
 
 def ball_fits(lens: Heightfield, radius_mm: float) -> bool:
-    """Return whether a ball of that radius fits every hollow, by curvature."""
+    """Return whether a ball of that radius fits every hollow, judged by curvature."""
     return fit_ball(lens, radius_mm, sweeps=1) is lens
 
 
 def _suspects(coefs: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask) -> Mask:
-    """Return tiles of points where the curvature may exceed the limit; all along the rim, whose bounds would take
+    """Return tiles of points where the curvature may exceed the limit; all tiles along the rim, where bounds would cost
     more.
     """
     marked = np.zeros_like(tiles)
@@ -168,7 +168,7 @@ def _and_neighbours(tiles: Mask) -> Mask:
 
 
 def _at_nodes(coefs: Array) -> Array:
-    """Return (ny, nx) heights of nodes, of the (ny, nx) coefficients that belong to them; both rims' cubics go on."""
+    """Return (ny, nx) heights of nodes from their (ny, nx) coefficients; the cubics at both rims continue."""
     for _ in range(2):
         first = 4.0 * coefs[0] - 6.0 * coefs[1] + 4.0 * coefs[2] - coefs[3]
         last = 4.0 * coefs[-1] - 6.0 * coefs[-2] + 4.0 * coefs[-3] - coefs[-4]

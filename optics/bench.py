@@ -74,7 +74,7 @@ class Bench:
         shift_mm: tuple[float, float] = (0.0, 0.0),
         **others: Any,
     ) -> Bench:
-        """Return a screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
+        """Return a screen of that size (None: the aperture's) whose centre is shift_mm from the aperture's."""
         wide, high = screen_mm or (width_mm, height_mm)
         screen = Screen(
             width_mm=wide,
@@ -92,8 +92,8 @@ class Bench:
         )
 
     def beam(self, *, aside: tuple[float, float] = (0.0, 0.0), more_index: float = 0.0) -> Beam:
-        """Return one beam of the light: the middle one, or one at `aside`, in units of the source's radius, and of a
-        colour whose index is greater than the mean by more_index.
+        """Return one beam of the light: the middle one, or the one at `aside`, in units of the source's radius, in a
+        colour whose index is above the mean by more_index.
         """
         light = self.light
         centre_x, centre_y = self.width_mm / 2, self.height_mm / 2
@@ -169,15 +169,15 @@ class Bench:
         return {name: bench for name, bench in flaws.items() if getattr(self, name)}
 
     def spare_colours(self) -> Bench:
-        """Return the light in its mean colour where each colour costs a beam of its own; else the light itself."""
+        """Return the light in its mean colour if each colour costs a beam of its own; otherwise the light itself."""
         return self if self.light.extended else self.in_mean_colour()
 
     def in_mean_colour(self) -> Bench:
-        """Return the same light of one wavelength: that of the mean index of its colours."""
+        """Return the light at one wavelength: that of the mean index of its colours."""
         return replace(self, light=replace(self.light, spectrum=Spectrum()))
 
     def split_index(self, parts: int) -> tuple[float, ...]:
-        """Return the index less its mean, of so many equal parts of the light's spectrum; one where all bend alike."""
+        """Return the index less its mean for that many equal parts of the spectrum; one part if all bend alike."""
         if self.mirror or self.dispersion == 0.0:
             return (0.0,)
         return tuple(self.dispersion * share for share in self.light.spectrum.split(parts))
@@ -189,18 +189,18 @@ class Bench:
 
     @property
     def shift_mm(self) -> tuple[float, float]:
-        """From the middle of the aperture to that of the screen."""
+        """From the middle of the aperture to the middle of the screen."""
         return self.screen.centre_x_mm - self.width_mm / 2, self.screen.centre_y_mm - self.height_mm / 2
 
     @property
     def even_upright_light(self) -> bool:
-        """Whether the middle beam is the usual one: even, along the axis, through a rectangular lens, not crossing."""
+        """Whether the middle beam is even, along the axis, through a rectangular lens, and does not cross."""
         light = self.light
         special = self.mirror or light.is_point or light.profile is not None or light.tilt_rad != (0.0, 0.0)
         return not special and self.outline_mm is None and self.branch == "direct"
 
     def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
-        """Return the path, less its constant, that spreads the aperture about evenly over the screen; at points of it
+        """Return the path, less its constant, that spreads the aperture roughly evenly over the screen, at its points
         (broadcast).
 
         The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
@@ -224,7 +224,9 @@ class Bench:
         )
 
     def kernel_arguments(self, nx: int, ny: int) -> tuple[float, ...]:
-        """throw, index, screen left and bottom, pixel size, aperture size: what the kernels of optical_path take."""
+        """throw, index, screen left and bottom, pixel size, aperture size: the arguments of the kernels of
+        optical_path.
+        """
         s = self.screen
         return (
             self.throw_mm,
@@ -239,7 +241,7 @@ class Bench:
 
 
 def _mix_colours(places: Array, colours: Array) -> Array:
-    """Return the colours in an order in which none of them favours a side, the middle or the rim of the disc.
+    """Return the colours in an order that favours neither a side nor the middle nor the rim of the disc.
 
     places (n, 2), colours (n,) ascending, mean 0. Two change places as long as that lowers the correlation.
     """

@@ -1,4 +1,5 @@
-"""Pictures that are hard for a lens, before one is designed: black areas, fine strokes, single dots; and what helps.
+"""Finds pictures that are hard for a lens before one is designed: black areas, fine strokes, single dots; and says what
+helps.
 
 Black comes out of creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round: a
 bottom of curvature 1/r spreads its light by m + k H / r instead of by M (M: screen over aperture; m: what a flat
@@ -36,7 +37,7 @@ STEEPEST = 0.7  # slope that leaves room under total reflection (0.905 for 1.49)
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What a person should know about a lens, with what to change.
+    """Advice about a lens, with the values to change.
 
     figures : of this very lens; of a coarse one they are no more than a first guess, and its words are enough
     """
@@ -52,7 +53,7 @@ class Advice:
 
 
 def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
-    """Return the share of the light that ends on black pixels whatever the method, of valleys with a ball's radius.
+    """Return the share of light that falls on black pixels with any method, for valleys with a ball's radius.
 
     target (ny, nx), mean 1. The picture's own light on its black pixels counts too. To be added is what the lens grid
     loses: 0.5-1 % of the light for a logo at two vertices a pixel, a third of that at eight.
@@ -63,8 +64,8 @@ def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
 
 
 def valley_leak(bench: Bench, radius_mm: float) -> float:
-    """Return the light in a valley for a ball of that radius, as a share of the mean irradiance; none without a ball,
-    nor where black comes out of ridges.
+    """Return the light in a valley for a ball of that radius, as a share of the mean irradiance; zero without a ball,
+    or if black comes from ridges.
     """
     if bench.branch == "inverted" or radius_mm <= 0:
         return 0.0
@@ -75,7 +76,7 @@ def valley_leak(bench: Bench, radius_mm: float) -> float:
 
 
 def _flat_spread(bench: Bench) -> float:
-    """Return how many times as large as the aperture its patch of light is behind a flat surface, near the axis."""
+    """Return the factor by which a flat surface enlarges the aperture's patch of light, near the axis."""
     if not bench.light.is_point:
         return 1.0
     glass_mm = 0.0 if bench.mirror else bench.thickness_mm / bench.refractive_index
@@ -88,7 +89,7 @@ def fine_detail(target: Array) -> float:
 
 
 def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[Advice, ...]:
-    """Return advice for a picture that is hard for this set-up: what to expect, what to change; none for most."""
+    """Return advice for a picture that is hard for this set-up: what to expect and change; for most there is none."""
     found = []
     leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
@@ -107,7 +108,7 @@ def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_p
         found.append(
             Advice(
                 Phrase(
-                    "the brightest pixel is to get {times:.0f} times the mean, more than a lens of this grid can "
+                    "the brightest pixel needs {times:.0f} times the mean, more than a lens of this grid can "
                     "focus; larger spots or a floor of grey under the picture (a hundredth of its white) help",
                     times=peak,
                 )
@@ -157,8 +158,7 @@ def _word_fine(fine: float, vertices_per_pixel: int) -> Phrase:
 
 
 def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
-    """Return the inverted branch where black areas gain by it, a sketch of it converges, no steeper than that, and it
-    fits.
+    """Return the inverted branch if black areas gain by it and if a sketch of it converges, is no steeper, and fits.
 
     At a throw of three times the width (logo, 256 pixels, ball of 2 mm) 1.7 instead of 2.7 % of the light ends in
     black, for a relief of 25 instead of 8 mm; nearer, slopes come too close to total reflection.
@@ -176,7 +176,7 @@ def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: fl
 
 
 def _sketch_slopes(target: Array, bench: Bench) -> tuple[float, float]:
-    """Return (steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
+    """Return (steepest slope, relief in mm) of a coarse lens; infinite if none converges."""
     ny, nx = (min(n, _SKETCH_PIXELS) for n in target.shape)
     path = solve_transport(average_boxes(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)
     if not path.converged:

@@ -46,7 +46,7 @@ def simulate_caustic(
     tubes_per_cell: int = 4,
     beams: int = BEAMS,
 ) -> Caustic:
-    """Return the irradiance that the light of the bench makes on its screen by way of the heightfield.
+    """Return the irradiance on the bench's screen from its light through the heightfield.
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell; fewer than 4 flatter the score
@@ -75,7 +75,7 @@ def share_by_way_of(
     tubes_per_cell: int = 4,
     beams: int = BEAMS,
 ) -> Array:
-    """Return (ny, nx) share of each pixel's light that comes by way of those cells of the heightfield; 0 where it is
+    """Return (ny, nx) share of each pixel's light that comes through those cells of the heightfield; 0 if the pixel is
     dark.
 
     cells : (rows, columns) share of each cell that counts
@@ -91,8 +91,8 @@ def share_by_way_of(
 def _trace_light(
     heightfield: Heightfield, bench: Bench, cover: Array, *, pixels: tuple[int, int], tubes_per_cell: int, beams: int
 ) -> tuple[Array, float, float]:
-    """Return light (ny, nx) on the screen, and how much met the lens and how much of it was reflected; as `_add_beam`
-    has it.
+    """Return light (ny, nx) on the screen, the light that met the lens and the part of it that was reflected, in the
+    units of `_add_beam`.
 
     cover : share of each cell that is lens
     """
@@ -110,7 +110,7 @@ def _trace_light(
 def _add_beam(
     pool: ThreadPoolExecutor, spline: BicubicSpline, beam: Beam, aim: Aim, cover: Array, sub: int, acc: Array
 ) -> tuple[float, float]:
-    """Add one beam's light to acc; returns how much it was and how much of it was reflected."""
+    """Add one beam's light to acc; return its amount and the amount that was reflected."""
     bounds = np.linspace(0, spline.coefs.shape[0] - 3, _STRIPS + 1).astype(int)
 
     def strip(number: int) -> tuple[Array, float, float]:
@@ -130,7 +130,7 @@ def _add_beam(
 
 
 def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
-    """Return the bench's screen of (ny, nx) pixels as kernels take it."""
+    """Return the bench's screen of (ny, nx) pixels in the form of the kernels."""
     screen = bench.screen
     return Aim(
         throw=float(bench.throw_mm),
@@ -142,7 +142,7 @@ def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
 
 
 def find_covered_cells(heightfield: Heightfield, bench: Bench) -> Array:
-    """Return the share of each cell of the heightfield within the outline; (1, 1) of 1 where there is none."""
+    """Return the share of each cell of the heightfield within the outline; (1, 1) of 1 without an outline."""
     if bench.outline_mm is None:
         return np.ones((1, 1))
     corner = np.array([heightfield.x_mm[0], heightfield.y_mm[0]])

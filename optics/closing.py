@@ -1,4 +1,4 @@
-"""Filling valleys that a cutter cannot reach: morphological closing of the surface by a parabola."""
+"""Fills valleys that a cutter cannot reach: morphological closing of the surface by a parabola."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _close(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
 
 
 def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
-    """Return how many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level.
+    """Return how many vertices the middle of a ball that touches the rim may lie outside; 0 if the rims are level.
 
     A rim of slope s is raised by s^2 radius / 2 where the surface ends with it: level is where that is next to nothing
     beside the closing's band.

@@ -1,4 +1,4 @@
-"""Unilateral contact: what an elastic pad takes off a surface that it does not reach everywhere.
+"""Unilateral contact: removal by an elastic pad that does not reach the surface everywhere.
 
 A pad pressed on a surface z touches it where it can and hangs over what is too deep for its pressure. Its shape u is
 never below the surface, its pressure q (mean 1) is never negative, and there is pressure only where it touches:
@@ -44,7 +44,7 @@ _MOST_PRODUCTS, _MOST_NODES = 60, 2_000_000  # of conjugate gradients on a grid;
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Wear:
-    """What a pad has taken off.
+    """Removal by a pad.
 
     removal_mm : (ny, nx), never negative, its mean is the depth
     touched    : (ny, nx) of bool: where the pad touches in the last step
@@ -58,7 +58,7 @@ class Wear:
 
 
 def wear_surface(heights_mm: Array, multipliers: Array, depth_mm: float, *, steps: int = STEPS) -> Wear:
-    """Return what comes off heights (ny, nx) under a pad, both mirrored at their ends (cosine transform of type 1).
+    """Return the removal from heights (ny, nx) under a pad, both mirrored at their ends (cosine transform of type 1).
 
     multipliers : (ny, nx) part left of each wave of the transform where the pad touches everywhere; 1 of the mean
     depth_mm    : what comes off on average, more than 0
@@ -92,7 +92,8 @@ def transform_back(waves: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _find_gap(waves: Array, lacking: Array, step_mm: float) -> tuple[Array, Array, float]:
-    """Return gap and removal (ny, nx) of a step, and the solver's residual; coarse grids give the start of finer ones.
+    """Return gap and removal (ny, nx) of a step, and the solver's residual; coarse grids give the initial guess of
+    finer ones.
 
     waves   : of the surface
     lacking : 1 - H^f of each
@@ -113,7 +114,7 @@ def _find_gap(waves: Array, lacking: Array, step_mm: float) -> tuple[Array, Arra
 
 
 def _relax(gap: Array, linear: Array, lacking: Array, tolerance_mm: float) -> tuple[Array, Array, float]:
-    """Return gap, removal, and the rms of what breaks the conditions: of  min g B g / 2 + g linear  over g >= 0.
+    """Return gap, removal, and the rms violation of the conditions of  min g B g / 2 + g linear  over g >= 0.
 
     linear : (ny, nx) removal where the pad touches everywhere; negative where it does not
 

@@ -1,4 +1,4 @@
-"""The transport method's passes: solve, shape, look at the light, and aim at what it lacked.
+"""The passes of the transport method: solve, shape, simulate the light, and correct the aim by the error.
 
 Correction: g <- max(0, g + T - I), and the map solved again from where it was; I is the light of the lens as it will be
 cut, valleys filled until the ball fits, under all of the source. The best pass is kept. What a finish will take is the
@@ -31,7 +31,7 @@ _TUBES_PER_PIXEL = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosingCost:
-    """What shaping the lens for a ball of radius_mm takes from its picture, before polish.
+    """Loss of picture quality by shaping the lens for a ball of radius_mm, before polish.
 
     With: of the best pass. Without: estimated, that and the difference that shaping makes to the first pass; where the
     lens without was corrected as well, within 0.5 dB of it.
@@ -46,7 +46,7 @@ class ClosingCost:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pass:
-    """One solution, its lens, the light through it, and how that scores."""
+    """One solution, its lens, the light through it, and its scores."""
 
     path: OpticalPath
     lens: Heightfield
@@ -78,7 +78,7 @@ class Corrected:
 
     @property
     def is_shaped(self) -> bool:
-        """The ball did not fit everywhere."""
+        """Whether the ball did not fit everywhere, so that the lens was shaped for it."""
         return self.first.lens is not self.raw
 
 
@@ -130,7 +130,7 @@ def _build_lens(path: OpticalPath, settings: LensSettings) -> Heightfield:
 
 
 def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
-    """Return the lens with its valleys filled until the ball fits; the lens itself where it fits already.
+    """Return the lens with its valleys filled until the ball fits; the lens itself if it fits already.
 
     Closing fills them as the ball would leave them, on the grid not quite; the fit does the rest.
     """
@@ -158,7 +158,7 @@ def _evaluate(path: OpticalPath, raw: Heightfield, target: Array, settings: Lens
 
 
 def measure_closing_cost(done: Corrected, target: Array, settings: LensSettings) -> ClosingCost | None:
-    """Return what closing costs; None where nothing was filled."""
+    """Return the cost of closing; None if nothing was filled."""
     if not done.is_shaped:
         return None
     best, first = done.best.score, done.first.score

@@ -1,4 +1,4 @@
-"""From a target irradiance to a lens: the map, the surface, corrections against its own simulated caustic, polish."""
+"""Designs a lens for a target irradiance: map, surface, corrections against its own simulated caustic, polish."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ _DEAR_LEAK = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensDesign:
-    """A lens and how it came about. Where not `converged`, `message` says how far it got; the lens is usable still.
+    """A lens and a record of its design. If it is not `converged`, `message` says how far it got; the lens is still
+    usable.
 
     history  : a record of each pass of the method
     warnings : sentences for a person, each with what to change

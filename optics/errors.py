@@ -1,4 +1,4 @@
-"""What can be wrong with an optical task. Each error carries its numbers and says them in one sentence."""
+"""Errors of an optical task. Each carries its numbers and states them in one sentence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class OpticsError(Exception):
 
 
 class TargetError(OpticsError):
-    """The target irradiance cannot be aimed at: not finite, negative, empty, or without any light."""
+    """The target irradiance is unusable: not finite, negative, empty, or without any light."""
 
 
 class TotalReflectionError(OpticsError):
@@ -45,22 +45,22 @@ class TotalReflectionError(OpticsError):
 
 
 class NoSurfaceError(OpticsError):
-    """The solver came to no surface that sends the light to the screen, though no single ray says why."""
+    """The solver found no surface that sends the light to the screen, although each single ray is possible."""
 
     def __init__(self, *, lost_share: float) -> None:
         self.lost_share = lost_share
         super().__init__(
             Phrase(
                 "no surface was found that sends this light onto this screen ({percent:.0f} % of the lens has no "
-                "height): light or screen are too near or too far aside; a longer throw, a lamp further away or a "
-                "smaller shift help",
+                "height): light or screen are too near or too far to the side; a longer throw, a lamp farther away "
+                "or a smaller shift help",
                 percent=100 * lost_share,
             )
         )
 
 
 class UnsupportedBenchError(OpticsError):
-    """The method was made for a simpler set-up."""
+    """The method supports only a simpler set-up."""
 
     def __init__(self, method: Phrase, unknown: list[Phrase]) -> None:
         self.method, self.unknown = method, unknown

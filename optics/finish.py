@@ -1,4 +1,4 @@
-"""What finishing by hand does to a milled surface: a low pass on its heights, as far as the tool touches it.
+"""The effect of finishing by hand on a milled surface: a low pass on its heights, as far as the tool touches it.
 
 z_finished(k) = H(k) z_milled(k) - depth with H(k) = exp(-(k / k0)^order), k in rad/mm. Sanding between grits is
 diffusion (order 2), a soft pad removes in proportion to its pressure (Preston; order 1), a film of lacquer levels under
@@ -60,7 +60,7 @@ class Finish:
                 raise ValueError(f"{name} = {value:g} must be more than 0")
 
     def after(self, dose: float) -> Finish:
-        """Return the same work done `dose` times as long: the exponent of its law grows with the dose."""
+        """Return the finish after `dose` times as much work: the exponent of its law grows with the dose."""
         depth_mm = None if self.depth_mm is None else dose * self.depth_mm
         return replace(self, k0_rad_per_mm=self.k0_rad_per_mm * dose ** (-1.0 / self.order), depth_mm=depth_mm)
 
@@ -71,7 +71,7 @@ class Finish:
 
     @property
     def seen_beyond_mm(self) -> float:
-        """How far beyond the rim a surface is looked at, and has to go on as it is."""
+        """How far beyond the rim the surface affects the result, and has to continue."""
         return _BEYOND * self.reach_mm
 
     def transfer(self, k_rad_per_mm: Array) -> Array:
@@ -79,7 +79,7 @@ class Finish:
         return np.asarray(np.exp(-((np.asarray(k_rad_per_mm) / self.k0_rad_per_mm) ** self.order)))
 
     def kept(self, k_rad_per_mm: Array) -> Array:
-        """Return the part of a surface's wave that is left: H(k), and 1 for form."""
+        """Return the remaining part of a surface's wave: H(k), and 1 for form."""
         form = np.exp(-((np.asarray(k_rad_per_mm) * self.pad_mm / math.pi) ** 2))
         return np.asarray(form + (1.0 - form) * self.transfer(k_rad_per_mm))
 
@@ -101,14 +101,12 @@ class Finished:
 
     @property
     def contact_share(self) -> float:
-        """Of the aperture, that the tool touches; 1 of a film."""
+        """Share of the aperture that the tool touches; 1 for a film."""
         return float(self.touched.mean())
 
 
 def level(heights_mm: Array, multipliers: Array) -> Array:
-    """Return heights (ny, nx) after a finish, mirrored at their ends; linear, and its own transpose but for the
-    rims.
-    """
+    """Return heights (ny, nx) after a finish, mirrored at their ends; linear, its own transpose except at the rims."""
     return transform_back(transform(heights_mm) * multipliers, heights_mm.shape)
 
 
@@ -132,7 +130,7 @@ def finish_lens(
     finer: int = 1,
     beyond_cells: int = 0,
 ) -> Finished:
-    """Return the lens after the finish, its highest vertex where it was, on a grid `finer` times as fine.
+    """Return the lens after the finish, its highest vertex unchanged, on a grid `finer` times as fine.
 
     departure_mm : (ny, nx) of what is milled from the lens, on that grid and beyond_cells of its cells around it
     """
@@ -160,11 +158,11 @@ def finish_lens(
 
 
 def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
-    """Return what light will meet of a perfectly milled lens: finished, where it will be."""
+    """Return the surface of a perfectly milled lens that light will meet, after its finish if there is one."""
     return lens if finish is None else finish_surface(lens, finish)
 
 
 def quick_margin(count: int, least: int) -> int:
-    """Return a margin of at least so many on either side for which the transform of all is quick."""
+    """Return a margin of at least that many on either side for which the transform is fast."""
     periods = ((margin, 2 * (count + 2 * margin - 1)) for margin in itertools.count(least))
     return next(margin for margin, period in periods if fft.next_fast_len(period, real=True) == period)

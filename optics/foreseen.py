@@ -1,4 +1,4 @@
-"""A picture made sharper by as much as milling will blur it: what the lens aims at, so that the milled one is right.
+"""Sharpens a picture by the blur of milling, so that the milled lens shows it right.
 
 Rows of a ball leave slopes even in +-pitch / 2R, so they spread each point of the picture evenly over a line: a box.
 Landweber's iteration: a <- max(floor, a + B(t - B a)), B that blur, which is its own transpose. It stops early: each
@@ -19,8 +19,8 @@ _FLOOR = 0.01  # of the mean: no place of a lens is without light
 
 
 def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
-    """Return what blurs into the target (ny, nx), of mean 1, as far as light allows; brighter at its edges, as beyond
-    is dark.
+    """Return the picture that blurs into the target (ny, nx), of mean 1, as far as light allows; it is brighter at its
+    edges, because it is dark beyond them.
 
     blur_px : standard deviations along the rows and the columns of the picture: y, x
     """
@@ -32,7 +32,7 @@ def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
 
 
 def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
-    """Spread each point over a box with these standard deviations; nothing comes from beyond the edges.
+    """Spread each point over a box with these standard deviations; no light comes from beyond the edges.
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
@@ -42,7 +42,7 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
 
 
 def _box(sigma: float) -> tuple[int, float, float]:
-    """Return the pixels to either side that get the same; how much these get, and the ones beyond them."""
+    """Return the number of pixels to either side with equal weight, that weight, and the weight of the next ones."""
     half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
     small, large = 2 * half + 1, 2 * half + 3
     share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
@@ -51,7 +51,7 @@ def _box(sigma: float) -> tuple[int, float, float]:
 
 @njit(cache=True, nogil=True)
 def _win_back(target, aim, down, across):  # type: ignore[no-untyped-def]
-    """Change aim, which is the target at first, by the steps of Landweber's iteration, for the boxes of both blurs."""
+    """Improve aim, which starts as the target, by the steps of Landweber's iteration, for the boxes of both blurs."""
     spread, beside = np.empty_like(aim), np.empty_like(aim)
     for _ in range(_STEPS):
         _spread(aim, down, across, beside, spread)
@@ -66,7 +66,7 @@ def _win_back(target, aim, down, across):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _spread(picture, down, across, beside, out):  # type: ignore[no-untyped-def]
-    """Spread the picture over both boxes into out, which may be itself; beside: room for another."""
+    """Spread the picture over both boxes into out, which may be the picture itself; beside: scratch memory."""
     _spread_across(picture, across[0], across[1], across[2], beside)
     _spread_down(beside, down[0], down[1], down[2], out)
 
@@ -89,9 +89,7 @@ def _spread_across(picture, half, inner, ends, out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _spread_down(picture, half, inner, ends, out):  # type: ignore[no-untyped-def]
-    """Fill out with inner times the sum from half above to half below, plus ends times the pixel beyond on either
-    side.
-    """
+    """Fill out: inner times the sum from half above to half below, plus ends times the next pixel on each side."""
     if inner == 1.0:
         out[:] = picture
         return

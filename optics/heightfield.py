@@ -76,7 +76,7 @@ class Heightfield:
         return float(np.hypot(*np.gradient(self.z_mm, self.dy_mm, self.dx_mm)).max())
 
     def spline_with_run_out(self, by_mm: float) -> BicubicSpline:
-        """Return the spline and, around the aperture, the surface on which all passes run out: the one definition of
+        """Return the spline and the surface around the aperture on which all passes run out: the only definition of
         both.
         """
         return self.spline().extended(by_mm, rim_mm=self.rim_mm)

@@ -1,4 +1,4 @@
-"""What a person decides about a lens, beside the set-up it is made for."""
+"""A person's decisions about a lens, beside the set-up it is made for."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ class LensSettings:
     creases: bool = False
 
     def on_bench(self, **changes: Any) -> LensSettings:
-        """Return the same decisions for a set-up that differs."""
+        """Return the same decisions for another set-up."""
         return replace(self, bench=replace(self.bench, **changes))
 
     def vertices(self, pixels: int) -> int:
-        """Return heightfield vertices along a side of that many pixels."""
+        """Return the number of heightfield vertices along a side of that many pixels."""
         return (2 if self.creases else 1) * self.vertices_per_pixel * pixels + 1
 
     @property
     def descent_steps(self) -> int:
-        """Of the descent; a lens for a finish has some without being polished."""
+        """Steps of the descent; a lens for a finish has some even without polish."""
         return self.polish_steps if self.finish is None else max(self.polish_steps, STEPS_FOR_FINISH)
 
     @property
     def closing_radius_mm(self) -> float:
-        """Of the ball that must fit; 0 where none has to."""
+        """Radius of the ball that must fit; 0 if none has to."""
         return 0.0 if self.creases else self.min_radius_mm

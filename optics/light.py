@@ -1,4 +1,4 @@
-"""The light that falls on the lens: what a person says of it, and the beams that kernels follow.
+"""The light that falls on the lens: a person's description of it, and the beams that kernels follow.
 
 A lens is lit through its flat face, a mirror from above. A *beam* comes from one direction or from one point; light
 from a disc (the sun, a lamp of some size) or of several colours is a bundle of beams of equal strength. Of a beam at a
@@ -50,17 +50,17 @@ class Light:
 
     @property
     def is_point(self) -> bool:
-        """Whether it comes from distance_mm away, and not from infinity."""
+        """Whether the light comes from distance_mm away, and not from infinity."""
         return LIGHT_KINDS[self.kind].is_point
 
     @property
     def radius(self) -> float:
-        """Of its disc: in mm of a lamp, in radians of a disc of directions."""
+        """Radius of its disc: in mm for a lamp, in radians for a disc of directions."""
         return 0.0 if self.middle_only else LIGHT_KINDS[self.kind].radius(self)
 
     @property
     def extended(self) -> bool:
-        """Whether one beam is not the whole of it."""
+        """Whether the light has more than one beam."""
         return self.radius > 0
 
     def width_rad(self, *, glass_mm: float) -> float:
@@ -68,7 +68,7 @@ class Light:
         return 2 * self.radius / (self.distance_mm + glass_mm) if self.is_point else 2 * self.radius
 
     def spread_mm(self, throw_mm: float) -> float:
-        """Return the diameter of the disc that a thin lens makes of a point on the wall."""
+        """Return the diameter of a point's image on the wall, for a thin lens and this source."""
         if self.is_point:
             return throw_mm * (2 * self.radius) / self.distance_mm
         return throw_mm * 2 * math.tan(self.radius)
@@ -76,7 +76,7 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightKind:
-    """What a kind of source is to a lens: a point at a distance or one direction, or a disc of such.
+    """The optics of a kind of source: a point at a distance, a direction, or a disc of either.
 
     radius : of the disc [mm] or [rad], 0 where there is none
     """
@@ -93,7 +93,7 @@ LIGHT_KINDS: dict[str, LightKind] = {
 
 
 class Beam(NamedTuple):
-    """One direction or one point, as kernels take it.
+    """One direction or one point, in the form of the kernels.
 
     x, y, z            : of a direction: the unit vector before the surface (inside the block); of a point: its place
     centre_x, centre_y : of the aperture, from where phases count
@@ -220,7 +220,9 @@ def leave(
 
 
 def disc_points(count: int) -> Array:
-    """Return (count, 2) points that share a disc of radius 1 evenly: a sunflower's seeds; one point is the middle."""
+    """Return (count, 2) points spread evenly over a disc of radius 1, like a sunflower's seeds; one point is the
+    middle.
+    """
     if count == 1:
         return np.zeros((1, 2))
     k = np.arange(count) + 0.5

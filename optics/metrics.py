@@ -1,4 +1,4 @@
-"""How well a caustic shows its target. No fitted gain: both are in units of the mean incident light per pixel."""
+"""Scores a caustic against its target. No fitted gain: both are in units of the mean incident light per pixel."""
 
 from __future__ import annotations
 

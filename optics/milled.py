@@ -1,4 +1,4 @@
-"""Light through a surface made of many small facets, as milling leaves it: each facet's light on the screen by itself.
+"""Simulates light through a milled surface of many small facets: each facet's light on the screen by itself.
 
 A facet is a small plane or curved quadrilateral, given by place and slope at its corners. The rays through its corners
 are followed exactly; its light is spread evenly over the polygon that they span on the screen, by exact coverage of the

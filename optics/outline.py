@@ -53,9 +53,7 @@ def _curves_of(corners: Array, bench: Bench) -> RimCurves:
 
 
 def _extremes(corners: Array, size: float) -> Array:
-    """Return the least and greatest second coordinate (2, m) of a closed polygon (k, 2) over even positions of the
-    first.
-    """
+    """Return the extreme second coordinates (2, m) of a closed polygon (k, 2) at even positions of the first."""
     at = np.linspace(0.0, size, _SAMPLES)
     low, high = np.full(_SAMPLES, np.inf), np.full(_SAMPLES, -np.inf)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -81,8 +79,8 @@ def is_inside(outline_mm: Array, x_mm: Array, y_mm: Array) -> Array:
 
 
 def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm: float) -> Array:
-    """Return heights (my, mx) that, outside the outline, are smooth and nowhere above the greatest inside it and
-    around.
+    """Return heights (my, mx) that are smooth outside the outline, and nowhere above the greatest height inside and
+    around it.
 
     What the map does not reach is cut away; were it the highest, the lens would lie deeper than it was designed for.
     The margin is there because the spline inside feels it.
@@ -104,7 +102,7 @@ def _hull(bench: Bench) -> Array:
 
 
 def share_notched(bench: Bench) -> float:
-    """Return the share of the outline's convex hull that the outline leaves out: 0 where the frame fits all around."""
+    """Return the share of the outline's convex hull that the outline leaves out: 0 for a convex outline."""
     if bench.outline_mm is None:
         return 0.0
     share = 1.0 - _area(np.asarray(bench.outline_mm)) / _area(_hull(bench))
@@ -117,7 +115,7 @@ def _area(corners: Array) -> float:
 
 
 def dim_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
-    """Return the beam with what the frame surrounds but the outline does not made dim: the finer the grid, the dimmer.
+    """Return the beam, dimmed inside the frame but outside the outline: the finer the grid, the dimmer.
 
     Only for outlines that are not convex. Light that is as good as absent may be sent anywhere, which leaves
     the solver without a hold, so a few per cent stay; the corrections see the true outline and make up for them.

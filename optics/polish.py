@@ -1,4 +1,4 @@
-"""Polish: a descent on the mean error of the pictures that may come of the lens, over the heights of its vertices.
+"""Polish: minimises the mean error of the pictures that the lens may give, over the heights of its vertices.
 
 The error and its exact gradient are those of `outcomes`, the method is L-BFGS. First inverse Hessian: a dent of
 Laplacian L changes the light by I (n - 1) H L, so it is A^-1 / (I^2 + delta) A^-T with A
@@ -49,7 +49,7 @@ _BESIDE = 0.8  # times 1 / k0: where a pad hangs and so near, heights are left a
 
 
 class Memory:
-    """The last pairs of step and change of gradient, and the direction that they and a first inverse Hessian give.
+    """The last pairs of step and change of gradient, and the direction that they and an initial inverse Hessian give.
 
     L-BFGS's two-loop recursion (Nocedal and Wright, algorithm 7.4).
     """
@@ -58,7 +58,7 @@ class Memory:
         self.pairs: deque[tuple[Array, Array, float]] = deque(maxlen=depth)
 
     def learn(self, step: Array, change: Array) -> None:
-        """Take in a pair; one without positive curvature along the step is passed over."""
+        """Store a pair; skip one without positive curvature along the step."""
         curvature = float((step * change).sum())
         if curvature > 0.0:
             self.pairs.append((step, change, curvature))
@@ -85,7 +85,7 @@ class Memory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolishRecord:
-    """What the descent did.
+    """A record of the descent.
 
     steps          : accepted ones
     psnr_db_*      : before and after, under the light that the lens was designed for, finished as planned; of several
@@ -147,7 +147,9 @@ class _Preconditioner:
 
 
 def _box_power(w: Array, width: float) -> Array:
-    """Return the fourth power of what averaging over `width` vertices leaves of a wave of w radians a vertex."""
+    """Return the fourth power of the transfer function of averaging over `width` vertices, for a wave of w radians a
+    vertex.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sin(width * w / 2) / (width * np.sin(w / 2))
     return np.asarray(np.where(w == 0, 1.0, left) ** 4)
@@ -225,7 +227,7 @@ def _error_of(lens: Heightfield, target: Array, bench: Bench, outcomes: list[Out
 
 
 def _can_be_halved(lens: Heightfield, target: Array) -> bool:
-    """Return whether every second vertex and half the pixels make a smaller task of the same sides."""
+    """Return whether every second vertex and every second pixel make a smaller task of the same size in mm."""
     cells = (lens.z_mm.shape[0] - 1, lens.z_mm.shape[1] - 1)
     return min(target.shape) >= 2 * _HALVED_FROM and not any(n % 2 for n in (*cells, *target.shape))
 
@@ -240,7 +242,7 @@ def _halve(target: Array) -> Array:
 
 
 def _fit_ball(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
-    """Return the lens with heights z, its top where it was, in whose hollows the ball fits."""
+    """Return the lens with heights z, its top unchanged, in whose hollows the ball fits."""
     moved = replace(lens, z_mm=z - (z.max() - lens.z_mm.max()))
     return fit_ball(moved, ball_mm) if ball_mm > 0 else moved
 
@@ -254,7 +256,7 @@ def _spline_of(lens: Heightfield, z: Array) -> BicubicSpline:
 def _descend(
     error: MeanError, lens: Heightfield, z: Array, bench: Bench, steps: int, on_step: Callable[[], None]
 ) -> Array:
-    """Return heights after so many steps at most, fewer where none goes down any more.
+    """Return heights after at most that many steps; stop early if no step lowers the error.
 
     Behind a finish in rounds, after each of which the contact is found anew: as far along its way as that is a gain.
     """
@@ -281,7 +283,7 @@ def _descend(
 def _take_steps(
     error: MeanError, point: _Point, inverse: _Preconditioner, steps: int, on_step: Callable[[], None]
 ) -> _Point:
-    """Return the point after so many steps at most, the contact as it is."""
+    """Return the point after at most that many steps, with fixed contact."""
     memory = Memory(_DEPTH)
     for _ in range(steps):
         moved = _step(error, point, memory, inverse)
@@ -301,7 +303,7 @@ def _mark_free(hangs: Mask, beside: float) -> Array:
 
 
 def _step(error: MeanError, point: _Point, memory: Memory, inverse: _Preconditioner) -> _Point | None:
-    """Return the next point, with enough of a decrease; None where no length along the direction gives it."""
+    """Return the next point, with sufficient decrease; None if no step length along the direction gives it."""
     length = 1.0 if memory.pairs else _FIRST_LENGTH
     direction = memory.direction(point.gradient, inverse)
     slope = float((point.gradient * direction).sum())

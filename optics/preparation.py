@@ -1,4 +1,4 @@
-"""A picture made for what a wall will show: contrast and tones put where detail of the attainable size can be seen.
+"""Prepares a picture for what a wall will show: puts contrast and tones where detail of the attainable size is visible.
 
 Theory of operation: the picture's lightness is taken apart into layers by three guided filters (He, Sun, Tang 2010) of
 growing window, 0.75, 3 and 9 times the smallest detail that shows. They smooth what is fainter than an edge and leave
@@ -95,7 +95,7 @@ def _smooth_between_edges(lightness: Array, size: int) -> Array:
 
 
 def _stretch_tones(base: Array, weight: Array) -> Array:
-    """Return the base with more range for tones where there is structure; order of tones, black and white stay."""
+    """Return the base with more range for tones where there is structure; keep the order of tones, black and white."""
     counts, edges = np.histogram(base, _TONES, (0.0, 1.0), weights=weight)
     slope = gaussian_filter1d(counts, _TONE_BLUR, mode="reflect")
     if not slope.mean() > 0:
@@ -106,14 +106,14 @@ def _stretch_tones(base: Array, weight: Array) -> Array:
 
 
 def _bend_ends(lightness: Array) -> Array:
-    """Map any lightness into 0 to 1: unchanged but near the ends, which are approached ever more slowly."""
+    """Map any lightness into 0 to 1: unchanged except near the ends, which it approaches asymptotically."""
     below = _KNEE * np.exp(np.minimum(lightness, _KNEE) / _KNEE - 1.0)
     above = 1.0 - _KNEE * np.exp((1.0 - np.maximum(lightness, 1.0 - _KNEE)) / _KNEE - 1.0)
     return np.where(lightness < _KNEE, below, np.where(lightness > 1.0 - _KNEE, above, lightness))
 
 
 def _lift_black(picture: Array, black: float) -> Array:
-    """Raise pixels darker than that share of the mean, which grows with what is raised."""
+    """Raise pixels darker than that share of the mean, which rises with them."""
     lifted = picture
     for _ in range(_BLACK_ROUNDS if black > 0 else 0):
         lifted = np.maximum(picture, min(black, 1.0) * lifted.mean())

@@ -12,7 +12,7 @@ from optics.spline import Array
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def tangent_per_slope(slope_squared: float, refractive_index: float) -> float:
-    """Return the way aside per unit of height and slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
+    """Return m, the sideways shift per unit of height and slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 
     With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law),
     here divided by cos: m = k / (n (1 + s^2) - k), k = n - sqrt(1 - (n^2 - 1) s^2).
@@ -30,8 +30,3 @@ def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float)
     """
     path_mm = np.sqrt((shift_mm**2).sum(axis=-1) + drop_mm**2)
     return np.asarray(shift_mm / (refractive_index * path_mm - drop_mm)[..., None])
-
-
-def critical_slope(refractive_index: float) -> float:
-    """Return the steepest slope that still lets vertical light out: tan of the angle of total reflection."""
-    return 1.0 / math.sqrt(refractive_index**2 - 1.0)

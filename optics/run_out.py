@@ -20,7 +20,7 @@ _FADE_MM, _DROOP = 6.0, 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOut:
-    """So many cells (y, x) more on each side of a spline's coefficients, on its own grid of dy_mm by dx_mm.
+    """A run-out of that many cells (y, x) on each side of a spline's coefficients, on its own grid of dy_mm by dx_mm.
 
     rim_mm : so far the surface goes on without the droop
     """
@@ -40,7 +40,9 @@ class RunOut:
         return coefs
 
     def transpose(self, gain: Array) -> Array:
-        """Return the gain by the lens's coefficients, of the gain by all coefficients of `extend`, which is used up."""
+        """Return the gradient by the lens's coefficients, from the gradient by all coefficients of `extend`, which is
+        overwritten.
+        """
         pad_y, pad_x = self.cells
         for rows, columns, j, i in self._corners(gain.shape):
             block = gain[rows, columns].copy()
@@ -70,7 +72,7 @@ def _weights(rows: int, spacing: float) -> tuple[Array, Array]:
 
 
 def _continue_rows(coefs: Array, rows: int, spacing: float, rim_mm: float) -> Array:
-    """Return coefficients with `rows` more rows before the first and after the last; C2 whatever they are.
+    """Return coefficients with `rows` more rows before the first and after the last; always C2.
 
     The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,
     which belongs to half a cell beyond the rim, and s the slope at the rim itself, per cell.

@@ -1,4 +1,4 @@
-"""What happens to the picture when the set-up is not exact: wall too near or far, light aslant, a source with a size.
+"""The effect of an inexact set-up on the picture: wall too near or far, tilted light, a source with a size.
 
 Everything is simulated with the lens as it is, against the same target. A shift of the picture as a whole is reported
 and then taken out: a person moves the wall's frame, not the lens. Light from a disc is light from its middle, spread on
@@ -49,7 +49,7 @@ class FocusPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TiltPoint:
-    """Light aslant by tilt_deg in x moves the picture by shift_mm (x, y); what is left of it when that is undone."""
+    """Light tilted by tilt_deg in x moves the picture by shift_mm (x, y); scores are those without the shift."""
 
     tilt_deg: float
     shift_mm: tuple[float, float]
@@ -70,8 +70,8 @@ class BlurPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class IndexPoint:
-    """The block's index is higher by more_index: the picture on the wall where it stands, and moved by wall_mm, farther
-    away counting up. Where it is lower the same holds the other way round.
+    """The block's index is higher by more_index: the picture with the wall in place, and with it moved by wall_mm,
+    farther away counting up. For a lower index the same holds the other way round.
     """
 
     more_index: float
@@ -100,12 +100,12 @@ class Tolerances:
 
 
 def without_size(bench: Bench) -> Bench:
-    """Return the same light from the middle of its source alone."""
+    """Return the light from the middle of its source alone."""
     return replace(bench, light=replace(bench.light, middle_only=True))
 
 
 def sharp_light(heightfield: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
-    """Return what light without size makes in focus, in pixels half as wide as those of a picture of that shape."""
+    """Return the light without size in focus, in pixels half as wide as those of a picture of that shape."""
     ny, nx = shape
     return simulate_caustic(heightfield, without_size(bench), pixels=(_FINE * ny, _FINE * nx))
 
@@ -163,7 +163,7 @@ def source_rad(heightfield: Heightfield, bench: Bench) -> float:
 
 
 def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
-    """Return the diameter of the disc that a source of that angular diameter makes of a point on the wall: size x way.
+    """Return the diameter of a point's image on the wall from a source of that angular diameter: size x distance.
 
     Through a thin wedge light turns by as much as it turned before it: the flat face divides angles by n, the surface
     multiplies them by n. So the index drops out, near the axis. The way is that from the surface's mean height.
@@ -172,7 +172,7 @@ def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
 
 
 class _View:
-    """One lens, seen under changed conditions by the light of its bench."""
+    """One lens under changed conditions, in the light of its bench."""
 
     def __init__(
         self, lens: Heightfield, bench: Bench, target: Array, sharp: Array, report: Callable[[float], None]
@@ -204,7 +204,7 @@ class _View:
         return self._psnr_db(error), light
 
     def _spread(self, sharp: Array, diameter_mm: float) -> Array:
-        """Return what a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
+        """Return the picture `sharp` from a source with a size, in fine pixels: each point spread over a disc."""
         (ny, nx), screen = self._target.shape, self._bench.screen
         fine_x, fine_y = _FINE * nx / screen.width_mm, _FINE * ny / screen.height_mm
         return in_pixels(convolve_same(sharp, disc_kernel(diameter_mm * fine_x, diameter_mm * fine_y)))
@@ -251,8 +251,8 @@ class _View:
         return min(a * (allowed / low) ** (1 / max(power, 0.25)), widest)
 
     def compute_tilt_point(self, tilt_deg: float) -> TiltPoint:
-        """Simulate a tilt. The shift is the mean over rays, then what is best for the picture: light aslant distorts
-        it.
+        """Simulate a tilt. The shift is first the mean over rays, then the best one for the picture, because tilted
+        light distorts it.
         """
         light, screen, (ny, nx) = self._bench.light, self._bench.screen, self._target.shape
         tilt_x, tilt_y = light.tilt_rad
@@ -296,7 +296,7 @@ def _move_bench(bench: Bench, by_x: float, by_y: float) -> Bench:
 
 
 def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
-    """Return what a disc (an ellipse of those diameters in pixels) makes of a picture of even pixels: weights of sum 1.
+    """Return the weights of a disc (an ellipse of those diameters in pixels), of sum 1.
 
     Each point of the disc shifts the picture by a part of a pixel, and so shares it among four.
     """
@@ -312,7 +312,7 @@ def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
 
 
 def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
-    """Return (x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
+    """Return the shift (x, y) of the picture `seen` from the target [px]: Gauss-Newton, blurred less and less."""
     return _shift_to(_blur_pictures(target), seen)
 
 
@@ -342,7 +342,7 @@ def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> 
 
 
 def wall_for_index_mm(heightfield: Heightfield, bench: Bench, more_index: float) -> float:
-    """Return how much farther the wall must stand where the block's index is higher by so much (negative: nearer).
+    """Return how much farther the wall must stand if the block's index is higher by that much (negative: nearer).
 
     By rays through the lens: where it is brought, they arrive as nearly as they can where they were to, but for a shift
     of the whole.

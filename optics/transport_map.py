@@ -1,4 +1,5 @@
-"""The transport map: where on the lens the light of each point of the screen comes from; and a moved grid inverted.
+"""The transport map: the point on the lens from which each point of the screen gets its light; and the inverse of a
+moved grid.
 
 Which point of the grid lies on a given point of the plane? Each quad of the moved grid visits the few lens vertices
 inside its bounding box and solves the inverse bilinear equation for them. No search tree: the total work is the number

@@ -1,4 +1,4 @@
-"""Witness marks: ripples beside the lens that tell by raking light how far a finish by contact has come.
+"""Witness marks: ripples beside the lens that show in raking light how far a finish by contact has come.
 
 Theory of operation. A finish leaves H(k) = exp(-dose (k / k0)^order) of a ripple, its dose counted in shares of the
 planned one, k0 being that of the plan. Raking light shows a ripple a cos(kx) while its slope a k H is over
@@ -46,8 +46,8 @@ Obstacle = Literal["steps", "noise", "slope", "room"]
 
 
 class NoMarksError(ValueError):
-    """No witness marks can be made; obstacle says why: the mill's steps, its errors of rows, a finish that cannot wear
-    a visible ripple away, or too little room.
+    """No witness marks can be made; obstacle names the reason: the mill's steps, its errors of rows, a finish that
+    cannot wear a visible ripple away, or too little room.
     """
 
     def __init__(self, obstacle: Obstacle) -> None:
@@ -57,7 +57,7 @@ class NoMarksError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mill:
-    """What cuts the marks: the ball, the mill's steps in height (0: none), and its error from row to row."""
+    """The ball that cuts the marks, the mill's steps in height (0: none), and its error from row to row."""
 
     radius_mm: float
     step_mm: float
@@ -87,7 +87,7 @@ class Mark:
         return self.periods * self.period_mm
 
     def slope_rad(self, finish: Finish, dose: float) -> float:
-        """Return the slope that is left after that share of the planned dose."""
+        """Return the slope that remains after that share of the planned dose."""
         left = math.exp(-dose * (self.k_rad_per_mm / finish.k0_rad_per_mm) ** finish.order)
         return self.k_rad_per_mm * self.amplitude_mm * left
 
@@ -142,21 +142,6 @@ def choose_strip(finish: Finish, depth_mm: float, mill: Mill, *, room_mm: float)
         if strip.length_mm <= room_mm:
             return strip
     raise NoMarksError("room")
-
-
-def list_visible(marks: Sequence[Mark], finish: Finish, dose: float) -> tuple[bool, ...]:
-    """Return of each mark whether raking light still shows it after that share of the planned dose."""
-    return tuple(mark.slope_rad(finish, dose) > VISIBLE_SLOPE_RAD for mark in marks)
-
-
-def bracket_dose(marks: Sequence[Mark], visible: Sequence[bool]) -> tuple[float, float]:
-    """Return the shares of the planned dose between which the finish stands, by which marks are visible.
-
-    Where one that should be gone is visible and a later one is not, the visible one counts.
-    """
-    still = min((mark.share for mark, seen in zip(marks, visible, strict=True) if seen), default=math.inf)
-    gone = (mark.share for mark, seen in zip(marks, visible, strict=True) if not seen and mark.share < still)
-    return max(gone, default=0.0), still
 
 
 def envelope_mm(places_mm: Array, tips_mm: Array, radius_mm: float, u_mm: Array) -> Array:

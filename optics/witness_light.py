@@ -1,4 +1,4 @@
-"""Light of the witness marks: what it is at a dose, and the dose that a photograph of it shows.
+"""Light of the witness marks: predicts it for a dose, and finds the dose from a photograph of it.
 
 Theory of operation. The strip alone is lit, straight from behind, and its light falls on paper WALL_MM away, where a
 ripple a cos(kx) makes fringes of the same period, of strength m = lever k^2 a, the lever being the way to the paper
@@ -52,7 +52,7 @@ Refusal = Literal["no_light", "too_dark", "too_bright", "too_small"]
 
 
 class StripNotFoundError(ValueError):
-    """A photograph that shows no strip of marks that could be read; code says why."""
+    """A photograph without a readable strip of marks; code names the reason."""
 
     def __init__(self, code: Refusal) -> None:
         super().__init__(code)
@@ -182,8 +182,8 @@ def _fit(measured: Array, error: Array, blur_mm: float, strip: Strip, finish: Fi
 
 
 def _align_fringes(strip: Strip, light: Array) -> tuple[Array, Array]:
-    """Return the same as `_measure_fringes`, of the strip within what is lit: tape is laid by hand, not all of the
-    strip may be seen.
+    """Return the result of `_measure_fringes` for the strip within the lit part: tape is laid by hand, so part of the
+    strip may be hidden.
     """
     covered = [(before, after) for before in _COVERED_MM for after in _COVERED_MM]
     tried = (_measure_fringes(strip, light, before, after) for before, after in covered)
@@ -191,7 +191,7 @@ def _align_fringes(strip: Strip, light: Array) -> tuple[Array, Array]:
 
 
 def _measure_fringes(strip: Strip, light: Array, before_mm: float, after_mm: float) -> tuple[Array, Array]:
-    """Return the strength of each mark's fringes (n,), and what it may be off by: what is seen beside its frequency.
+    """Return the strength of each mark's fringes (n,), and its error: the signal beside its frequency.
 
     before_mm, after_mm : of the strip, not in the light, at either end
     """
@@ -216,7 +216,7 @@ def _window(away_mm: Array, width_mm: float) -> Array:
 
 
 def _find_corners(photo: Array) -> tuple[Array, float, float]:
-    """Return corners (4, 2) of what is lit, as places in pixels, its light and that of the dark around it."""
+    """Return corners (4, 2) of the lit part, as places in pixels, its light and that of the dark around it."""
     soft = gaussian_filter(photo, 1.5)
     dark, level = float(np.median(soft)), float(np.quantile(soft, 0.995))
     joined, count = label(binary_closing(np.pad(soft > dark + 0.4 * (level - dark), 12), iterations=6)[12:-12, 12:-12])

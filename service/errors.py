@@ -1,4 +1,4 @@
-"""What can go wrong in a job, as the person at the command line is told: one line each, and an exit code."""
+"""Errors of a job for the person at the command line: one line each, and an exit code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXIT_INTERRUPTED = 130
 
 
 class ServiceError(Exception):
-    """Base of the service's own errors: a line for each thing, which names it, its value and what is allowed."""
+    """Base of the service's own errors: each line names a thing, its value and what is allowed."""
 
     exit_code = EXIT_FAILURE
 
@@ -24,13 +24,13 @@ class ServiceError(Exception):
 
 
 class InputError(ServiceError):
-    """Something the person gave cannot be used."""
+    """A value that a person gave cannot be used."""
 
     exit_code = EXIT_INPUT
 
 
 class SpecError(InputError):
-    """A job spec that cannot be used; `problems` holds (key, sentence) pairs, `use` values that would do, by key."""
+    """An unusable job spec; `problems`: (key, sentence) pairs; `use`: values that would be allowed, by key."""
 
     def __init__(self, problems: list[tuple[str, Phrase]], use: Mapping[str, float] | None = None) -> None:
         super().__init__(*(Phrase("{key}: {sentence}", key=key, sentence=sentence) for key, sentence in problems))
@@ -38,7 +38,7 @@ class SpecError(InputError):
         self.use = dict(use or {})
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the problems as the API tells them."""
+        """Return the problems as the API sends them."""
         return [
             {"field": printable(f"spec.{key}"), "detail": printable(sentence)}
             | ({"use": self.use[key]} if key in self.use else {})
@@ -58,7 +58,7 @@ class FailedError(ServiceError):
 
 
 def printable(text: str) -> str:
-    """Return the text on one line, control characters shown as '?': names and values may come from anywhere."""
+    """Return the text on one line, control characters replaced by '?': names and values may come from anywhere."""
     if text.isprintable():
         return text
     if isinstance(text, Phrase):
@@ -67,7 +67,7 @@ def printable(text: str) -> str:
 
 
 def sentence_of_os_error(error: OSError, *, doing: str) -> Phrase:
-    """Return one line about a failed file operation, in words rather than errno names."""
+    """Describe a failed file operation in one line, without errno names."""
     where = f" {error.filename}" if error.filename else ""
     reasons = {
         errno.ENOSPC: Phrase("no space left on the disk"),

@@ -1,7 +1,7 @@
 """Settings of the job server, its workers and its machines: from the environment (CAUSTICMILL_...), all with defaults.
 
 Command-line options become environment variables of the processes that `serve` starts, so this is the one place where a
-default stands. A misspelt variable would be passed over in silence, and a limit with it: `unknown_settings` finds it.
+default is written. A misspelt variable, and its limit, would be ignored silently: `unknown_settings` finds it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.errors import InputError, printable
 
 PREFIX = "CAUSTICMILL_"
-# What others of ours read: clients, profiles, secrets, the command itself. TRIAL... belong to the trials of the server.
+# Read elsewhere: by clients, profiles, secrets, the command itself. TRIAL... belong to the trials of the server.
 _OTHERS = ("SERVER", "TOKEN", "CONFIG_DIR", "SECRETS", "BEGAN", "PUBLISHED_PORT")
 _TRIALS = ("TRIAL", "BENCH_", "FUZZ_", "SLOW", "REWRITE_")
 
@@ -30,14 +30,14 @@ class ServerSettings(BaseSettings):
     database_url      : postgresql://...; None: a SQLite file in `data`
     upgrade_to        : the version to which tables of PostgreSQL that hold jobs may be upgraded: a copy of them is kept
     store_url         : file:///folder, s3://bucket/prefix; None: the folder `objects` in `data`
-    store_is_shared   : the person's word that a file:// store is the same folder on every host of the farm
+    store_is_shared   : a person states that a file:// store is the same folder on every host of the farm
     anonymous         : what a caller on this computer without a token may do, as long as no token has ever been made
     allowed_hosts     : further names under which the server may be called (Host header)
-    behind_proxy      : a proxy with TLS and its own guard stands in front; needed to bind anything but loopback
-    lease_s           : a worker that was not heard of for so long is dead, and its jobs move
+    behind_proxy      : a proxy with TLS and its own authentication is in front; needed to bind anything but loopback
+    lease_s           : a worker without a heartbeat for so long is dead, and its jobs move
     slots             : jobs that one worker runs at the same time
     executor          : this worker's name in the farm; None: made from host and data folder
-    stage_memory_mb   : address space of a stage's process beyond what it starts with
+    stage_memory_mb   : address space of a stage's process in addition to its size at the start
     stage_time_s      : the longest a stage may take
     free_disk_mb      : below this much free space nothing new is accepted or started
     keep_days         : ended jobs older than this are deleted; None: kept
@@ -45,10 +45,10 @@ class ServerSettings(BaseSettings):
     requests_per_s    : of one caller, with bursts of ten times as many; POST of jobs: jobs_per_min
     agents_file       : TOML that lists the agents of mills on other computers
     start_agents      : `serve` starts an agent for every configured machine that has a port
-    prepare           : compile soon after the start what the first estimate and the first job would have to wait for
-    simulated_mill    : `serve` offers a simulated mill, too, to try everything on
-    notify_url        : web address to which it is POSTed, as JSON, what needs a person at a mill; None: nobody is told
-    notify_email      : mailbox that is told the same, through smtp_url: smtp://user:password@host:port, or smtps://
+    prepare           : compile kernels soon after the start, so that the first estimate and the first job need not wait
+    simulated_mill    : `serve` also offers a simulated mill, to try everything on
+    notify_url        : web address for JSON notices of what needs a person at a mill; None: no notices
+    notify_email      : mailbox for the same notices, through smtp_url: smtp://user:password@host:port, or smtps://
     cameras           : {"mill": "http://..."}: beside each mill one that sends a JPEG, or a stream of them
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
@@ -90,17 +90,17 @@ class ServerSettings(BaseSettings):
 
     @property
     def embedded(self) -> bool:
-        """Database and store are this folder's own: one computer, one worker."""
+        """Whether database and store belong to this folder alone: one computer, one worker."""
         return self.database_url is None
 
     @property
     def sqlite(self) -> Path:
-        """The database's file, where it is one."""
+        """The path of the database file that SQLite uses."""
         return self.data.absolute() / "causticmill.sqlite"
 
     @property
     def sqlalchemy_url(self) -> str:
-        """The database as SQLAlchemy and the engine take it (psycopg 3 for PostgreSQL)."""
+        """The URL of the database for SQLAlchemy and the engine (psycopg 3 for PostgreSQL)."""
         if self.database_url is None:
             return f"sqlite:///{self.sqlite}"
         return self.database_url.replace("postgres://", "postgresql://", 1).replace(
@@ -109,7 +109,7 @@ class ServerSettings(BaseSettings):
 
     @property
     def scratch(self) -> Path:
-        """Where stages work; on the store's file system where that is local, so that files need not be copied."""
+        """Working folder of stages; on the store's file system if that is local, so that files need not be copied."""
         return self.data / "scratch"
 
     @property
@@ -131,7 +131,7 @@ class ServerSettings(BaseSettings):
         return int(self.max_megapixels * 1e6)
 
     def environment(self) -> dict[str, str]:
-        """Return the environment of a child process that shall have the same settings as this one."""
+        """Return the environment of a child process with the same settings as this one."""
         own = {
             f"{PREFIX}{name.upper()}": _as_text(value)
             for name, value in self.model_dump(mode="json", exclude_none=True).items()
@@ -143,7 +143,7 @@ class ServerSettings(BaseSettings):
     def load(cls, **given: object) -> Self:
         """Load from the environment, `given` (those not None) on top. InputError names the variable at fault.
 
-        What should not be in the environment may be in files: $CAUSTICMILL_SECRETS/causticmill_<name>.
+        Values that should not be in the environment may be in files: $CAUSTICMILL_SECRETS/causticmill_<name>.
         """
         secrets = os.environ.get(f"{PREFIX}SECRETS") or None
         if secrets is not None and not Path(secrets).is_dir():
@@ -168,7 +168,7 @@ def _sentence(problem: dict[str, object]) -> str:
 
 
 def unknown_settings(environment: Mapping[str, str]) -> Iterator[str]:
-    """Yield a sentence for each variable that looks like one of ours and is none."""
+    """Yield a sentence for each variable that looks like a setting and is none."""
     settings = [name.upper() for name in ServerSettings.model_fields]
     for variable in sorted(environment):
         name = variable.upper().removeprefix(PREFIX)
@@ -176,4 +176,4 @@ def unknown_settings(environment: Mapping[str, str]) -> Iterator[str]:
             continue
         meant = difflib.get_close_matches(name, settings, n=1)
         hint = f"; {PREFIX}{meant[0]} is one" if meant else ""
-        yield f"{variable} is no setting{hint}"
+        yield f"{variable} is not a setting{hint}"

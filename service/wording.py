@@ -1,8 +1,8 @@
-"""Numbers, durations and scores as a person reads them, on paper, on the page and on a terminal."""
+"""Format numbers, durations and scores for a person, on paper, on the page and on a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor
 from typing import Any
 
@@ -13,7 +13,7 @@ MISSING = "\N{EN DASH}"
 
 
 def number(value: Any, digits: int = 3, unit: str = "") -> str:
-    """Round to `digits` decimals without trailing zeros; a dash where there is none."""
+    """Round to `digits` decimals without trailing zeros; return a dash for None."""
     if value is None or isinstance(value, str):
         return MISSING if value is None else value
     text = f"{value:.{digits}f}"
@@ -22,13 +22,19 @@ def number(value: Any, digits: int = 3, unit: str = "") -> str:
     return f"{text} {unit}".rstrip()
 
 
+def align(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of one length as lines of a terminal, each column as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
 def whole(value: Any) -> str:
     """Write 1234567 as 1 234 567, with spaces that do not break."""
     return MISSING if value is None else f"{round(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def duration(seconds: Any) -> str:
-    """Write 40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h: as the operator page says it."""
+    """Write 40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h, as on the operator page."""
     if seconds is None:
         return MISSING
     if (whole_s := _round_half_up(float(seconds))) < 60:
@@ -51,12 +57,12 @@ def _round_half_up(value: float) -> int:
 
 
 def ball(radius_mm: float) -> str:
-    """Return a ball's size: by its radius as in the spec, by its diameter as on its box."""
+    """Return a ball's size: its radius as in the spec, its diameter as on its box."""
     return f"R {radius_mm:g} (Ø {2 * radius_mm:g} mm)"
 
 
 def shape_of(row: Mapping[str, Any]) -> str:
-    """Return the shape of a pass's end mill: as the row says it, else by the radius of its corner."""
+    """Return the shape of a pass's end mill: from the row, or from the radius of its corner."""
     if (said := row.get("tool")) is not None:
         return str(said)
     return cutter_shape(row.get("radius_mm") or 1.0, row.get("corner_radius_mm")).name
@@ -88,7 +94,7 @@ RECOGNISABLE_DB = 21.0
 
 
 def psnr_in_words(psnr_db: float) -> Phrase:
-    """Return what a PSNR in dB over the target's peak means to an eye."""
+    """Describe a PSNR in dB over the target's peak as an eye sees it."""
     for at_least, words in (
         (60.0, Phrase("no eye can tell it from the target")),
         (40.0, Phrase("very close to the target")),
@@ -101,8 +107,8 @@ def psnr_in_words(psnr_db: float) -> Phrase:
     return Phrase("hard to recognise")
 
 
-def word_misplaced(share: float) -> Phrase:
-    """Return a share of the light that falls on the wrong place, as one part in so many."""
+def describe_misplaced(share: float) -> Phrase:
+    """Describe the share of light that falls on the wrong place as one part in so many."""
     if share < 1e-4:
         return Phrase("all light falls where it should")
     if share > 1 / 3:

@@ -80,6 +80,15 @@ def test_only_the_adapter_knows_the_job_engine() -> None:
     assert [path.name for path in modules("service") if "dbos" in roots(path)] == ["dbos.py"]
 
 
+def test_the_adapter_uses_of_the_job_engine_what_is_public() -> None:
+    path = ROOT / "service" / "server" / "queue" / "dbos.py"
+    private = [name for name in imported(path) if name.startswith("dbos.") and "._" in name]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
+            private += [] if getattr(node.value, "id", "") == "self" else [node.attr]
+    assert private == []
+
+
 FLOORS = (
     ("cli",),
     ("client", "server"),

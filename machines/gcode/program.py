@@ -122,7 +122,7 @@ class ProgramReader:
             return self.path.open("rb")
         except OSError as error:
             raise ProgramChangedError(
-                Phrase("{path}: cannot be read any more ({reason})", path=self.path, reason=error.strerror)
+                Phrase("{path}: can no longer be read ({reason})", path=self.path, reason=error.strerror)
             ) from None
 
     def _piece(self, file: BinaryIO, number: int) -> bytes:

@@ -201,7 +201,7 @@ class CommandChannel:
         view = self.link.view
         changes = view.take_settings(outcome.settings) if outcome.settings is not None else ()
         if changes:
-            words = Phrase("the position is not trusted any more: {settings}", settings=", ".join(changes))
+            words = Phrase("the position is no longer trusted: {settings}", settings=", ".join(changes))
             self.link.events.append(FrameChanged(words))
         view.vouch(outcome.vouched)
         self._on_end(failure, outcome.answer, now_s)

@@ -103,7 +103,7 @@ class StatusReporter:
         if state is MillState.CONNECTING:
             return link.greeting.words if link.phase is Phase.HAILING else Phrase("reading version and settings")
         if link.phase in (Phase.STOPPING, Phase.CLEARING):
-            return Phrase("stopping: buffers are cleared when the mill stands")
+            return Phrase("stopping: buffers are cleared when the mill stands still")
         if state is MillState.TOOL:
             return Phrase("the program waits for a person (M0, M1 or a tool change): resume when ready")
         if state is MillState.ALARM and view.locked_by:

@@ -291,9 +291,7 @@ def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standin
     )
     if standing:
         return Phrase("{words}; the mill reports Idle: a line or a reply was lost", words=words)
-    return Phrase(
-        "{words} (at most {allowed_s:.1f} s are explained by what is under way)", words=words, allowed_s=allowed_s
-    )
+    return Phrase("{words} (the moves under way explain at most {allowed_s:.1f} s)", words=words, allowed_s=allowed_s)
 
 
 def _as_read(text: bytes) -> bytes:

@@ -42,7 +42,7 @@ def check_file(run: Run, facts: Preflight) -> None:
         size = run.path.stat().st_size
     except OSError as error:
         raise ProgramChangedError(
-            Phrase("{path}: cannot be read any more ({reason})", path=run.path, reason=error.strerror)
+            Phrase("{path}: can no longer be read ({reason})", path=run.path, reason=error.strerror)
         ) from None
     if size != facts.bytes:
         raise ProgramChangedError(

@@ -8,7 +8,7 @@ from service.cli import jobs, make, mill, photographs, plan_options, serve, toke
 
 app = typer.Typer(
     name="causticmill",
-    help="From a picture to the programs that mill a clear block whose light paints it on a wall.",
+    help="Turn a picture into programs that mill a clear block; light through the block paints the picture on a wall.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

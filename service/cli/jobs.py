@@ -1,6 +1,6 @@
-"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in `service.cli.runs`.
+"""The commands `submit`, `get` and `jobs`: arguments and calls. `runs` is in `service.cli.runs`.
 
-Everything is imported inside the commands, so that --help answers at once.
+Everything is imported inside the commands, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from service.cli import runs
 from service.cli.options import JobArgument, QuietOption, ServerOption, TokenOption
 
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")]
-LimitOption = Annotated[int, typer.Option("--limit", min=1, help="How many at most.")]
-StateOption = Annotated[list[str] | None, typer.Option("--state", help="Only those in this state. Repeatable.")]
+LimitOption = Annotated[int, typer.Option("--limit", min=1, help="At most this many.")]
+StateOption = Annotated[list[str] | None, typer.Option("--state", help="Only jobs in this state. Repeatable.")]
 
 jobs_app = typer.Typer(
     help="The jobs of a server: list, show, follow, cancel, retry, delete.", invoke_without_command=True
@@ -45,15 +45,16 @@ def submit(
         typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light, as for `make`."),
     ] = None,
     priority: Annotated[str, typer.Option("--priority", help="low, normal or high.")] = "normal",
-    follow: Annotated[bool, typer.Option("--follow", "--wait", help="Stay until the job has ended.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", "--wait", help="Wait until the job has ended.")] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Follow, then download everything there.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Follow, then download all files into this folder."),
     ] = None,
     server: ServerOption = None,
     token_file: TokenOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Hand a picture to the job server. Prints the job's id."""
+    """Submit a picture to the job server. Prints the job's id."""
     from service.client.submit import Submission, spec_text, submit_job
 
     text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
@@ -74,19 +75,21 @@ def submit(
 def get(
     job: JobArgument,
     output: OutputOption,
-    only: Annotated[list[str] | None, typer.Option("--only", metavar="NAME", help="This file. Repeatable.")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Download only this file. Repeatable.")
+    ] = None,
     server: ServerOption = None,
     token_file: TokenOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Download the files of a job. Goes on where an earlier try was cut off; every file is checked by its hash."""
+    """Download the files of a job. Continues an interrupted download; every file is checked by its hash."""
     with _connect(server, token_file) as link:
         _download(link, job, output, tuple(only or ()), quiet)
 
 
 @jobs_app.callback()
 def take_server(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """The jobs of a server; without a further word: the latest."""
+    """List, show and change the jobs of a server. Without a subcommand: list the latest."""
     if context.invoked_subcommand is None:
         list_jobs(server=server, token_file=token_file)
 
@@ -95,7 +98,7 @@ def take_server(context: typer.Context, server: ServerOption = None, token_file:
 def list_jobs(
     state: StateOption = None, limit: LimitOption = 20, server: ServerOption = None, token_file: TokenOption = None
 ) -> None:
-    """The latest jobs."""
+    """List the latest jobs."""
     from service.client.jobs import job_table, list_jobs
 
     with _connect(server, token_file) as link:
@@ -104,7 +107,7 @@ def list_jobs(
 
 @jobs_app.command("show")
 def show_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """One job: state, stages, programs."""
+    """Show one job: state, stages, programs."""
     from service.client.jobs import job_lines
 
     with _connect(server, token_file) as link:
@@ -117,25 +120,25 @@ def follow_job(
 ) -> None:
     """Watch a job until it has ended; exit code 1 if it did not succeed."""
     with _connect(server, token_file) as link:
-        link.get(f"/v1/jobs/{job}")  # a server that is not there, or a job that is none, is said at once
+        link.get(f"/v1/jobs/{job}")  # report a missing server or job at once
         _follow(link, job, quiet=quiet)
 
 
 @jobs_app.command("cancel")
 def cancel_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """End a job."""
+    """Cancel a job."""
     _send_command(job, "cancel", server, token_file)
 
 
 @jobs_app.command("retry")
 def retry_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """Start a failed or cancelled job again; what it had finished is kept."""
+    """Start a failed or cancelled job again; finished stages are kept."""
     _send_command(job, "retry", server, token_file)
 
 
 @jobs_app.command("delete")
 def delete_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """Forget a job that has ended, and its files."""
+    """Delete a job that has ended, and its files."""
     with _connect(server, token_file) as link:
         link.delete(f"/v1/jobs/{job}")
     print(f"{job} deleted")

@@ -1,4 +1,4 @@
-"""The command `machines`: which mills are known, what each can do, and whether their files and ports are in order."""
+"""The command `machines`: list the known mills and what each can do; check their files and ports."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from machines.profile import (
     user_folders,
 )
 from service.errors import EXIT_FAILURE, InputError
+from service.wording import align
 
 _BUILT_IN = "built in"
 _NOT_SERIAL = ("roland-usb", "none")
 
 
 def run_machines(name: str | None = None, *, check: bool = False) -> int:
-    """Print all machines, or one in full, and problems to the error output; the exit code tells of them."""
+    """Print all machines, or one in full; print problems to stderr. Return 1 if there are problems, otherwise 0."""
     lines, problems = list_machines(check=check, name=name)
     for line in lines:
         print(line)
@@ -61,8 +62,7 @@ def _table(profiles: list[MachineProfile], sources: dict[str, str]) -> list[str]
         if source != _BUILT_IN and profile.name in profile_names(()):
             source += " (in place of the built-in)"
         rows.append((profile.name, profile.dialect, travel, _link(profile), source, profile.description))
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return align(rows)
 
 
 def _describe_profile(profile: MachineProfile, source: str) -> list[str]:
@@ -82,15 +82,14 @@ def _describe_profile(profile: MachineProfile, source: str) -> list[str]:
         "in a hold": profile.spindle.sentences[0],
         "link lost": profile.spindle.sentences[1],
         "safe height": f"{profile.safe_z_mm:g} mm above the stock",
-        "homing": "yes" if profile.homing else "no: after a lost position the work zero is set anew by hand",
+        "homing": "yes" if profile.homing else "no: after a lost position set the work zero again by hand",
         "link": _link(profile),
     }
     if link.driver not in _NOT_SERIAL:
         rows["link"] += f", {link.bytesize}{link.parity}{link.stopbits:g}, handshake {link.flow}"
-        rows["buffer"] = f"{link.rx_bytes} bytes" if link.rx_bytes else "asked from the controller"
+        rows["buffer"] = f"{link.rx_bytes} bytes" if link.rx_bytes else "read from the controller"
         rows["port"] = link.port or "given with --port"
-    width = max(map(len, rows))
-    return [f"{key.ljust(width)}  {value}".rstrip() for key, value in rows.items()]
+    return align(list(rows.items()))
 
 
 def _explain_own_machines() -> list[str]:
@@ -118,7 +117,7 @@ def _triple(values: tuple[float, float, float], unit: str) -> str:
 
 
 def _find_port_problems(profile: MachineProfile) -> list[str]:
-    """Return a sentence where the port of the profile is not there. Ports behind a URL are not tried."""
+    """Return a sentence if the port of the profile does not exist. Ports behind a URL are not tried."""
     port = profile.link.port
     if port is None or "://" in port or profile.link.driver in _NOT_SERIAL or Path(port).exists():
         return []
@@ -129,4 +128,4 @@ def _list_ports() -> str:
     from machines.port import port_names
 
     names = port_names()
-    return f"there are: {', '.join(names)}" if names else "no serial port is there now"
+    return f"there are: {', '.join(names)}" if names else "there is no serial port now"

@@ -1,7 +1,7 @@
-"""Entry point of the command `causticmill`: runs it, and translates whatever ends it.
+"""Entry point of the command `causticmill`: run it and translate every error and signal.
 
-Errors end in one line each on stderr and an exit code: 2 for what the person gave, 1 for a job that failed, 130 for
-Ctrl-C. Only what the standard library has is imported here, so that an interrupt of a slow start ends well, too.
+Each error gives one line on stderr and an exit code: 2 for wrong input, 1 for a failed job, 130 for Ctrl-C. This module
+imports only the standard library, so that an interrupt during a slow start is handled as well.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ _SOON_S = 0.01
 
 
 def main() -> None:
-    """Run what the installed command calls."""
+    """Run the installed command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a file may have a name that this terminal cannot show
-    gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
+    gc.set_threshold(100_000, 20, 20)  # imports make nearly all objects, and these stay: frequent collection is useless
     code = run(sys.argv[1:])
-    for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
+    for kind in (
+        *STOPPING_SIGNALS,
+        signal.SIGHUP,
+    ):  # the work is done; a signal now ends the process without a traceback
         if signal.getsignal(kind) is not signal.SIG_IGN:
             signal.signal(kind, signal.SIG_DFL)
-    if code == EXIT_INTERRUPTED:  # all is cleaned up, and the interpreter would wait for threads still computing
+    if code == EXIT_INTERRUPTED:  # clean-up is done, and the interpreter would wait for computing threads
         sys.stdout.flush()
         os._exit(code)
-    gc.freeze()  # or the interpreter looks at everything once more before it ends: a second after a lens
+    gc.freeze()  # otherwise the interpreter collects once more at its end: a second after a lens
     sys.exit(code)
 
 
@@ -52,12 +55,12 @@ def run(arguments: Sequence[str]) -> int:
             signals.over = True
         except KeyboardInterrupt:
             interrupted = True
-        signals.over = True  # from here on nothing is raised: the last words are not cut short
+        signals.over = True  # from here on nothing is raised, so that the last message is complete
         if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
             return _report_error(error)
         if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.received):
-            # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
-            return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)
+            # even if an import or a library changed the error; typer also catches Ctrl-C itself, silently
+            return _fail("interrupted; no half-written file is left", EXIT_INTERRUPTED)
         return code if error is None else _report_error(error)
 
 
@@ -117,7 +120,7 @@ def _raise_interrupts() -> Iterator[_Signals]:
             return
         signals.received.append(number)
         if len(signals.received) == 1:
-            sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
+            sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would report it
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
         if len(signals.received) > 1 and number != signal.SIGALRM:
             return
@@ -126,7 +129,7 @@ def _raise_interrupts() -> Iterator[_Signals]:
         else:
             raise KeyboardInterrupt
 
-    told = sys.unraisablehook
+    hook = sys.unraisablehook
     kinds = [kind for kind in (*STOPPING_SIGNALS, signal.SIGHUP) if signal.getsignal(kind) is not signal.SIG_IGN]
     try:
         before = {kind: signal.signal(kind, interrupt) for kind in kinds}
@@ -137,7 +140,7 @@ def _raise_interrupts() -> Iterator[_Signals]:
         yield signals
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        sys.unraisablehook = told
+        sys.unraisablehook = hook
         for kind, handler in before.items():
             signal.signal(kind, handler)
 

@@ -1,6 +1,6 @@
-"""The commands `make`, `design`, `cam`, `caustic` and `check`: their arguments, and what each one calls.
+"""The commands `make`, `design`, `cam`, `caustic` and `check`: arguments and calls.
 
-Everything heavy is imported inside the commands, so that --help answers at once.
+Everything heavy is imported inside the commands, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LightOption = Annotated[
     Path | None,
     typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light on the aperture, rim to rim."),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Allow a folder that holds other files.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -51,19 +51,19 @@ def make(
     force: ForceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Picture to lens, checked programs, previews and setup sheet.
+    """Make lens, checked programs, previews and setup sheet from a picture.
 
-    Without a preset, a spec or passes: planned for picture and mill, to be finished by hand.
+    Without a preset, a spec or passes, plan them for picture and mill, with a finish by hand.
     """
     from service.server.worker import warmup
 
     with warmup.compile_beside(JOBS):
         from service.job import pipeline
-        from service.job.spec.loading import resolve_job, wishes_where_untold
+        from service.job.spec.loading import default_layer, resolve_job
         from service.progress import report_progress
 
         said: dict[str, Any] = {"file": spec, "preset": preset, "overrides": set_ or ()}
-        resolved = resolve_job(**said, base=wishes_where_untold(**said), light_picture=light_picture)
+        resolved = resolve_job(**said, base=default_layer(**said), light_picture=light_picture)
         with report_progress(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _print_summary(output, report, quiet)
@@ -79,7 +79,7 @@ def design(
     force: ForceOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
+    """Make only the lens from a picture: heightfield, solid, simulated caustic. No programs."""
     from service.server.worker import warmup
 
     with warmup.compile_beside(LENSES):
@@ -100,7 +100,7 @@ def make_programs(
     set_: SetOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Lens to checked programs, in the folder of an earlier design or make."""
+    """Make checked programs for a lens, in the folder of an earlier design or make."""
     from service.job import pipeline
     from service.job.spec.loading import resolve_for_lens
     from service.progress import report_progress
@@ -133,14 +133,16 @@ def _print_summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
 
 def check(
-    programs: Annotated[list[Path], typer.Argument(metavar="PROGRAM...", help="Programs in the order they are run.")],
+    programs: Annotated[
+        list[Path], typer.Argument(metavar="PROGRAM...", help="The programs, in the order in which they run.")
+    ],
     heightfield: Annotated[Path, typer.Option("--heightfield", metavar="FILE", help="The lens: heightfield.npz.")],
     radius_mm: Annotated[
-        list[float] | None, typer.Option("--radius-mm", help="Ball radius of each program; one serves all.")
+        list[float] | None, typer.Option("--radius-mm", help="Ball radius of each program; one value is used for all.")
     ] = None,
     pitch_mm: Annotated[list[float] | None, typer.Option("--pitch-mm", help="Pitch of each program.")] = None,
     stock_to_leave_mm: Annotated[
-        list[float] | None, typer.Option("--stock-to-leave-mm", help="Stock each program leaves; default 0.")
+        list[float] | None, typer.Option("--stock-to-leave-mm", help="Stock that each program leaves; default 0.")
     ] = None,
     step_down_mm: Annotated[
         list[float] | None, typer.Option("--step-down-mm", help="Most stock one move may take off.")
@@ -150,9 +152,9 @@ def check(
     machine: Annotated[str | None, typer.Option("--machine", help="Machine profile.")] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Hold written programs against the rules of the mill and simulate what they remove; exit code 1 on a fault.
+    """Check programs against the rules of the mill and simulate what they remove; exit code 1 on a fault.
 
-    Beside a job's spec.json all settings come from there, and the job's earlier passes are run first.
+    A job's spec.json beside them gives all settings, and the job's earlier passes are simulated first.
     """
     from service.job.checking import CheckSettings, check_programs
     from service.progress import report_progress

@@ -1,6 +1,6 @@
-"""The commands `mill`, `stream`, `sim-mill` and `machines`: their arguments, and what each one calls.
+"""The commands `mill`, `stream`, `sim-mill` and `machines`: arguments and calls.
 
-Everything is imported inside the commands, so that --help answers at once.
+Everything is imported inside the commands, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ MachineOption = Annotated[str, typer.Option("--machine", metavar="NAME", help="M
 PortOption = Annotated[
     str | None,
     typer.Option(
-        "--port", metavar="URL", help="/dev/serial/by-id/..., socket://host:23, rfc2217://..; else the profile's."
+        "--port",
+        metavar="URL",
+        help="/dev/serial/by-id/..., socket://host:23, rfc2217://..; default: from the profile.",
     ),
 ]
 
@@ -38,16 +40,16 @@ def run_agent(
     machine: MachineOption,
     port: PortOption = None,
     host: Annotated[str, typer.Option("--host", help="Address to serve on.")] = "127.0.0.1",
-    bind_port: Annotated[int, typer.Option("--bind-port", help="TCP port to serve on; 0 takes a free one.")] = 8765,
-    data: Annotated[Path | None, typer.Option("--data", metavar="DIR", help="Folder of journal and programs.")] = None,
+    bind_port: Annotated[int, typer.Option("--bind-port", help="TCP port to serve on; 0: any free port.")] = 8765,
+    data: Annotated[Path | None, typer.Option("--data", metavar="DIR", help="Folder for journal and programs.")] = None,
     token_file: Annotated[
-        Path | None, typer.Option("--token-file", metavar="FILE", help="Token that callers must show.")
+        Path | None, typer.Option("--token-file", metavar="FILE", help="Token that callers must send.")
     ] = None,
     behind_proxy: Annotated[
-        bool, typer.Option("--behind-proxy", help="A proxy with TLS stands in front; needed for any other --host.")
+        bool, typer.Option("--behind-proxy", help="A proxy with TLS is in front; needed for any other --host.")
     ] = False,
 ) -> None:
-    """The agent of one mill: owns its port, keeps program and journal, and is told what to do over HTTP."""
+    """Run the agent of one mill: it owns the port, keeps program and journal, and takes orders over HTTP."""
     with _translate_errors():
         from service.milling.agent.main import run_agent
         from service.milling.agent.settings import make_agent_settings
@@ -72,17 +74,17 @@ def stream(
     port: PortOption = None,
     machine: MachineOption = _DEFAULT_MACHINE,
     yes: Annotated[
-        bool, typer.Option("--yes", help="You say: tool in, zero set, stock clamped, nobody in the way.")
+        bool, typer.Option("--yes", help="You confirm: tool in, zero set, stock clamped, nobody in the way.")
     ] = False,
-    recover: Annotated[bool, typer.Option("--recover", help="Go on with an interrupted run of this program.")] = False,
+    recover: Annotated[bool, typer.Option("--recover", help="Continue an interrupted run of this program.")] = False,
     confirm_position: Annotated[
-        bool, typer.Option("--confirm-position", help="With --recover: you say that the mill's position is right.")
+        bool, typer.Option("--confirm-position", help="With --recover: you confirm that the mill's position is right.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="The controller reads all and moves nothing ($C).")
+        bool, typer.Option("--dry-run", help="The controller reads everything and moves nothing ($C).")
     ] = False,
 ) -> None:
-    """Run a program on a mill, watched from this terminal. Ctrl-C holds the mill and asks."""
+    """Run a program on a mill and watch it from this terminal. Ctrl-C holds the mill and asks."""
     with _translate_errors():
         from service.milling.connect import machine_and_port
         from service.milling.terminal.stream import StreamOrder, stream_program
@@ -108,7 +110,9 @@ def run_simulated_mill(
     firmware: Annotated[str, typer.Option("--firmware", help="grbl11, grblhal, fluidnc or grbl11-echo.")] = "grbl11",
     time_factor: Annotated[float, typer.Option("--time-factor", help="Simulated seconds per second.")] = 1.0,
     link: Annotated[Path | None, typer.Option("--link", metavar="PATH", help="Link to the pseudo terminal.")] = None,
-    record: Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Write the path cut here.")] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE", help="Write the path that was cut to this file.")
+    ] = None,
     fault: Annotated[
         list[str] | None,
         typer.Option(
@@ -119,7 +123,7 @@ def run_simulated_mill(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the faults.")] = 0,
 ) -> None:
-    """A simulated mill that behaves, and misbehaves, like real firmware. Stops with Ctrl-C."""
+    """Run a simulated mill that behaves, and misbehaves, like real firmware. Stop it with Ctrl-C."""
     with _translate_errors():
         from service.cli.simulator import run_sim_mill
 
@@ -140,7 +144,7 @@ def run_simulated_mill(
 
 
 def list_machines(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One machine, in full.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this machine in full.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Check profiles; with NAME its port, too.")] = False,
 ) -> None:
     """List the machine profiles, show one, or check them."""
@@ -153,7 +157,7 @@ def list_machines(
 
 @contextlib.contextmanager
 def _translate_errors() -> Iterator[None]:
-    """Translate errors of the machine layer into errors of the service: what the person gave, or what failed."""
+    """Translate errors of the machine layer into errors of the service: wrong input, or a failure."""
     from machines.errors import JournalError, MachineError, PortLostError
     from machines.profile import UnknownProfileError
 

@@ -1,4 +1,4 @@
-"""Arguments that the client's commands share, checked before anything is sent."""
+"""Arguments shared by the client's commands; they are checked before a request is sent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ID = re.compile(r"[A-Za-z0-9-]{1,64}")
 
 def _id(text: str) -> str:
     if not _ID.fullmatch(text):
-        raise typer.BadParameter(f"'{text}' is no id; `causticmill jobs` and `causticmill runs` list them")
+        raise typer.BadParameter(f"'{text}' is not an id; `causticmill jobs` and `causticmill runs` list them")
     return text
 
 
@@ -21,10 +21,10 @@ JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="Id of the job."
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="Id of the run.", callback=_id)]
 ServerOption = Annotated[
     str | None,
-    typer.Option("--server", metavar="URL", help="The job server; else CAUSTICMILL_SERVER, else this computer's."),
+    typer.Option("--server", metavar="URL", help="The job server; default: CAUSTICMILL_SERVER, or this computer's."),
 ]
 TokenOption = Annotated[
     Path | None,
-    typer.Option("--token-file", metavar="FILE", help="File that holds the token; else CAUSTICMILL_TOKEN."),
+    typer.Option("--token-file", metavar="FILE", help="File that holds the token; default: CAUSTICMILL_TOKEN."),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]

@@ -1,7 +1,6 @@
-"""The commands that look at photographs, `coupon` of a test piece and `look` of the wall: their arguments, and what
-each one calls.
+"""The commands that measure photographs, `coupon` of a test piece and `look` of the wall: arguments and calls.
 
-Everything heavy is imported inside the commands, so that --help answers at once.
+Everything heavy is imported inside the commands, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ def draw_coupon(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the test piece.")],
     photo: Annotated[
         Path | None,
-        typer.Option("--photo", metavar="FILE", help="A photograph of its light: measures the finish."),
+        typer.Option("--photo", metavar="FILE", help="A photograph of its light, from which to measure the finish."),
     ] = None,
     machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Machine profile.")] = None,
     throw_mm: Annotated[
@@ -33,23 +32,25 @@ def draw_coupon(
     ] = None,
     finish: Annotated[
         str | None,
-        typer.Option("--finish", metavar="NAME", help="Finish that is foretold; default sanding."),
+        typer.Option("--finish", metavar="NAME", help="Finish to predict; default sanding."),
     ] = None,
     spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of the spec. Repeatable.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Allow a folder that holds other files.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """A test piece that measures your mill and your finish: its programs, or, with --photo, what a photograph says."""
+    """Make a test piece that measures your mill and your finish, or, with --photo, measure them from a photograph."""
     from service.errors import InputError
     from service.progress import report_progress
 
     if photo is not None:
         given = {"--machine": machine, "--throw-mm": throw_mm, "--finish": finish, "--spec": spec, "--set": set_}
         if wrong := [name for name, value in given.items() if value]:
-            raise InputError(f"{wrong[0]}: the test piece is made already; allowed with --photo: -o DIR, --quiet")
+            raise InputError(
+                f"{wrong[0]}: not allowed with --photo, for a test piece made earlier; allowed: -o DIR, --quiet"
+            )
         from service.job.coupon import findings, measuring, piece
 
         with report_progress(quiet) as reporter:
@@ -78,22 +79,24 @@ def look(
     photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="A photograph of the lens's light on the wall.")],
     job: Annotated[Path, typer.Option("--job", metavar="DIR", help="The folder of the job that made the lens.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where look.png and look.json go; by default here.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for look.png and look.json; default: this one.")
     ] = None,
     width_mm: Annotated[
         float | None,
-        typer.Option("--width-mm", help="How wide the lit rectangle is on the wall, if measured: a surer distance."),
+        typer.Option(
+            "--width-mm", help="Width of the lit rectangle on the wall, if measured: gives a more certain distance."
+        ),
     ] = None,
     marks: Annotated[
         bool,
         typer.Option("--marks", help="The photograph shows the light of the witness marks: how far the finish is."),
     ] = False,
     minutes: Annotated[
-        float | None, typer.Option("--minutes", min=0.01, help="With --marks: worked so far, for the pace.")
+        float | None, typer.Option("--minutes", min=0.01, help="With --marks: minutes worked so far, for the pace.")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """What the wall tells: compare a photograph with what was foretold, and say what is off and what to do."""
+    """Compare a photograph of the wall with the prediction, and say what is off and what to do."""
     if marks:
         _look_at_marks(photo, job, minutes)
         return
@@ -115,7 +118,7 @@ def look(
 
 
 def _look_at_marks(photo: Path, job: Path, minutes: float | None) -> None:
-    """Say how far the finish is: the answer is all that there is, so it is said with --quiet, too."""
+    """Print how far the finish is, even with --quiet: there is no other result."""
     from service.job.photo.witness import read_witness_photo
 
     for sentence in read_witness_photo(photo, job, worked_minutes=minutes).sentences():

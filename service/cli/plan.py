@@ -1,4 +1,4 @@
-"""What the command `plan` does: a plan for a picture or a folder, as a table, as JSON, as a picture and as a spec."""
+"""The command `plan`: plan a picture or a folder; print a table or JSON, write a picture and a spec."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_j
 from service.job.spec.model import JobSpec, refuse_several_aims
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.tools import load_tools
-from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
+from service.wording import RECOGNISABLE_DB, align, duration, psnr_in_words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class PlanRequest:
 
 
 def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
-    """Plan, write picture and spec where asked for, and say what was found."""
+    """Plan, write picture and spec if asked for, and print the result."""
     if request.output is not None and request.output.suffix.lower() != ".png":
         raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
     with translate_errors():
@@ -74,7 +74,7 @@ def _suggest_changes(job: ResolvedJob, picture: Path) -> Iterator[str]:
     from service.job.planning.estimate import suggest_changes
 
     found = sorted(suggest_changes(job, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
-    yield "what shows more:" if found else "no single change shows plainly more"
+    yield "what shows more:" if found else "no single change shows clearly more"
     for change, seen in found:
         values = " ".join(
             f"--set {key}={value:g}" if isinstance(value, float) else f"--set {key}={value}"
@@ -106,7 +106,7 @@ def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
 
 
 def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
-    """Resolve the job that is planned: what was given, its passes left open."""
+    """Resolve the job to plan from the given options, with its passes left open."""
     given = read_spec_file(request.spec) if request.spec is not None else {}
     given.pop("passes", None)
     goal = {key: value for key, value in request.goal.items() if value is not None}
@@ -128,9 +128,7 @@ def table(planned: Planned) -> Iterator[str]:
     rows = [head, *(_row(planned, one) for one in planned.plan.front)]
     if all(one.rest is None for one in planned.plan.front):
         rows = [(*row[:-2], row[-1]) for row in rows]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    yield from align(rows)
     for name, why in planned.plan.left_out:
         yield f"without {name}: {why}"
 
@@ -156,7 +154,7 @@ def _balls(passes: Sequence[PassSpec]) -> str:
 
 
 def spec_fragment(planned: Planned, spec: JobSpec) -> str:
-    """Return TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
+    """Return TOML for `make --spec`: the given values of the lens and the chosen passes."""
     usual = JobSpec(passes=(), preset="recommended").model_dump(mode="json", exclude_none=True)
     data = spec.plain()
     lines = [

@@ -1,6 +1,6 @@
-"""The commands `plan` and `tools`: their arguments, and what each one calls.
+"""The commands `plan` and `tools`: arguments and calls.
 
-Everything is imported inside the commands, so that --help answers at once.
+Everything is imported inside the commands, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -23,21 +23,28 @@ def register(app: typer.Typer) -> None:
 def plan(
     source: SourceArgument,
     machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Machine profile.")] = None,
-    hours: Annotated[float | None, typer.Option("--hours", help="Best picture within this machine time.")] = None,
-    blur_mm: Annotated[float | None, typer.Option("--blur-mm", help="Least time for no more blur than this.")] = None,
-    psnr: Annotated[float | None, typer.Option("--psnr", help="Least time that reaches this PSNR, dB.")] = None,
+    hours: Annotated[
+        float | None, typer.Option("--hours", help="Find the best picture within this machine time.")
+    ] = None,
+    blur_mm: Annotated[
+        float | None, typer.Option("--blur-mm", help="Find the quickest plan that blurs no more than this.")
+    ] = None,
+    psnr: Annotated[
+        float | None, typer.Option("--psnr", help="Find the quickest plan that reaches this PSNR, dB.")
+    ] = None,
     tools: ToolsOption = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Picture of the trade; beside it a spec.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Write a picture of the plans, and a spec beside it."),
     ] = None,
     spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of the spec. Repeatable.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
 ) -> None:
-    """Which balls, pitches and passes give which picture in how many hours, and which of them to take."""
+    """Plan balls, pitches and passes: which picture each gives in how many hours, and which to choose."""
     from service.cli.plan import PlanRequest, run_plan
 
     request = PlanRequest(

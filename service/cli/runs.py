@@ -1,4 +1,4 @@
-"""The command `runs`: programs on the mills of a server. Nothing here moves a mill without a person's word."""
+"""The command `runs`: programs on the mills of a server. No command moves a mill without a person's confirmation."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from service.cli.options import JobArgument, RunArgument, ServerOption, TokenOpt
 
 ConfirmOption = Annotated[
     list[str] | None,
-    typer.Option("--confirm", metavar="WORDS", help="What you have checked, e.g. tool,zero,stock,clear; else asked."),
+    typer.Option("--confirm", metavar="WORDS", help="What you have checked, e.g. tool,zero,stock,clear; default: ask."),
 ]
 OperatorOption = Annotated[str | None, typer.Option("--operator", metavar="NAME", help="Who confirms; default: you.")]
-FollowOption = Annotated[bool, typer.Option("--follow", help="Stay until the run has ended.")]
+FollowOption = Annotated[bool, typer.Option("--follow", help="Wait until the run has ended.")]
 
 runs_app = typer.Typer(
     help="Programs on the mills of a server: park, start, hold, resume, abort, recover, follow.",
@@ -29,18 +29,20 @@ def register(app: typer.Typer) -> None:
 
 @runs_app.callback()
 def take_server(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """The runs of a server; without a further word: the latest."""
+    """List, show and control the runs of a server. Without a subcommand: list the latest."""
     if context.invoked_subcommand is None:
         list_runs(server=server, token_file=token_file)
 
 
 @runs_app.command("list")
 def list_runs(
-    machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Of this mill only.")] = None,
+    machine: Annotated[
+        str | None, typer.Option("--machine", metavar="NAME", help="Only the runs of this mill.")
+    ] = None,
     server: ServerOption = None,
     token_file: TokenOption = None,
 ) -> None:
-    """The latest runs."""
+    """List the latest runs."""
     from service.client.runs import run_table
 
     with _connect(server, token_file) as link:
@@ -49,7 +51,7 @@ def list_runs(
 
 @runs_app.command("show")
 def show_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """One run: state, tool, stock, zero."""
+    """Show one run: state, tool, stock, zero."""
     from service.client.runs import run_lines
 
     with _connect(server, token_file) as link:
@@ -86,7 +88,7 @@ def start_run(
     server: ServerOption = None,
     token_file: TokenOption = None,
 ) -> None:
-    """Start a parked run, after its setup was shown and confirmed."""
+    """Start a parked run, after you have seen and confirmed its setup."""
     _send_confirmed(run, "start", confirm, operator, follow, server, token_file)
 
 
@@ -99,13 +101,13 @@ def recover_run(
     server: ServerOption = None,
     token_file: TokenOption = None,
 ) -> None:
-    """Go on with an interrupted or aborted run, after the way back was shown and confirmed."""
+    """Recover an interrupted or aborted run, after you have seen and confirmed the way back."""
     _send_confirmed(run, "recover", confirm, operator, follow, server, token_file)
 
 
 @runs_app.command("hold")
 def hold_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """Let the mill stand still. Not an emergency stop."""
+    """Hold the mill: it stands still. Not an emergency stop."""
     _stop(run, "hold", server, token_file)
 
 
@@ -121,7 +123,7 @@ def resume_run(run: RunArgument, server: ServerOption = None, token_file: TokenO
 
 @runs_app.command("abort")
 def abort_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
-    """End a run."""
+    """Abort a run."""
     _stop(run, "abort", server, token_file)
 
 
@@ -164,7 +166,7 @@ def _send_confirmed(
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    """Print the way back; what stands in its way ends the command."""
+    """Print the way back; raise FailedError if it is refused."""
     from service.client.server import clean
     from service.errors import InputError
 
@@ -175,8 +177,8 @@ def _print_plan(plan: dict[str, Any]) -> None:
 
 
 def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
-    """Send a stop as `_send_command`, or to the mill's agent on this computer where its server does not answer; where
-    it may not have arrived, the person is sent to the mill's own stop.
+    """Send a stop to the server, or, if it does not answer, to the mill's agent on this computer. If the stop may not
+    have arrived, the error says to use the mill's own stop.
     """
     from service.client.local_agents import stop_at_agents
     from service.client.server import GoneError, RefusedError
@@ -188,7 +190,7 @@ def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> N
         if isinstance(error, RefusedError) and error.status < 500:
             raise
         if (machine := stop_at_agents(run, verb)) is not None:
-            print(f"{verb}: taken by the agent of {machine}; {error}")
+            print(f"{verb}: accepted by the agent of {machine}; {error}")
             return
         doubt = f"the {verb} may not have arrived: use the mill's own stop"
         raise FailedError(*str(error).split("\n"), doubt) from None

@@ -1,4 +1,4 @@
-"""The commands `serve`, `worker` and `service ...`: their arguments, and what each one calls.
+"""The commands `serve`, `worker` and `service ...`: arguments and calls.
 
 `serve` and `worker` check their settings and then *become* the process that does the work (exec), so that nothing of
 the command line stays in memory for the months that a server runs.
@@ -22,9 +22,11 @@ DataOption = Annotated[
 ]
 HostOption = Annotated[str | None, typer.Option("--host", help="Address to serve on; default 127.0.0.1.")]
 ServerPortOption = Annotated[
-    int | None, typer.Option("--port", min=0, max=65535, help="TCP port; default 8000, 0 takes a free one.")
+    int | None, typer.Option("--port", min=0, max=65535, help="TCP port; default 8000; 0: any free port.")
 ]
-SlotsOption = Annotated[int | None, typer.Option("--slots", min=1, max=64, help="Jobs run at the same time.")]
+SlotsOption = Annotated[
+    int | None, typer.Option("--slots", min=1, max=64, help="Number of jobs that run at the same time.")
+]
 DatabaseOption = Annotated[
     str | None, typer.Option("--database-url", metavar="URL", help="postgresql://...; default: a SQLite file in DIR.")
 ]
@@ -35,7 +37,7 @@ StoreOption = Annotated[
 SharedOption = Annotated[
     bool, typer.Option("--store-is-shared", help="The file:// store is the same folder on every host.")
 ]
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="The log on a terminal, too.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Write the log on a terminal as well.")]
 
 service_commands = typer.Typer(
     name="service", help="The job server as a service of this computer: unit files, backup.", no_args_is_help=True
@@ -59,15 +61,15 @@ def serve(
     store_url: StoreOption = None,
     store_is_shared: SharedOption = False,
     behind_proxy: Annotated[
-        bool, typer.Option("--behind-proxy", help="A proxy with TLS and a guard of its own stands in front.")
+        bool, typer.Option("--behind-proxy", help="A proxy with TLS and its own authentication is in front.")
     ] = False,
     no_agents: Annotated[bool, typer.Option("--no-agents", help="Start no agents of mills.")] = False,
     with_simulated_mill: Annotated[
-        bool, typer.Option("--with-simulated-mill", help="Offer a simulated mill, too, to try everything on.")
+        bool, typer.Option("--with-simulated-mill", help="Also offer a simulated mill, to try everything on.")
     ] = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """The job server: API, worker and page. Stops with Ctrl-C; every setting is an environment variable, too."""
+    """Run the job server: API, worker and page. Stop it with Ctrl-C. Every setting is also an environment variable."""
     began = time.time()
     settings = _settings(
         data=data,
@@ -97,7 +99,7 @@ def run_worker(
     executor: Annotated[str | None, typer.Option("--executor", help="This worker's name in the farm.")] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """A worker of a farm: runs jobs of the database that CAUSTICMILL_DATABASE_URL or --database-url names."""
+    """Run a worker of a farm, on the jobs of the database that CAUSTICMILL_DATABASE_URL or --database-url names."""
     settings = _settings(
         data=data,
         slots=slots,
@@ -115,7 +117,7 @@ def install(
     data: DataOption = None,
     system: Annotated[bool, typer.Option("--system", help="For the whole computer (as root), not for you.")] = False,
     user: Annotated[bool, typer.Option("--user", help="For you (the default).")] = False,
-    account: Annotated[str, typer.Option("--account", help="With --system: who runs it.")] = "causticmill",
+    account: Annotated[str, typer.Option("--account", help="With --system: the account that runs it.")] = "causticmill",
     machine: Annotated[
         str | None, typer.Option("--machine", metavar="NAME", help="The agent of this mill instead of the server.")
     ] = None,
@@ -130,7 +132,7 @@ def install(
     if system and user:
         raise InputError("--system and --user exclude each other; allowed: one of them")
     if mill_port is not None and machine is None:
-        raise InputError("--mill-port: is the port of a mill; allowed: with --machine NAME")
+        raise InputError("--mill-port: allowed only with --machine NAME")
     order = UnitOrder(
         data=_settings(data=data).data.absolute(), system=system, account=account, machine=machine, mill_port=mill_port
     )
@@ -143,10 +145,10 @@ def install(
 
 @service_commands.command("backup")
 def back_up(
-    target: Annotated[Path, typer.Argument(metavar="FILE.tar", help="The backup; - is standard output.")],
+    target: Annotated[Path, typer.Argument(metavar="FILE.tar", help="File for the backup; -: standard output.")],
     data: DataOption = None,
 ) -> None:
-    """Everything in the data folder as one tar file, consistent while the server runs."""
+    """Write the whole data folder into one tar file, consistent while the server runs."""
     from service.server.maintenance.backup import back_up
 
     for line in back_up(_settings(data=data), target):
@@ -158,10 +160,10 @@ def restore(
     source: Annotated[Path, typer.Argument(metavar="FILE.tar", help="A backup.")],
     data: DataOption = None,
     keep_tokens: Annotated[
-        bool, typer.Option("--keep-tokens", help="Tokens stay live, those revoked since the backup among them.")
+        bool, typer.Option("--keep-tokens", help="Keep all tokens valid, even those revoked since the backup.")
     ] = False,
 ) -> None:
-    """A backup into an empty data folder; every hash is checked, every token revoked. `serve` goes on with its jobs."""
+    """Restore a backup into an empty data folder: check every hash, revoke every token. `serve` continues its jobs."""
     from service.server.maintenance.restore import restore_backup
 
     for line in restore_backup(source, _settings(data=data), keep_tokens=keep_tokens):
@@ -170,7 +172,7 @@ def restore(
 
 @service_commands.command()
 def verify(data: DataOption = None) -> None:
-    """Read every object of the artifact store and compare it with its hash; exit code 1 where one differs."""
+    """Read every object of the artifact store and compare it with its hash; exit code 1 if one differs."""
     from service.server.maintenance.backup import verify_store
 
     for line in verify_store(_settings(data=data)):
@@ -186,7 +188,7 @@ def _settings(**given: object) -> ServerSettings:
 
 
 def _log_level(verbose: bool) -> str | None:
-    """Return the level for a terminal: only what a person should know, unless they say otherwise."""
+    """Return the log level; on a terminal only warnings for a person, unless they ask for more."""
     if verbose:
         return "info"
     return "warning" if sys.stderr.isatty() and "CAUSTICMILL_LOG_LEVEL" not in os.environ else None

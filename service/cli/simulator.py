@@ -1,4 +1,4 @@
-"""`causticmill sim-mill`: the simulated mill behind a pty or a TCP port, until interrupted."""
+"""`causticmill sim-mill`: run the simulated mill behind a pty or a TCP port until interrupted."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def run_sim_mill(
     faults : "kind@line=N[:seconds]", "kind@byte=N", "kind@t=S", "kind" alone (somewhere, by seed) or "random:COUNT"
     """
     if firmware not in PRESETS:
-        raise ValueError(f"firmware = '{firmware}' is not known: {', '.join(PRESETS)}")
+        raise ValueError(f"firmware = '{firmware}' is unknown: {', '.join(PRESETS)}")
     if link is not None and not link.parent.is_dir():
         raise ValueError(f"--link {link}: there is no folder {link.parent}")
     if link is not None and link.exists() and not link.is_symlink():
-        raise ValueError(f"--link {link} is a file that is no link; allowed: a new name, or a link to be replaced")
+        raise ValueError(f"--link {link} is a file and not a link; allowed: a new name, or a link to replace")
     traits = PRESETS[firmware]
     plan = _faults(faults, seed)
     with _Recorder(record) as recording:
@@ -96,7 +96,7 @@ def _endpoint(mill: SimulatedMill, listen: str, time_factor: float, link: Path |
 
 
 class _Recorder(Recording):
-    """Streams segments to a CSV file; keeps none in memory."""
+    """Writes segments to a CSV file at once; keeps none in memory."""
 
     def __init__(self, path: Path | None) -> None:
         super().__init__(self._write if path is not None else None, keep=False)

@@ -1,4 +1,4 @@
-"""The lines printed when a command has ended: key numbers, times, warnings, and where the files are."""
+"""The lines printed at the end of a command: key numbers, times, warnings, and the folder of the files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what will be seen: as milled, and as finished where the job has a finish."""
+    """Yield what the wall will show: as milled, and as finished if the job has a finish."""
     for key, words in (("as_milled", "as milled"), ("as_finished", "as finished")):
         if (seen := report.get(key) or {}).get("psnr_db") is not None:
             detail_mm = seen.get("smallest_detail_mm")
@@ -44,9 +44,7 @@ def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what light the scores hold under, what was done for the picture beside the design itself, and what the
-    set-up must keep to.
-    """
+    """Yield the light of the scores, the picture's preparation, and the tolerances of the set-up."""
     done = []
     if light := optics.get("light"):
         done.append(f"all figures hold under {light['words']}")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _UNITS = {"m": 60.0, "h": 3600.0, "d": 86400.0}
 
-tokens_app = typer.Typer(help="Tokens of the job server: who may do what.", no_args_is_help=True)
+tokens_app = typer.Typer(help="Tokens of the job server: permissions of its callers.", no_args_is_help=True)
 DataOption = Annotated[
     Path | None, typer.Option("--data", metavar="DIR", help="Data folder of the server; default causticmill-data.")
 ]
@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
 @tokens_app.command()
 def create(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Whom or what it is for.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of its user or purpose.")],
     scope: Annotated[
         list[str],
         typer.Option("--scope", metavar="SCOPE", help="jobs:read, jobs:write, machine:run, admin. Repeatable."),
@@ -42,7 +42,7 @@ def create(
     data: DataOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the token and nothing else.")] = False,
 ) -> None:
-    """Make a token and show it, this once."""
+    """Create a token and show it, once."""
     life_s = None if expires is None else _seconds(expires)
     words = [word for one in scope for word in one.replace(",", " ").split()]
     with _token_book(data) as book:
@@ -56,10 +56,10 @@ def create(
 
 @tokens_app.command()
 def pair(data: DataOption = None) -> None:
-    """Print a new code with which a page in a browser may run mills from this server, for a day. On terminals only."""
+    """Print a new code for the page to run mills, valid for a day. Only on terminals."""
     if not sys.stdout.isatty():
         raise InputError(
-            "a code opens a mill: it is printed on terminals only, not into files and pipes (ssh: with -t)"
+            "a code gives access to a mill, so it is printed only on a terminal, not into files and pipes (ssh: use -t)"
         )
     from service.server.database.pairing import PairingBook
     from service.server.pairing_code import code_of, new_offer
@@ -72,30 +72,30 @@ def pair(data: DataOption = None) -> None:
 
 @tokens_app.command("list")
 def list_(data: DataOption = None) -> None:
-    """List the tokens that were made, and what became of them. The tokens themselves are not known."""
+    """List all tokens and their state. The tokens themselves are not stored."""
     with _token_book(data) as book:
         found = book.list_rows()
     if all(token.paired for token in found):
-        print("no token was ever made; on this computer, jobs need none")
+        print("no token was ever created; on this computer, jobs need none")
     for token in found:
         print(
             f"{token.id}  {token.name}  {','.join(sorted(token.scopes))}  made {_date(token.created_at)}, "
-            f"{_until(token)}, {_word_last_use(token)}{', by a page' if token.paired else ''}"
+            f"{_until(token)}, {_format_last_use(token)}{', by a page' if token.paired else ''}"
         )
 
 
 @tokens_app.command()
 def revoke(
-    token_id: Annotated[str, typer.Argument(metavar="[ID]", help="As `token list` shows it.")] = "",
-    every: Annotated[bool, typer.Option("--all", help="Every token, and every code of `token pair`.")] = False,
+    token_id: Annotated[str, typer.Argument(metavar="[ID]", help="Id, as `token list` shows it.")] = "",
+    every: Annotated[bool, typer.Option("--all", help="Revoke every token and every code of `token pair`.")] = False,
     data: DataOption = None,
 ) -> None:
-    """Let a token open nothing any more, at once."""
+    """Revoke a token at once."""
     if every == bool(token_id):
         raise InputError("ID or --all: allowed: one of them")
     with _token_book(data) as book:
         if every:
-            print(f"every token is revoked; {book.revoke_all()} of them opened something until now")
+            print(f"every token is revoked; {book.revoke_all()} of them were valid until now")
             return
         try:
             token = book.revoke(token_id)
@@ -142,5 +142,5 @@ def _until(token: Token) -> str:
     return f"expire{'s' if token.live(time.time()) else 'd'} {_date(token.expires_at)}"
 
 
-def _word_last_use(token: Token) -> str:
+def _format_last_use(token: Token) -> str:
     return "never used" if token.last_used_at is None else f"last used {_date(token.last_used_at)}"

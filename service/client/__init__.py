@@ -1,1 +1,1 @@
-"""The commands `submit`, `jobs`, `get` and `runs`: they know the job server's REST interface and nothing else of it."""
+"""The commands `submit`, `jobs`, `get` and `runs`: they use only the job server's REST interface."""

@@ -1,7 +1,7 @@
-"""Files of a job into a folder: resumed where an earlier try ended, and believed only when the hash is right.
+"""Download files of a job into a folder: resume an interrupted download, accept a file only if its hash is right.
 
-A file under way is `NAME.<first digits of its hash>.part`, so that a try never goes on with another file's bytes; it is
-renamed when its SHA-256 is the one that the server's list names.
+An unfinished file is `NAME.<first digits of its hash>.part`, so that a download never continues with another file's
+bytes; it is renamed when its SHA-256 is the one in the server's list.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ class RemoteFile:
         except (KeyError, TypeError, ValueError):
             raise FailedError("the server's list of files cannot be read; use the same version on both sides") from None
         if not _NAME.fullmatch(file.name) or not _HASH.fullmatch(file.sha256) or file.bytes < 0:
-            raise FailedError(f"the server offers a file that cannot be one: '{clean(file.name)}'")
+            raise FailedError(f"the server offers a file with an unusable name: '{clean(file.name)}'")
         return file
 
 
 def files_of(server: ServerClient, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
-    """Return what the job offers but for what only the operator page draws; or those that were asked for by name."""
+    """Return the files with the given names; without names, all files except the data that only the page draws."""
     listing = server.get(f"/v1/jobs/{job_id}/artifacts")
     files = [RemoteFile.of(item) for item in listing["artifacts"]]
     known = {file.name for file in files}
@@ -75,7 +75,7 @@ def download(server: ServerClient, file: RemoteFile, folder: Path, on_bytes: OnB
             on_bytes(file.bytes)
             return False
         part = folder / f"{file.name}.{file.sha256[:12]}.part"
-        for _ in range(2):  # a part that is not what it should be is thrown away once
+        for _ in range(2):  # a part with a wrong hash is discarded once
             _fetch(server, file, part, on_bytes)
             if _hash_of(part).hexdigest() == file.sha256:
                 part.replace(target)
@@ -83,11 +83,13 @@ def download(server: ServerClient, file: RemoteFile, folder: Path, on_bytes: OnB
             part.unlink()
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot write")) from None
-    raise FailedError(f"{file.name}: what came is not what the server's list names (SHA-256); nothing was kept")
+    raise FailedError(
+        f"{file.name}: the downloaded file has another SHA-256 than the server's list says; it was discarded"
+    )
 
 
 def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
-    """Fetch all bytes into `part`, going on after lost connections as long as something comes."""
+    """Fetch all bytes into `part`; reconnect after a lost connection as long as bytes arrive."""
     heard_s, size = time.monotonic(), -1
     while True:
         try:
@@ -103,7 +105,7 @@ def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
 
 
 def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
-    """Send one request, from where the part ends."""
+    """Send one request for the bytes after the end of the part."""
     have = part.stat().st_size if part.exists() else 0
     if have > file.bytes:
         part.unlink()
@@ -116,23 +118,21 @@ def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
         headers |= {"Range": f"bytes={have}-", "If-Range": f'"{file.sha256}"'}
     with contextlib.ExitStack() as stack:
         answer = stack.enter_context(server.stream_answer(file.url, headers=headers, read_s=_READ_S))
-        if answer.is_redirect:  # to the object itself, at the artifact store; its ETag is its own affair
+        if answer.is_redirect:  # redirected to the artifact store, whose ETag is its own
             headers.pop("If-Range", None)
             answer = stack.enter_context(
                 server.stream_answer(answer.headers["Location"], headers=headers, read_s=_READ_S)
             )
         if answer.status_code == 416:
             part.unlink(missing_ok=True)
-            raise GoneError("the server did not go on where this file ends", begun=True)
+            raise GoneError("the server did not continue at the end of the partial file", begun=True)
         server.raise_for_status(answer)
         _append(answer, part, file, on_bytes, whole=answer.status_code != 206)
 
 
 def _append(answer: httpx.Response, part: Path, file: RemoteFile, on_bytes: OnBytes, *, whole: bool) -> None:
     with part.open("wb" if whole else "ab") as out:
-        for (
-            piece
-        ) in answer.iter_raw():  # as they come: what was gathered for a larger piece would be lost with the wire
+        for piece in answer.iter_raw():  # write bytes as they arrive: a lost connection would lose a larger buffer
             out.write(piece)
             if out.tell() > file.bytes:
                 raise FailedError(f"{file.name}: the server sends more than the {file.bytes:,} bytes it names")
@@ -140,7 +140,7 @@ def _append(answer: httpx.Response, part: Path, file: RemoteFile, on_bytes: OnBy
         out.flush()
         os.fsync(out.fileno())
         if out.tell() < file.bytes:
-            raise GoneError("the connection ended before the file did", begun=True)
+            raise GoneError("the connection ended before the file was complete", begun=True)
 
 
 def _hash_of(path: Path) -> Any:
@@ -149,7 +149,7 @@ def _hash_of(path: Path) -> Any:
 
 
 def require_folder(folder: Path) -> None:
-    """Make the folder where there is none."""
+    """Make the folder if it does not exist."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -164,12 +164,12 @@ class _Bars(Protocol):
 def get_files(
     server: ServerClient, job_id: str, folder: Path, *, only: Sequence[str] = (), quiet: bool = False
 ) -> None:
-    """Download the files into `folder`. FailedError where the job has none yet."""
+    """Download the files into `folder`. FailedError if the job has none yet."""
     files = files_of(server, job_id, only)
     if not files:
         raise FailedError(f"job {job_id} has no files yet; `causticmill jobs follow {job_id}` waits for them")
     require_folder(folder)
-    again = f"what is whole is in {folder}; run the command again to go on"
+    again = f"complete files are in {folder}; run the command again to go on"
     with explain_interrupt(again), _bars(quiet) as bars:
         for file in files:
             came = download(server, file, folder, bars.begin(file))
@@ -192,7 +192,7 @@ def _bars(quiet: bool) -> Iterator[_Bars]:
 
 
 class _PlainBars:
-    """A line when a file is there."""
+    """Print a line for each finished file."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet

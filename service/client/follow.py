@@ -1,5 +1,5 @@
-"""Follow a job to its end, through lost connections and restarts of the server. Its events are server-sent and outlast
-a lost connection: the reader comes back with Last-Event-ID and misses nothing.
+"""Follow a job to its end, through lost connections and restarts of the server. Events are server-sent;
+after a lost connection the reader reconnects with Last-Event-ID and misses nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PASSING = {429, 502, 503, 504}
 
 @dataclass(frozen=True, slots=True)
 class ServerEvent:
-    """One message; `id` is empty where it cannot be resumed from."""
+    """One message; `id` is empty if it cannot be resumed from."""
 
     kind: str
     data: dict[str, Any]
@@ -33,7 +33,7 @@ class ServerEvent:
 
 
 def parse_events(lines: Iterable[str]) -> Iterator[ServerEvent]:
-    """Yield the messages in the lines of an event stream; one whose data is no JSON object is passed over."""
+    """Yield the messages in the lines of an event stream; skip a message whose data is not a JSON object."""
     fields: dict[str, str] = {}
     for line in lines:
         if line.startswith(":"):
@@ -58,7 +58,7 @@ def stream_events(
 ) -> Iterator[ServerEvent | None]:
     """Yield messages until the server has no more (204). None: the connection is new, ask for the present state.
 
-    `on_lost` is told once for each time the connection is lost; GoneError when it stays away for `timeout_s`.
+    `on_lost` is called once for each lost connection; GoneError if the server does not return within `timeout_s`.
     """
     last_id, tries, lost_s = "", 0, None
     while True:
@@ -105,7 +105,7 @@ class LeftError(ServiceError):
 
 
 def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, Any]:
-    """Follow the job; return it as it is at its end."""
+    """Follow the job; return its final state."""
     with explain_interrupt(f"the job goes on; `causticmill jobs follow {job_id}` shows it, `jobs cancel` ends it"):
         events = stream_events(
             server,
@@ -126,7 +126,7 @@ def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, An
 
 
 def require_success(job: dict[str, Any]) -> None:
-    """Raise FailedError, in the words of the server, unless the job has succeeded."""
+    """Raise FailedError with the server's words unless the job has succeeded."""
     job_id = clean(job["id"])
     if job["state"] == "failed":
         error = job.get("error") or {}
@@ -139,7 +139,7 @@ def require_success(job: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def explain_interrupt(words: str) -> Iterator[None]:
-    """Say on Ctrl-C what becomes of the thing watched."""
+    """Print on Ctrl-C what happens to the job or run that was watched."""
     try:
         yield
     except KeyboardInterrupt:
@@ -148,7 +148,7 @@ def explain_interrupt(words: str) -> Iterator[None]:
 
 @dataclass(slots=True)
 class JobScreen:
-    """Takes a job's events in the order of the server and shows each stage's life once."""
+    """Shows each stage of a job once, from its events in the server's order."""
 
     reporter: Reporter
     quiet: bool
@@ -170,7 +170,7 @@ class JobScreen:
                 self._begun.discard(stage)
                 self.reporter.end_stage(stage, _number(data.get("seconds")))
             case "stage.reused":
-                self.say(f"{stage}: done before, taken over")
+                self.say(f"{stage}: reused from an earlier job or attempt")
             case "stage.interrupted":
                 self._begun.discard(stage)
                 self.say(f"{stage}: interrupted, it will be done again")

@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any
 
 from service.client.server import ServerClient, clean
+from service.wording import align
 
 _PAGE = 100
 
@@ -36,7 +37,7 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
         )
         for job in jobs
     ]
-    return table(rows) if jobs else ["no jobs"]
+    return align(rows) if jobs else ["no jobs"]
 
 
 def state_words(job: dict[str, Any]) -> str:
@@ -61,18 +62,18 @@ def job_lines(job: dict[str, Any]) -> list[str]:
         where = f"in stage {clean(error['stage'])}: " if error.get("stage") else ""
         lines += [f"error:    {where}{clean(line)}" for line in str(error.get("detail", "")).split("\n")]
     stages = [(clean(stage["name"]), clean(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
-    lines += ["", *table([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
+    lines += ["", *align([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
     return [*lines, *program_lines(job)]
 
 
 def program_lines(job: dict[str, Any]) -> list[str]:
     programs = job.get("programs") or ()
     rows = [(str(p["number"]), clean(p["name"]), f"{p['bytes']:,} bytes", clean(p["sha256"])) for p in programs]
-    return ["", *table([("PROGRAM", "FILE", "SIZE", "SHA-256"), *rows])] if rows else []
+    return ["", *align([("PROGRAM", "FILE", "SIZE", "SHA-256"), *rows])] if rows else []
 
 
 def when(text: object) -> str:
-    """Return a server's 2026-11-21T08:00:00.123Z in local time, with its offset."""
+    """Return a server's time, such as 2026-11-21T08:00:00.123Z, in local time with its offset."""
     try:
         return datetime.fromisoformat(str(text)).astimezone().isoformat(" ", "seconds") if text else ""
     except (ValueError, OverflowError, OSError):
@@ -85,9 +86,3 @@ def _seconds(stage: dict[str, Any]) -> str:
 
 
 _TIMES = (("created", "created_at"), ("started", "started_at"), ("ended", "ended_at"))
-
-
-def table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows of one length as lines, each column as wide as its widest cell."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,4 +1,4 @@
-"""The agents of the mills of this computer: the second way of a stop, where no server answers."""
+"""Stop a run through the agents of this computer's mills, if no server answers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from pathlib import Path
 import httpx
 
 from service.errors import InputError
-from service.milling.agent.auth import read_token
-from service.milling.agent.card import AgentCard, read_card
+from service.milling.agent.card import AgentCard, read_card, read_token
 from service.milling.agent.settings import state_home
 
 _DATA, _USUAL_DATA = "CAUSTICMILL_DATA", "causticmill-data"

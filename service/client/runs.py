@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from service.client.follow import explain_interrupt, stream_events
-from service.client.jobs import table, when
+from service.client.jobs import when
 from service.client.server import ServerClient, clean
 from service.errors import FailedError, InputError
-from service.wording import duration
+from service.wording import align, duration
 
 QUESTIONS = {
-    "tool": "The tool named above is in the spindle, its length is taken",
-    "zero": "Work zero is set as said above",
+    "tool": "The tool named above is in the spindle, its length is measured",
+    "zero": "The work zero is set as described above",
     "stock": "The block named above is clamped",
     "clear": "Nobody and nothing is in the way of the mill",
     "order": "Earlier passes of this job were not finished on this mill; run this one all the same",
@@ -36,11 +36,11 @@ def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
         )
         for run in runs
     ]
-    return table(rows) if runs else ["no runs"]
+    return align(rows) if runs else ["no runs"]
 
 
 def run_lines(run: dict[str, Any]) -> list[str]:
-    """Return one run, with what a person sets up for it."""
+    """Return one run and its setup."""
     program = run["program"]
     lines = [
         f"{clean(run['id'])}  {clean(program['name'])} (program {program['number']} of job {clean(run['job'])})",
@@ -63,7 +63,7 @@ def state_line(run: dict[str, Any]) -> str:
 
 
 def setup_lines(run: dict[str, Any]) -> list[str]:
-    """Return tool, block and zero of a run that waits; and what comes after one that is done."""
+    """Return tool, block and zero of a waiting run, or the next step after a finished one."""
     setup = run.get("setup") or {}
     lines = []
     if run["state"] in ("preparing", "parked"):
@@ -83,7 +83,7 @@ def setup_lines(run: dict[str, Any]) -> list[str]:
 
 
 def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
-    """Return the checks that the run needs: those given on the command line, else a person is asked for each."""
+    """Return the confirmed checks of the run: those given on the command line, or a person's answers to each."""
     needed = [str(check) for check in run.get("required_checks") or ()]
     if not needed:
         raise InputError(f"run {clean(run['id'])} is {state_line(run)}; there is nothing to confirm")
@@ -103,8 +103,8 @@ def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
 
 
 def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
-    """Return the run at its end, a line for each change on the way."""
-    told, state, reached = "", "", 0.0
+    """Follow the run and print a line for each change; return its final state."""
+    shown, state, reached = "", "", 0.0
     with explain_interrupt(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
         for event in stream_events(
             server,
@@ -113,14 +113,14 @@ def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
             on_back=lambda: print("connected again", flush=True),
         ):
             if event is not None and not {"state", "share"} <= set(event.data):
-                continue  # what happened at the mill; how the run stands comes by itself
+                continue  # an event of the mill; the state of the run has its own events
             run = event.data if event is not None else server.get(f"/v1/runs/{run_id}")
             if run["state"] == state and float(run["share"]) < reached:
-                continue  # on its way since before we have asked
+                continue  # sent before our request
             state, reached = run["state"], float(run["share"])
             key = f"{state} {10 * reached:.0f} {run.get('words')} {run.get('unreachable')}"
-            if key != told:
-                told = key
+            if key != shown:
+                shown = key
                 print(state_line(run), flush=True)
             if run["state"] in _OVER:
                 break

@@ -1,4 +1,4 @@
-"""The job server over HTTP: which one, and in whose name (options, then environment, then the token file of this user);
+"""Client of the job server: address and token come from the options, then the environment, then this user's token file;
 every refusal and every lost connection becomes one line.
 """
 
@@ -51,7 +51,7 @@ class Target:
 
 
 def target_of(*, server: str | None, token_file: Path | None, environment: Mapping[str, str] = os.environ) -> Target:
-    """Return what was given, else the environment, else this computer and the token file, where there is one."""
+    """Return the given target; by default the environment's, or this computer and its token file."""
     url = _address(server, "--server") if server else _address(environment.get(SERVER_VARIABLE, ""), SERVER_VARIABLE)
     if token_file is not None:
         return Target(url, _token(_read(token_file), f"--token-file {token_file}"))
@@ -64,7 +64,7 @@ def target_of(*, server: str | None, token_file: Path | None, environment: Mappi
 
 
 def own_token_files(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
-    """Return where a person may keep the token: `token` beside the folder of the machine profiles."""
+    """Return the paths where a person may keep the token: `token` beside the folder of the machine profiles."""
     return tuple(folder.parent / "token" for folder in user_folders(environment))
 
 
@@ -76,7 +76,9 @@ def _address(text: str, given_as: str) -> str:
     except ValueError:
         usable = False
     if not usable or parts.query or parts.fragment or parts.username is not None:
-        raise InputError(f"{given_as}: '{text}' is no address of a server; allowed: http://HOST:PORT or https://HOST")
+        raise InputError(
+            f"{given_as}: '{text}' is not the address of a server; allowed: http://HOST:PORT or https://HOST"
+        )
     return url
 
 
@@ -92,7 +94,9 @@ def _read(path: Path) -> str:
 def _token(text: str, given_as: str) -> str:
     token = text.strip()
     if not token.isascii() or not token.isprintable() or " " in token or not 0 < len(token) <= _LONGEST_TOKEN:
-        raise InputError(printable(f"{given_as}: this is no token; allowed: the one line that `token create` printed"))
+        raise InputError(
+            printable(f"{given_as}: this is not a token; allowed: the one line that `token create` printed")
+        )
     return token
 
 
@@ -105,7 +109,7 @@ class GoneError(FailedError):
 
 
 class RefusedError(ServiceError):
-    """The server said no: `status`, and the `field` of the request it is about (empty if none)."""
+    """The server refused: `status`, and the `field` of the request at fault (empty if none)."""
 
     def __init__(self, status: int, *lines: str, field: str = "", wait_s: float | None = None) -> None:
         super().__init__(*lines)
@@ -128,7 +132,7 @@ class ServerClient:
             base_url=target.url,
             headers=headers,
             timeout=httpx.Timeout(_READ_S, connect=_CONNECT_S),
-            verify=target.url.startswith("https:"),  # certificates take longer to read than an answer
+            verify=target.url.startswith("https:"),  # loading certificates takes longer than an answer
             trust_env=not is_loopback(httpx.URL(target.url).host),  # no proxy stands before this computer
         )
 
@@ -139,7 +143,7 @@ class ServerClient:
         self.http.close()
 
     def get(self, path: str, **parameters: Any) -> Any:
-        """Get the JSON of an answer. A server that is just being restarted is waited for a little."""
+        """Get the JSON of an answer. Wait a little for a server that is being restarted."""
         return self.retry(lambda: self._json("GET", path, params=parameters))
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
@@ -147,16 +151,18 @@ class ServerClient:
         return self._json("POST", path, json=body)
 
     def order(self, machine: str, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """Send an order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
+        """Send an order to a mill once, under a fresh grant. FailedError if it was refused or not sent."""
         begun_s = suspend_aware_clock_s()
         granted = self._json("POST", f"/v1/machines/{quote(machine, safe='')}/grants")
         if suspend_aware_clock_s() - begun_s > _GRANT_WAIT_S:
-            raise FailedError(f"{self.url} took more than {_GRANT_WAIT_S:g} s to grant it: not sent; give it again")
+            raise FailedError(
+                f"{self.url} took more than {_GRANT_WAIT_S:g} s to grant it: the order was not sent; give it again"
+            )
         headers = {GRANT: str(granted["grant"])}
         return self._json("POST", path, json=dict(body or {}), headers=headers)
 
     def post_idempotent(self, path: str, body: Mapping[str, Any]) -> Any:
-        """Send an order that may be sent again: its key tells the server that it is the same one."""
+        """Send a request that may be sent again: its key marks the repetition."""
         headers = {"Idempotency-Key": str(uuid.uuid4())}
         return self.retry(lambda: self._json("POST", path, json=dict(body), headers=headers), timeout_s=60.0)
 
@@ -164,7 +170,7 @@ class ServerClient:
         self._json("DELETE", path)
 
     def send(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """Send one request and return a good answer; else GoneError or RefusedError."""
+        """Send one request and return a successful answer. GoneError, RefusedError."""
         with self._translate_errors():
             answer = self.http.request(method, path, **options)
         self.raise_for_status(answer)
@@ -172,9 +178,9 @@ class ServerClient:
 
     @contextlib.contextmanager
     def stream_answer(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
-        """Open an answer that is read piece by piece. Inside, a lost connection is a GoneError, too.
+        """Open an answer that is read piece by piece. A connection lost meanwhile also raises GoneError.
 
-        Another server than ours (an artifact store) is not shown the token.
+        The token is not sent to another server (an artifact store).
         """
         own = url.startswith(f"{self.url}/") or (url.startswith("/") and not url.startswith("//"))
         opened = self.http.stream if own else httpx.stream
@@ -185,7 +191,7 @@ class ServerClient:
             yield answer
 
     def retry(self, ask: Callable[[], Any], *, timeout_s: float = 10.0) -> Any:
-        """Call `ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
+        """Call `ask`, which is safe to repeat, until it is answered. Do not wait for a server that never answered."""
         give_up_s, tries = time.monotonic() + timeout_s, 0
         while True:
             try:
@@ -203,12 +209,12 @@ class ServerClient:
             tries += 1
 
     def raise_for_status(self, answer: httpx.Response) -> None:
-        """Raise RefusedError for an answer that is a refusal, or that no job server gives."""
+        """Raise RefusedError for a refusal, or for an answer that does not come from a job server."""
         if answer.status_code < 400:
             return
         problem = _problem(answer)
         if problem is None:
-            if answer.status_code in _TRY_AGAIN:  # a proxy before a server that is not there
+            if answer.status_code in _TRY_AGAIN:  # a proxy whose server is down
                 raise RefusedError(answer.status_code, f"{self.url} is not ready: HTTP {answer.status_code}")
             raise RefusedError(answer.status_code, self._explain_mismatch(answer))
         raise RefusedError(
@@ -242,7 +248,7 @@ class ServerClient:
             raise GoneError(f"the connection to {self.url} was lost: {words}", begun=True) from None
 
     def _problem_lines(self, status: int, problem: Mapping[str, Any]) -> list[str]:
-        """Return a problem of the server as lines; each names the key it is about."""
+        """Return a problem of the server as lines; each names the key at fault."""
         parts = [part for part in problem.get("problems") or () if isinstance(part, dict)] or [dict(problem)]
         lines = []
         for part in parts:
@@ -254,10 +260,10 @@ class ServerClient:
         return lines
 
     def _explain_mismatch(self, answer: httpx.Response) -> str:
-        """Explain who it is that answers like this."""
+        """Explain which server gives such an answer."""
         version = answer.headers.get(VERSION_HEADER)
         if version is None:
-            return f"{self.url} answers (HTTP {answer.status_code}), but is no causticmill job server"
+            return f"{self.url} answers (HTTP {answer.status_code}), but is not a causticmill job server"
         return (
             f"the server at {self.url} is causticmill {version}, this command is {own_version()}, and they do not "
             "understand each other; use the same version"
@@ -288,5 +294,5 @@ def _seconds(text: str | None) -> float | None:
 
 
 def clean(value: object) -> str:
-    """Return what a server sent, fit for a line on a terminal."""
+    """Return a server's text as one printable line."""
     return printable(str(value))

@@ -1,4 +1,4 @@
-"""A picture and its spec handed to the server, exactly once however often the answer is lost."""
+"""Submit a picture and its spec to the server, exactly once, even if answers are lost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from service.client.follow import LeftError
 from service.client.server import ServerClient, make_mismatch_error
 from service.errors import InputError, printable, sentence_of_os_error
-from service.job.spec.loading import spec_data, wishes_where_untold
+from service.job.spec.loading import default_layer, spec_data
 
 PRIORITIES = ("low", "normal", "high")
 _TIMEOUT_S = 60.0
@@ -29,14 +29,16 @@ class Submission:
 
 
 def submit_job(server: ServerClient, order: Submission) -> dict[str, Any]:
-    """Submit a job. The same key goes with every try, so that the server makes one job of them."""
+    """Submit a job. Every try has the same key, so that the server makes only one job."""
     if order.priority not in PRIORITIES:
         raise InputError(f"--priority: '{order.priority}' is not allowed; allowed: {', '.join(PRIORITIES)}")
     key = str(uuid.uuid4())
     try:
         return dict(server.retry(lambda: _post_form(server, order, key), timeout_s=_TIMEOUT_S))
     except KeyboardInterrupt:
-        raise LeftError("interrupted before the server had answered; `causticmill jobs` tells if it is known") from None
+        raise LeftError(
+            "interrupted before the server answered; `causticmill jobs` shows whether the job was submitted"
+        ) from None
 
 
 def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
@@ -68,15 +70,15 @@ def spec_text(
 ) -> str:
     """Return JSON of file, preset, overrides and the picture of the light, as `make` takes them.
 
-    Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
+    It is not checked against this computer's profiles: perhaps only the server knows the mill.
     """
     said: dict[str, Any] = {"file": file, "preset": preset, "overrides": overrides}
-    data = spec_data(**said, base=wishes_where_untold(**said), light_picture=light_picture)
+    data = spec_data(**said, base=default_layer(**said), light_picture=light_picture)
     return json.dumps(_plain(data), default=str)
 
 
 def _plain(value: Any) -> Any:
-    """Return values as JSON allows: numbers that only TOML has go as words, and the server names the key."""
+    """Return values that JSON allows: numbers that only TOML has become text, so that the server can name the key."""
     match value:
         case dict():
             return {str(key): _plain(below) for key, below in value.items()}

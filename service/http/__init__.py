@@ -1,1 +1,1 @@
-"""What every HTTP interface of ours shares."""
+"""Shared parts of all HTTP interfaces."""

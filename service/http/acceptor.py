@@ -1,4 +1,4 @@
-"""Accepts connections and sets them up, those first whose first bytes name a stop.
+"""Accepts connections and sets them up; those whose first bytes name a stop come first.
 
 Theory of operation. It takes half a millisecond to set a connection up, and a fiftieth of that to accept it. So the
 acceptor accepts all connections, and waits for their first bytes at no further cost. In each turn of the event loop it
@@ -18,7 +18,7 @@ from urllib.parse import unquote
 
 from service.http.admission import is_stop
 
-_QUEUED = 4096  # connections that the system keeps until they are accepted: one that it drops comes a second later
+_QUEUED = 4096  # connections that the system queues for us; a dropped one tries again after a second
 _AT_ONCE = 128  # accepted in one turn
 _BEGUN_AT_ONCE = 4
 _MOST_SPEAKING = 1000
@@ -58,13 +58,13 @@ class Acceptor:
         self._loop.add_reader(self._listener, self._accept)
 
     def pause(self) -> None:
-        """Accept nothing more; set up what has been accepted. The listener stays open."""
+        """Stop accepting; set up the connections accepted so far. The listener stays open."""
         self._loop.remove_reader(self._listener)
         if self._resuming is not None:
             self._resuming.cancel()
 
     def close(self) -> None:
-        """Accept nothing more, and close what has not been begun."""
+        """Stop accepting, and close the connections that have not been set up."""
         self.pause()
         self._loop.remove_reader(self._heard)
         for connection in [*self._silent, *self._speaking]:
@@ -124,6 +124,6 @@ class Acceptor:
 
 
 def _names_stop(head: bytes) -> bool:
-    """Return whether the beginning of a request names a stop. One whose first line is not whole does not."""
+    """Return whether the beginning of a request names a stop. An incomplete first line does not."""
     found = _REQUEST_LINE.match(head)
     return found is not None and is_stop(found[1].decode("ascii"), unquote(found[2].decode("latin-1")))

@@ -37,7 +37,7 @@ class Admission:
         self.strangers = strangers
         self.wait_s = wait_s
         self._places: dict[Place, None] = {}
-        self._waiting: dict[Place, None] = {}  # strangers; the one who has kept us waiting longest is first
+        self._waiting: dict[Place, None] = {}  # strangers; the longest waiting one first
 
     @property
     def is_full(self) -> bool:
@@ -70,7 +70,7 @@ class Admission:
         self._places.pop(place, None)
 
     def _find_other(self, new: Place) -> Place | None:
-        """Find a connection to close: a stranger first, then the longest idle one. None: all are at work."""
+        """Find a connection to close: a stranger first, then the longest idle one. None if all are active."""
         others = [place for place in self._places if place is not new and not place.is_stop]
         classes = (
             (place for place in self._waiting if place is not new),
@@ -81,18 +81,18 @@ class Admission:
 
 
 class Place:
-    """What is known of one connection."""
+    """The state of one connection."""
 
     def __init__(self, admission: Admission, transport: asyncio.Transport) -> None:
         self._admission = admission
         self._transport = transport
         self._timer: asyncio.TimerHandle | None = None
         self.is_known = False  # its caller has shown a token
-        self.is_stop = False  # it brings a stop that is not answered yet
+        self.is_stop = False  # it has an unanswered stop
         self.is_awaited = False  # its caller has still to send something
 
     def await_request(self) -> None:
-        """Begin to wait for a request, for a fixed time."""
+        """Start waiting for a request, for a fixed time."""
         self.stop_waiting()
         self.is_stop, self.is_awaited = False, True
         self._timer = asyncio.get_running_loop().call_later(self._admission.wait_s, self.close)
@@ -100,14 +100,14 @@ class Place:
             self._admission._await(self)
 
     def stop_waiting(self) -> None:
-        """Stop waiting: the request has come."""
+        """Stop waiting: the request has arrived."""
         if self._timer is not None:
             self._timer.cancel()
         self.is_awaited = False
         self._admission._stop_waiting(self)
 
     def answer_stop(self) -> None:
-        """Keep the connection, which brings a stop, until the stop is answered."""
+        """Keep the connection until its stop is answered."""
         self.stop_waiting()
         self.is_stop = True
 
@@ -117,7 +117,7 @@ class Place:
         self.stop_waiting()
 
     def leave(self) -> None:
-        """Give the place up: the connection is lost."""
+        """Give up the place: the connection is lost."""
         self.stop_waiting()
         self._admission._leave(self)
 

@@ -1,4 +1,4 @@
-"""Which addresses are this computer, and which Host headers may be served.
+"""Decides which addresses are this computer, and which Host headers may be served.
 
 A page in a browser on the same machine could be served from a name that is re-pointed to 127.0.0.1 (DNS rebinding) and
 talk to us; a name cannot be re-pointed when only addresses and known names are accepted.
@@ -25,7 +25,7 @@ def is_loopback(host: str) -> bool:
 
 
 def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
-    """Raise InputError where traffic with an address can be read on the way, and nobody vouches that it cannot.
+    """Raise InputError if others could read traffic with an address on its way, and nobody vouches that they cannot.
 
     vouched : somebody has said that there is TLS, or no way on which others are; allowed: how that can be
     """

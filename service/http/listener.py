@@ -1,4 +1,4 @@
-"""The address of the server: bound once by the supervisor, so that callers wait while the API is started again."""
+"""The address of the server: the supervisor binds it once, so that callers wait while the API is restarted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from service.errors import InputError, printable
 
 
 def bind_address(host: str, port: int) -> socket.socket:
-    """Bind an address that does not listen yet; InputError where it cannot be had."""
+    """Bind an address without listening yet; InputError if that is impossible."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -28,17 +28,17 @@ def bind_address(host: str, port: int) -> socket.socket:
 
 
 def url_of(listener: socket.socket) -> str:
-    """Return where a person on this computer finds it."""
+    """Return the address at which a person on this computer finds the server."""
     return f"http://{_authority(*_nearest(listener))}"
 
 
 def is_answering(listener: socket.socket, path: str, *, timeout_s: float) -> bool:
-    """Return whether GET of the path is answered with 200. Any other answer, or none in time, is False."""
+    """Return whether GET of the path returns 200. Any other answer, or none in time, is False."""
     return _fetch(listener, path, timeout_s, most_bytes=64).split(b" ")[1:2] == [b"200"]
 
 
 def read_complaint(listener: socket.socket, path: str, *, timeout_s: float) -> str | None:
-    """Return what /readyz finds wrong, e.g. `disk: 3 MB are free`; None where it does not say so."""
+    """Return the problem that /readyz reports, e.g. `disk: 3 MB are free`; None if it reports none."""
     body = _fetch(listener, path, timeout_s, most_bytes=65536).partition(b"\r\n\r\n")[2]
     try:
         checks = json.loads(body)["checks"]
@@ -48,7 +48,7 @@ def read_complaint(listener: socket.socket, path: str, *, timeout_s: float) -> s
 
 
 def _fetch(listener: socket.socket, path: str, timeout_s: float, *, most_bytes: int) -> bytes:
-    """Return the beginning of the answer to GET of the path; nothing where none comes in time."""
+    """Return the beginning of the answer to GET of the path; nothing if none comes in time."""
     host, port = _nearest(listener)
     come = b""
     try:

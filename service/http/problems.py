@@ -1,4 +1,4 @@
-"""What an HTTP interface of ours answers when it refuses: application/problem+json, with the field at fault."""
+"""Refusals of the HTTP interfaces: application/problem+json, with the field at fault."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _TITLES = {
 
 
 class Kind(StrEnum):
-    """The closed list of problem types, as a client may tell them apart: `urn:causticmill:problem:<kind>`."""
+    """The closed list of problem types, by which a client can tell them apart: `urn:causticmill:problem:<kind>`."""
 
     BAD_REQUEST = "bad-request"
     NOT_AUTHORISED = "not-authorised"
@@ -78,7 +78,8 @@ class Kind(StrEnum):
 
 
 class ServerCode(StrEnum):
-    """What the server says of agents and runs, and what an agent asks, for programs: a closed list, beside `MillCode`.
+    """Codes of the server's statements about agents and runs, and of an agent's requests: a closed list, beside
+    `MillCode`.
 
     In a problem, in `agent` of a machine and in a run, each with its values.
     """
@@ -125,7 +126,7 @@ _KINDS = {
 
 
 class Problem(Exception):
-    """A refusal: HTTP status, one line, and the field of the request it is about (empty if none).
+    """A refusal: HTTP status, one line, and the field of the request at fault (empty if none).
 
     kind : where several reasons share a status. code, values : what programs tell it by, of `ServerCode` or a mill's.
     headers : of the answer. more : further members of the problem.
@@ -161,7 +162,7 @@ def make_value_problem(place: Sequence[object], cause: str) -> Problem:
 
 
 def problem_of(error: Exception) -> Problem:
-    """Return the refusal that tells of an error of the machine layer or of the disk."""
+    """Return the refusal for an error of the machine layer or of the disk."""
     match error:
         case Problem():
             return error
@@ -183,8 +184,8 @@ def problem_of(error: Exception) -> Problem:
 
 
 def _problem_of_order(error: OrderRefusedError) -> Problem:
-    """Return the problem of a refused order, with what a program tells refusals apart by, and who has control if that
-    is why.
+    """Return the problem of a refused order, with the code that tells refusals apart, and who has control if that is
+    the reason.
     """
     of_control = error.code in (Refusal.HELD, Refusal.LOST, Refusal.NOBODY, Refusal.LEASE)
     more = {"control": None if error.holder is None else error.holder.as_dict()} if of_control else {}
@@ -211,9 +212,9 @@ def problem_body(problem: Problem) -> dict[str, object]:
         "status": problem.status,
         "detail": problem.detail,
     }
-    told: dict[str, object] = {"code": problem.code, "values": problem.values} if problem.code else {}
-    told |= {"phrases": phrases} if (phrases := phrases_in((problem.detail, problem.values, problem.more))) else {}
-    return body | ({"field": problem.field} if problem.field else {}) | told | problem.more
+    extra: dict[str, object] = {"code": problem.code, "values": problem.values} if problem.code else {}
+    extra |= {"phrases": phrases} if (phrases := phrases_in((problem.detail, problem.values, problem.more))) else {}
+    return body | ({"field": problem.field} if problem.field else {}) | extra | problem.more
 
 
 async def on_error(_request: Request, error: Exception) -> Response:
@@ -222,7 +223,7 @@ async def on_error(_request: Request, error: Exception) -> Response:
 
 
 async def on_http_error(_request: Request, error: Exception) -> Response:
-    """Handle what the router itself refuses (404, 405)."""
+    """Handle refusals of the router itself (404, 405)."""
     status = getattr(error, "status_code", 500)
     words = {404: "no such address; GET /v1/status shows the mill", 405: "this address does not take that method"}
     return problem_response(Problem(status, words.get(status, str(getattr(error, "detail", "")))))

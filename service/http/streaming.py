@@ -1,5 +1,5 @@
-"""Server-sent events: how they are written, and an answer that is held open for them, given up when the other side is
-gone or reads nothing.
+"""Server-sent events: their format, and an answer that is held open for them and closed when the other side is gone or
+stops reading.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ EVENT_HEADERS = {
 }
 FIRST = b"retry: 1000\n\n"
 PING = b": still here\n\n"
-HEARTBEAT_S = 15.0  # that a stream is silent at most; page/lib/sse.js gives one up after three
+HEARTBEAT_S = 15.0  # longest silence of a stream; page/lib/sse.js reconnects after three of them
 _SEND_WAIT_S = 20.0
 
 
 def event_bytes(kind: str, data: str, event_id: str = "") -> bytes:
-    """Return an event. data: JSON in one line; event_id: what a reader comes back with, empty for one that is not
-    repeated.
+    """Return an event. data: JSON in one line; event_id: sent back by a reader that reconnects, empty for an event that
+    is not repeated.
     """
     number = f"id: {event_id}\n" if event_id else ""
     return f"{number}event: {kind}\ndata: {data}\n\n".encode()
@@ -35,14 +35,14 @@ def compact_json(data: object) -> str:
 
 
 async def begin_events(send: Send, first: bytes = b"") -> None:
-    """Send the headers, and what comes before the first event that is waited for."""
+    """Send the headers, and the bytes that precede the first event."""
     headers = [(name.lower().encode(), value.encode()) for name, value in EVENT_HEADERS.items()]
     await send({"type": "http.response.start", "status": 200, "headers": headers})
     await send_piece(send, FIRST + first)
 
 
 async def send_piece(send: Send, body: bytes, *, more: bool = True) -> None:
-    """Send a piece; TimeoutError where the other side has not read for long."""
+    """Send a piece; TimeoutError if the other side has not read for long."""
     await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
 
 

@@ -1,5 +1,5 @@
-"""uvicorn's HTTP/1.1, where the answers that it gives by itself are problems like all others of ours, and where
-connections have places (`admission`): uvicorn waits for a request for ever, and counts a stop like any other.
+"""uvicorn's HTTP/1.1 with two changes: its own answers are problems like all others, and connections have places
+(`admission`), because uvicorn waits for a request without limit and counts a stop like any other.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ VERSION_HEADER = "Causticmill-Version"  # with every answer
 
 
 def allow_open_files(most: int) -> int:
-    """Raise this process's limit of open files to `most`, or as far as it may. Return the limit."""
+    """Raise this process's limit of open files to `most`, or as far as permitted. Return the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     if soft != resource.RLIM_INFINITY and soft < most:
@@ -37,7 +37,7 @@ def allow_open_files(most: int) -> int:
 
 
 class HttpServer(uvicorn.Server):
-    """uvicorn with an acceptor of ours and places for its connections."""
+    """uvicorn with our acceptor and places for its connections."""
 
     def __init__(self, config: uvicorn.Config, admission: Admission) -> None:
         config.http = cast("type[asyncio.Protocol]", functools.partial(ProblemProtocol, admission))
@@ -57,7 +57,7 @@ class HttpServer(uvicorn.Server):
         await super().shutdown(sockets)
 
     def begin(self, connection: socket.socket, received: bytes = b"") -> None:
-        """Serve a connection. received: what another process has read of it"""
+        """Serve a connection. received: the bytes that another process has already read from it"""
         protocol: Any = self.config.http_protocol_class(  # type: ignore[call-arg]
             config=self.config, server_state=self.server_state, app_state=self.lifespan.state
         )
@@ -66,7 +66,7 @@ class HttpServer(uvicorn.Server):
 
 
 def begin_connection(protocol: asyncio.Protocol, connection: socket.socket, tasks: set[asyncio.Task[None]]) -> None:
-    """Set a connection up for its protocol. tasks: where this work is kept until it is done."""
+    """Set up a connection for its protocol. tasks: holds this work until it is done."""
     loop = asyncio.get_running_loop()
 
     async def begin() -> None:
@@ -79,10 +79,10 @@ def begin_connection(protocol: asyncio.Protocol, connection: socket.socket, task
 
 
 class ProblemProtocol(H11Protocol):
-    """What is refused here never reaches the application."""
+    """HTTP/1.1 of one connection; what it refuses never reaches the application."""
 
     _place: Place
-    first_data = b""  # of a connection that another process has begun to read
+    first_data = b""  # bytes that another process has read from the connection
 
     def __init__(self, admission: Admission, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -99,12 +99,12 @@ class ProblemProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        self._note_request()
+        self._track_request()
 
     def on_response_complete(self) -> None:
         self._place.await_request()
         super().on_response_complete()
-        self._note_request()  # the next one may be here already
+        self._track_request()  # the next request may have arrived already
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
@@ -132,7 +132,7 @@ class ProblemProtocol(H11Protocol):
             return
         await self._app(scope, receive, send)
 
-    def _note_request(self) -> None:
+    def _track_request(self) -> None:
         if self.cycle is None or self.cycle.response_complete:
             return
         if is_stop(self.scope["method"], self.scope["path"]):

@@ -1,4 +1,4 @@
-"""uvicorn's WebSockets, which keep the place of the connection that they began as until it is lost."""
+"""uvicorn's WebSockets, which keep their connection's place until it is lost."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from service.http.admission import PLACE
 
 
 class PlacedWebSocket(WSProtocol):
-    """A stranger's place is given up by time, or to the next stranger, until the application knows who it is."""
+    """A stranger's place ends by time, or for the next stranger, until the application knows the caller."""
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)

@@ -191,7 +191,6 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         error.filename = None  # the hidden name says nothing to the person
         raise FailedError(sentence_of_os_error(error, doing=Phrase("cannot write {name}", name=path.name))) from error
-        raise
 
 
 def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:

@@ -31,7 +31,7 @@ _PACKED_BEFORE = frozenset({"png", "jpg"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageFile:
-    """packed : the content gzipped; None where that makes it no smaller. etag : of the content"""
+    """packed : the content gzipped; None if that makes it no smaller. etag : of the content"""
 
     content: bytes
     packed: bytes | None
@@ -54,7 +54,7 @@ class PageFiles:
         self._known: dict[str, tuple[tuple[int, int], PageFile]] = {}
 
     def file(self, path: str) -> PageFile | None:
-        """Return the file; None where there is none, or none that belongs to the page."""
+        """Return the file; None if there is none, or none that belongs to the page."""
         if path in self._made:
             return self._module(path)
         kind = _PATH.fullmatch(path)

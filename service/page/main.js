@@ -1,4 +1,4 @@
-/** The shell: which view an address means, who is here, and whether the server is. */
+/** The shell: chooses the view for an address, and shows the person and the server's presence. */
 
 import { api, ProblemError } from "./lib/api.js";
 import { h, replace } from "./lib/dom.js";
@@ -25,7 +25,7 @@ const root = document.getElementById("view");
 let current = { leave() {} };
 let shows = 0;
 
-/** What a view is given of the shell; one that comes too late changes nothing any more. */
+/** The shell's interface for a view; a view that loads too late changes nothing. */
 function appFor(isCurrent) {
   return {
     /** Words before the name of the program in the title of the window. */
@@ -40,7 +40,7 @@ function appFor(isCurrent) {
   };
 }
 
-/** Each view gets a place of its own: one that is still loading when a person goes on writes where nobody looks. */
+/** Each view has its own place, so that one that loads after the person has left writes out of sight. */
 async function show({ focus = true } = {}) {
   shows += 1;
   const mine = shows;
@@ -84,7 +84,7 @@ function decoded(groups = {}) {
   return Object.fromEntries(Object.entries(groups).map(([key, text]) => [key, decodeURIComponent(text)]));
 }
 
-/** Only what the server said, or nobody, is known to be no fault of the page. */
+/** Only an answer of the server, or none, is certainly not a fault of the page. */
 function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
   const none = error.status === 404;

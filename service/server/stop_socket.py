@@ -22,10 +22,9 @@ from machines.mill.orders import Stop
 from phrases.phrase import Phrase, phrases_in
 from service.http.admission import note_known
 from service.http.problems import Problem
-from service.server.api.access.client_address import address_of, is_here
-from service.server.api.access.headers import read_headers, refuse_foreign_page
+from service.server.api.access.headers import address_of, is_here, read_headers, refuse_foreign_page
+from service.server.fleet.agent_client import AT_THE_SERVER, OrderContext
 from service.server.fleet.machine_stops import MachineStops
-from service.server.fleet.order_context import AT_THE_SERVER, OrderContext
 from service.server.stoppers import Stopper
 
 PATH = "/v1/stops"

@@ -1,1 +1,1 @@
-"""Artifacts by content: written whole or not at all, on this disk or in S3."""
+"""The artifact store: objects by content, written whole or not at all, on this disk or in S3."""

@@ -1,4 +1,4 @@
-"""What every artifact store can do. Objects are named by the SHA-256 of their content and never change."""
+"""The interface of every artifact store. Objects are named by the SHA-256 of their content and never change."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class MissingObjectError(LookupError):
 
 
 class Store(Protocol):
-    """Objects appear whole or not at all; storing what is there already does nothing but renew its stored_at."""
+    """Objects appear whole or not at all; storing an existing object only renews its stored_at."""
 
     shared: bool  # may workers on other hosts use it?
 
@@ -37,27 +37,25 @@ class Store(Protocol):
         """
 
     def head(self, sha256: str) -> StoredObject:
-        """Return the object's size and time; MissingObjectError where there is none."""
+        """Return the object's size and time; MissingObjectError if there is none."""
 
     def open_range(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """Yield bytes start to end (exclusive), in pieces of at most a megabyte. MissingObjectError at the call."""
 
     def fetch(self, sha256: str, target: Path) -> None:
-        """Fetch the object as a read-only file at `target` (a link where that can be). MissingObjectError."""
+        """Fetch the object as a read-only file at `target` (a link if possible). MissingObjectError."""
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
         """Return a short-lived address where a client may fetch the object itself; None: serve it with open_range."""
 
     def path(self, sha256: str) -> Path | None:
-        """Return the object as a file of this computer, to be served by sendfile; None where it is none."""
+        """Return the object as a file of this computer, to be served by sendfile; None if there is no such file."""
 
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
-        """Delete it; nothing happens where there is none, or where it was stored (again) at or after
-        `stored_before`.
-        """
+        """Delete the object if it exists, unless it was stored (again) at or after `stored_before`."""
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
         """Yield every object, or those whose hash begins with these two digits, in no order."""
 
     def check(self) -> None:
-        """Write, read and remove a small object; FailedError, one line, where that fails."""
+        """Write, read and remove a small object; FailedError, one line, if that fails."""

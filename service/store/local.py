@@ -1,13 +1,13 @@
 """The artifact store in a folder: objects/ab/<sha256>, each a read-only file that appears whole or not at all.
 
 A file on the store's own file system is *linked* into it: nothing is copied, and its name in the scratch folder stays.
-It is made read-only before it is hashed and refused if it changed meanwhile; whoever opens it for writing later is
-refused by the file system (root is not: do not write to what was stored). Everything else is copied to `incoming`,
-synced and renamed. Data reaches the disk before the name, and the name before `put_file` returns.
+It is made read-only before it is hashed and refused if it changed meanwhile; the file system refuses to open it for
+writing later (except for root: do not write to stored files). Everything else is copied to `incoming`, synced and
+renamed. Data reaches the disk before the name, and the name before `put_file` returns.
 
-`incoming` holds a file only while its writer holds the file's lock, so what a killed writer left is known by its free
-lock and swept when the next process opens the store. `guard` is shared by writers and held alone by deletion: an
-object that was renewed just now is not deleted by someone who looked at it before.
+`incoming` holds a file only while its writer holds the file's lock, so the files of a killed writer have a free lock
+and are swept when the next process opens the store. `guard` is shared by writers and held alone by deletion: an
+object that was just renewed is not deleted by a process that looked at it before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CANNOT_LINK = {errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.
 
 
 class LocalStore:
-    """Objects below `root`; `shared`: the person's word that all hosts of the farm see the same folder."""
+    """Objects below `root`; `shared`: a person states that all hosts of the farm see the same folder."""
 
     def __init__(self, root: Path, *, shared: bool = False) -> None:
         self.root = root.absolute()
@@ -41,14 +41,14 @@ class LocalStore:
         self._incoming = self.root / "incoming"
         self._guard = self.root / "guard"
         with _translate_errors(f"cannot use the artifact store {self.root}"):
-            if not shared:  # a folder of the whole farm is the person's to open and to close
+            if not shared:  # a person sets the permissions of a folder of the whole farm
                 make_private(self.root, holding=("guard",))
             self._incoming.mkdir(parents=True, exist_ok=True)
             self._guard.touch()
             self._sweep()
 
     def put_file(self, path: Path) -> StoredObject:
-        """Link or copy a file into the store; FailedError, one line, where the disk refuses or the file changes."""
+        """Link or copy a file into the store; FailedError, one line, if the disk refuses or the file changes."""
         with _translate_errors("cannot store"), path.open("rb") as file:
             facts = os.fstat(file.fileno())
             if self._may_be_linked(facts):
@@ -136,7 +136,7 @@ class LocalStore:
         return facts.st_dev == self.root.stat().st_dev and facts.st_uid == os.geteuid()
 
     def _link(self, path: Path, sha256: str, size: int) -> bool:
-        """Link; False where this file system does not link."""
+        """Link; return False if this file system does not link."""
         target = self._prepare_place(sha256)
         with self._take_lock(fcntl.LOCK_SH):
             if not _renew(target, size):
@@ -174,7 +174,7 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _begin_arrival(self) -> Iterator[tuple[Path, IO[bytes]]]:
-        """Open a new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
+        """Open a new locked file in `incoming`; remove it at the end unless it was renamed."""
         while True:
             part = self._incoming / f"{secrets.token_hex(8)}.part"
             with part.open("xb", buffering=0) as file:
@@ -195,7 +195,7 @@ class LocalStore:
 
 
 def write_verified(pieces: Iterator[bytes], target: Path, sha256: str) -> None:
-    """Write an object's bytes as a read-only file; FailedError, and no file, where they are not what they should be."""
+    """Write an object's bytes as a read-only file; FailedError, and no file, if the bytes have another hash."""
     digest = hashlib.sha256()
     try:
         with target.open("xb", buffering=0) as file:
@@ -228,9 +228,7 @@ def _pieces(file: IO[bytes], start: int, end: int | None) -> Iterator[bytes]:
 
 
 def _renew(target: Path, size: int) -> bool:
-    """Renew its time if the object is there already, and return True. One of another size (a damaged disk) is taken
-    away.
-    """
+    """Renew the time of an existing object, and return True. Delete an object of another size (a damaged disk)."""
     with contextlib.suppress(FileNotFoundError):
         if target.stat().st_size == size:
             os.utime(target)

@@ -1,4 +1,4 @@
-"""Which artifact store the settings ask for, and whether the database may be used with it."""
+"""Opens the artifact store that the settings ask for, and checks that the database may be used with it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _ALLOWED = "allowed: file:///folder, s3://bucket/prefix, or nothing for a folder
 
 
 def open_store(settings: ServerSettings) -> Store:
-    """Open the store; InputError where it is none or out of reach of workers on other hosts; FailedError where it
-    fails.
+    """Open the store; InputError if the setting names none, or one that workers on other hosts cannot reach;
+    FailedError if it fails.
     """
     if settings.database_url is not None and urlsplit(settings.database_url).scheme not in _DATABASES:
         raise InputError("CAUSTICMILL_DATABASE_URL: allowed: postgresql://..., or nothing for a SQLite file")
@@ -40,4 +40,4 @@ def _store(settings: ServerSettings) -> Store:
         from service.store.s3 import S3Store
 
         return S3Store(bucket=url.netloc, prefix=url.path.strip("/"))
-    raise InputError(f"CAUSTICMILL_STORE_URL: {settings.store_url!r} is no artifact store; {_ALLOWED}")
+    raise InputError(f"CAUSTICMILL_STORE_URL: {settings.store_url!r} is not an artifact store; {_ALLOWED}")

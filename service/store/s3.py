@@ -1,7 +1,7 @@
 """The artifact store in an S3 bucket: <prefix>/ab/<sha256>, for farms. Needs the extra `s3`.
 
 Address and credentials come from the usual AWS_... variables (AWS_ENDPOINT_URL for another provider than Amazon; plain
-http only on loopback, or where AWS_ALLOW_HTTP says so). Files go up in parts, so memory stays constant whatever their
+http only on loopback, or where AWS_ALLOW_HTTP says so). Files go up in parts, so memory does not grow with their
 size, and an object appears when its last part is confirmed. A killed upload leaves parts that no reader can see: give
 the bucket a rule that drops incomplete multipart uploads.
 """
@@ -34,7 +34,7 @@ _AT_ONCE = 4
 _LINK_LIFE = timedelta(minutes=10)
 _YOUNG_S = 600.0
 _HASH = re.compile(r"[0-9a-f]{64}")
-_NOBODY = re.compile(r"//169\.254\.(169\.254|170\.2)/")  # the computer's own identity was asked for last, and in vain
+_NOBODY = re.compile(r"//169\.254\.(169\.254|170\.2)/")  # the computer's own identity was the last try, and failed
 _NOISE = re.compile(r"^Generic \w+ error: | in [\d.]+m?s\b(, after \d+ retries, max_retries.*?retry_timeout: \w+)? ?")
 _RETRY = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
 
@@ -138,7 +138,7 @@ class S3Store:
             raise FailedError(f"{self._name} does not return what is written to it")
 
     def _find_recent(self, sha256: str, size: int) -> StoredObject | None:
-        """Return what is there, whole, and far from being swept; everything else is sent again, which renews its
+        """Return the object if it is complete and far from being swept; anything else is sent again, which renews its
         time.
         """
         with contextlib.suppress(MissingObjectError):
@@ -194,7 +194,7 @@ def _open_bucket(bucket: str, prefix: str) -> Bucket:
 
 
 def _first_words(error: Exception) -> str:
-    """Return the words without what only the library's authors can use."""
+    """Return an error's text without the parts that only the library's authors can use."""
     text = str(error).split("\n")[0]
     if _NOBODY.search(text):
         return "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"

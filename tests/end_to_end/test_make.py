@@ -269,7 +269,7 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
         process.send_signal(kind)
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
-    assert errors.splitlines() == ["error: interrupted; nothing half-written is left"]
+    assert errors.splitlines() == ["error: interrupted; no half-written file is left"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -299,7 +299,7 @@ def test_an_interrupt_while_a_kernel_is_loaded_leaves_nothing(
     given = ["make", picture, "-o", tmp_path / "out", *SETTINGS]
     command = [sys.executable, "-c", INTERRUPTED_LOADING, "6", *map(str, given)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert (done.returncode, done.stderr) == (130, "error: interrupted; nothing half-written is left\n")
+    assert (done.returncode, done.stderr) == (130, "error: interrupted; no half-written file is left\n")
     assert list(tmp_path.iterdir()) == []
 
 

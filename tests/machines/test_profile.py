@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import FrozenInstanceError, fields, replace
 from pathlib import Path
 
 import pytest
 
 from machines.profile import (
     LinkSettings,
+    MachineProfile,
     ProfileError,
+    SpindleSettings,
     UnknownProfileError,
     find_profiles,
     load_profile,
     profile_names,
     user_folders,
 )
-from machines.profile_values import DIALECTS, DRIVERS
+from machines.profile_values import DIALECTS, DRIVERS, Rules
 
 
 @pytest.mark.parametrize("name", profile_names())
@@ -35,6 +37,11 @@ def test_every_profile_is_complete_and_plausible(name: str) -> None:
     assert 0 < profile.step_mm <= 0.05
     assert 0 < profile.junction_deviation_mm <= 0.1
     assert profile.lines_per_s > 0
+
+
+def test_every_field_of_a_profile_says_what_it_takes() -> None:
+    for of, tables in ((MachineProfile, {"link", "spindle"}), (LinkSettings, set()), (SpindleSettings, set())):
+        assert {*Rules.of(of).keys} == {field.name for field in fields(of)} - tables
 
 
 def test_the_default_profile_takes_the_default_job() -> None:
@@ -129,6 +136,9 @@ def test_a_bad_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path
         ({"bench": 'extends = "b"', "b": "wings = 2"}, "which cannot be used: "),
         ({"bench": ""}, "missing; give them"),
         ({"bench": b'extends = "grbl"\ndescription = "caf\xe9"'}, "is not UTF-8 text"),
+        ({"bench": "planner_blocks = " + "9" * 5000}, "not valid TOML: Exceeds the limit"),
+        ({"bench": "a = " + "[" * 100_000}, "not valid TOML: "),
+        ({"bench": "#" * 2_000_000}, "is too large; a file of data has at most 1000000 bytes"),
         ({"bench": None}, "is a folder"),
         ({"bench": Path("nowhere.toml")}, "a link to a file that is not there"),
     ],
@@ -154,7 +164,7 @@ def test_no_right_to_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def refuse(*_: object, **__: object) -> str:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_text", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(ProfileError, match=r"bench\.toml: cannot be read: Permission denied"):
         load_profile("bench", [tmp_path])
 

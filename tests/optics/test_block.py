@@ -52,11 +52,11 @@ def test_haze_moves_light_and_makes_none(haze: float, throw_mm: float, ny: int, 
 
 
 def test_a_point_of_light_has_a_veil_of_ten_degrees_with_all_the_light_that_was_scattered() -> None:
-    wide, point = replace(BENCH.screen, width_mm=200.0, height_mm=100.0), np.zeros((201, 401))
-    point[100, 200] = 1.0
+    wide, point = replace(BENCH.screen, width_mm=200.0, height_mm=100.0), np.zeros((201, 201))
+    point[100, 100] = 1.0
     veil = (replace(BENCH, haze=0.2, screen=wide).add_haze(point) - 0.8 * point) / 0.2
     assert veil.sum() == pytest.approx(1.0, abs=1e-3)  # a screen of 3.5 deviations
-    for axis, pixel_mm in ((0, 100.0 / 201), (1, 200.0 / 401)):
+    for axis, pixel_mm in ((0, 100.0 / 201), (1, 200.0 / 201)):
         along = veil.sum(axis=1 - axis)
         deviation_mm = math.sqrt(along @ (np.arange(along.size) - along.size // 2) ** 2) * pixel_mm
         assert deviation_mm == pytest.approx(80.0 * math.tan(math.radians(10.0)), rel=0.02)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +16,7 @@ from optics.witness import (
     Mill,
     NoMarksError,
     Strip,
-    bracket_dose,
     choose_strip,
-    list_visible,
 )
 from optics.witness_light import StripNotFoundError, finish_strip, fit_dose, read_strip, strip_heights_mm
 from tests.optics.witness_photographs import light_on_paper, photograph_strip, work_strip
@@ -86,19 +83,6 @@ def test_the_pad_touches_the_ball_fits_and_the_tips_are_whole_steps(
         if mill.step_mm:
             steps = np.array(mark.tips_mm) / mill.step_mm
             assert np.abs(steps - np.rint(steps)).max() < 1e-9
-
-
-@given(finishes, mills, st.floats(0.05, 3.0))
-def test_what_is_visible_brackets_the_dose(finish: Finish, mill: Mill, dose: float) -> None:
-    marks = chosen(finish, 0.02, mill).marks
-    low, high = bracket_dose(marks, list_visible(marks, finish, dose))
-    assert low * 0.999 <= dose <= high * 1.001
-    assert {low, high} <= {0.0, *(mark.share for mark in marks), math.inf}
-
-
-def test_a_mark_that_should_be_gone_and_is_not_counts() -> None:
-    marks = choose_strip(*FELT, ROUTER, room_mm=100.0).marks
-    assert bracket_dose(marks, [True, False, False, True, True]) == (0.0, 0.6)
 
 
 @pytest.mark.parametrize(

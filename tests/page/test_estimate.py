@@ -252,7 +252,7 @@ def test_a_picture_hard_to_recognise_comes_with_changes_that_show_more_and_a_but
     choose(page, picture())
     shown = page.get_by_role("region", name="What would show more")
     expect(shown.get_by_role("button")).to_have_text(
-        ["A picture that is prepared for what shows", "A lens of 150 x 150 mm"]
+        ["A picture prepared for what will show", "A lens of 150 x 150 mm"]
     )
     expect(shown.get_by_role("listitem").nth(1)).to_contain_text(psnr_in_words(22.0))
     for number, level in enumerate((0.25, 0.5)):  # what the wall shows of each is of its own estimate

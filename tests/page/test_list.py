@@ -69,7 +69,7 @@ def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(op
     page = shown(opened, [])
     expect(page.locator(".drop")).to_be_visible()
     page.evaluate(DROP, [".drop", "notes.txt", list(b"no picture")])
-    expect(page.get_by_text("This is no picture.")).to_be_visible()
+    expect(page.get_by_text("This is not a picture.")).to_be_visible()
     page.evaluate(DROP, [".drop", "portrait.png", list(form.picture())])
     expect(page.get_by_role("heading", name="New job")).to_be_visible()
     expect(page.get_by_label("Name of the job")).to_have_value("portrait")

@@ -390,7 +390,7 @@ def test_a_line_that_changes_the_mill_itself_is_asked_for_once_more(opened: Open
     question = page.get_by_role("group", name="Send $20=0")
     expect(question).to_contain_text("switches the soft limits off")
     expect(question.get_by_role("button", name="Cancel")).to_be_focused()
-    question.get_by_role("button", name="Send $20=0 all the same").click()
+    question.get_by_role("button", name="Send $20=0 anyway").click()
     await_orders(page, sent, 2)
     assert [body for _, body, _ in sent] == [{"text": "$20=0"}, {"text": "$20=0", "confirm": True}]
     expect(question).to_be_hidden()

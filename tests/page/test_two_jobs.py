@@ -119,7 +119,7 @@ def test_the_zero_of_another_job_is_asked_for(opened: Opened) -> None:
     expect(page.locator(".checklist .missing")).to_have_text("Say above where X0 Y0 is.")
     go = page.get_by_role("button", name="Start pass-1-rough.nc")
     expect(go).to_be_disabled()
-    line.get_by_role("button", name="Set anew").click()
+    line.get_by_role("button", name="Set again").click()
     expect(line.get_by_role("button", name="X and Y = 0 here")).to_be_enabled()
     expect(go).to_be_disabled()
     wait_after(page, before, anew="XY")

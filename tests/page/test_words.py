@@ -37,8 +37,8 @@ VALUES: dict[str, Any] = {
 }  # fmt: skip
 TABLE = "async () => (await import('/page/machine/sentences.js')).CODES"
 TOLD = """async (all) => {
-    const { tell } = await import("/page/machine/sentences.js");
-    return all.map(tell).flatMap(({brief, whole}) => [brief, whole]);
+    const { describe } = await import("/page/machine/sentences.js");
+    return all.map(describe).flatMap(({brief, whole}) => [brief, whole]);
 }"""
 
 

@@ -69,8 +69,8 @@ REFUSALS: dict[str, Callable[[Values], Phrase]] = {
 
 SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     "mirrored": lambda v: Phrase(
-        "the photograph shows the picture mirrored: a selfie camera does that, else the wall is looked at from the "
-        'other side than optics.viewed_from = "{viewed_from}" says', **v
+        "the photograph shows the picture mirrored: a selfie camera does that; otherwise it shows the other side "
+        'of the wall than optics.viewed_from = "{viewed_from}" says', **v
     ),
     "wall_too_far": lambda v: Phrase(
         "the wall stands {mm:.2g} mm (± {deviation_mm:.1g} mm) too far: move it nearer to the lens by that much", **v
@@ -88,7 +88,7 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
         "the block and the wall to each other", **v, side=_side(v)
     ),
     "light_aslant": lambda v: Phrase(
-        "the light comes aslant by {deg:.2g}° (± {deviation_deg:.1g}°), towards the picture's {side}: turn the lamp, "
+        "the light is tilted by {deg:.2g}° (± {deviation_deg:.1g}°), towards the picture's {side}: turn the lamp, "
         "or block and wall together", **v, side=_side(v)
     ),
     "turned": lambda v: (

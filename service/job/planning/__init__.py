@@ -1,1 +1,1 @@
-"""Plans of a job: which passes, which finish, and what they will show."""
+"""Plans of a job: its passes, its finish, and the picture that they will show."""

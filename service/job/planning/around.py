@@ -1,4 +1,4 @@
-"""The ways of what is milled around the passes, and the time that they take."""
+"""Paths of the programs around the passes (facing, cut-out), and the time that they take."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from service.job.spec.resolved import ResolvedJob
 
 
 def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:
-    """Yield (name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
+    """Yield (name, cutter radius [mm], paths) of the programs around the passes of a whole block, for estimates."""
     spec, stock, machine = job.spec, cam_stock_of(job.spec), job.machine
     if (facing := facing_task_of(spec)) is not None:
         yield FACE, facing.radius_mm, list(make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
@@ -36,7 +36,7 @@ def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]
 
 
 def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
-    """Time of paths by their lengths and feeds alone."""
+    """Return the time of paths from their lengths and feeds alone [s]."""
     seconds, place = 0.0, None
     for path in paths:
         points = path.points_mm if place is None else np.vstack([place, path.points_mm])

@@ -1,4 +1,4 @@
-"""Single changes of a job that may show more of its picture; what each comes to is for an estimate to tell."""
+"""Single changes of a job that may show more of its picture; an estimate finds out how much each gains."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _ROUND_MM = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """what: in words; values: of the spec, by dotted key."""
+    """what: a sentence; values: of the spec, by dotted key."""
 
     what: Phrase
     values: dict[str, Any]
 
     def apply_to(self, job: ResolvedJob) -> ResolvedJob:
-        """Return the job with the change; SpecError where that is none."""
+        """Return the job with the change; SpecError if the change is not allowed."""
         data = without_derived(job)
         for key, value in self.values.items():
             table, _, name = key.rpartition(".")
@@ -38,7 +38,7 @@ class Change:
 
 
 def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
-    """Yield changes that the job has not taken yet and that its mill allows.
+    """Yield the changes that the job's mill allows and that the job does not have yet.
 
     detail_mm : the smallest detail that shows on the wall now
     """
@@ -80,12 +80,12 @@ def _to_fives(length_mm: float) -> float:
 
 
 def _finer_mill(own: MachineProfile) -> str | None:
-    """Return the profile whose heights are most exact, by steps and errors; None where the job's own is as good."""
+    """Return the profile with the most exact heights, by steps and errors; None if the job's own is as good."""
     best, best_mm = None, 0.9 * hypot(own.step_mm, own.z_noise_mm)
     for name in profile_names():
         try:
             profile = load_profile(name)
-        except ProfileError:  # of a person's own; where it is chosen, it is told
+        except ProfileError:  # a person's own file; if it is chosen, the error is reported
             continue
         if (off_mm := hypot(profile.step_mm, profile.z_noise_mm)) < best_mm:
             best, best_mm = name, off_mm

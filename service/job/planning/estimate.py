@@ -1,4 +1,4 @@
-"""What a job will come to: its lens, hours and blur from that lens and its passes.
+"""Estimates a job before it runs: relief, hours and blur, from a quick lens and its passes.
 
 In a second from a coarse picture: heights are set by the large forms of a picture, so relief and hours of a coarse lens
 are nearly those of the job; its slopes miss what only fine detail makes steeper, and its light the creases that black
@@ -43,7 +43,7 @@ from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
+from service.job.planning.estimate_light import MOST_PIXELS, PredictedPicture, describe_light, predict_picture
 from service.job.planning.finished_light import blur_of
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import LensFacts, measure_lens
@@ -75,15 +75,15 @@ PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
 
 _STEEP_DEG = 45.0
-_WORTH_DB = 1.0  # of a change
-_REFLECTED = 1e-6  # share of the light, from which on it is no rounding
-_WIDTH = 2.355  # of a blur at half its height, in standard deviations
+_WORTH_DB = 1.0  # least gain of a change
+_REFLECTED = 1e-6  # share of the light; less is a rounding error
+_WIDTH = 2.355  # full width of a blur at half its height, in standard deviations
 _TUBES, _BEAMS = 2, 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class QuickLens:
-    """A job's lens as a coarse picture gives it.
+    """A quick lens of a job, from a coarse picture.
 
     job      : with its passes, planned where they were not given
     planned  : they were planned; seconds: of each, where the plan knows them; see: returns what the wall will show,
@@ -96,7 +96,7 @@ class QuickLens:
     job: ResolvedJob
     planned: bool
     seconds: tuple[float, ...]
-    see: Callable[[], ForetoldPicture] | None
+    see: Callable[[], PredictedPicture] | None
     settings: LensSettings
     design: LensDesign
     facts: LensFacts
@@ -127,8 +127,9 @@ def estimate(
     exactly: bool = False,
     plans: KeptPlans = NO_PLANS,
 ) -> dict[str, Any]:
-    """Return the answer of POST /v1/estimates. InputError, PictureError where a job would fail at
-    once. plans: where an exact one finds its plan, or leaves it for the job.
+    """Return the answer of POST /v1/estimates. InputError or PictureError if the job would fail at once.
+
+    plans : where an exact estimate finds its plan, or leaves it for the job
     """
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
@@ -140,7 +141,7 @@ def estimate(
             job = job.with_spec(with_branch(specs[0], own))
         quick = quick_lens(job, targets[0], None if exactly else whole, plans)
         passes = _with_around(quick.job, list(_hours(quick)))
-        seen = _foretell_picture(quick, whole, exactly=exactly)
+        seen = _predict_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
@@ -170,9 +171,7 @@ def estimate(
 
 
 def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
-    """Yield single changes of a job that show plainly more of its picture, with their estimates; none that is
-    refused.
-    """
+    """Yield single changes of a job that show clearly more of its picture, with their estimates; skip refused ones."""
     own = estimate(job, path, limits=limits, name=path.name)
     for change in changes_of(job, own["smallest_detail_mm"]):
         try:
@@ -184,7 +183,7 @@ def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
 
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], Picture]:
-    """Return what a lens of each spec aims at, and the picture of the last one; decoded once, and not kept."""
+    """Return the target of a lens for each spec, and the picture of the last one; it is decoded once, and not kept."""
     decoded = decode_picture(path, limits, name)
     found: list[Array] = []
     for number, spec in enumerate(specs):
@@ -199,24 +198,24 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
-    """Return the same job with a coarser picture."""
+    """Return the job with a coarser picture."""
     return _with_pixels(spec, PIXELS)
 
 
 def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
-    """Return the spec with at most so many pixels along the longer side."""
+    """Return the spec with at most that many pixels along the longer side."""
     scale = min(1.0, most / max(spec.image.pixels, spec.pixel_rows))
     pixels = max(16, round(scale * spec.image.pixels))
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
 def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: KeptPlans = NO_PLANS) -> QuickLens:
-    """Return the lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+    """Return the lens for a target (ny, nx), work frame, mean 1, by the default method whatever the job says.
 
     whole : the same with more pixels, by which finishes are compared; None: the plan is the job's, one of `plans`
     """
     seconds: tuple[float, ...] = ()
-    see: Callable[[], ForetoldPicture] | None = None
+    see: Callable[[], PredictedPicture] | None = None
     is_planned = job.spec.to_be_planned
     if is_planned and whole is None:
         made = plans.make(job, target, at_once=True)
@@ -248,7 +247,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: Kept
 
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
-    """Yield the hours of each pass: those of the plan, or from the stock that the one before leaves."""
+    """Yield the hours of each pass: those of the plan, or computed from the stock that the pass before leaves."""
     specs = cam_passes_of(quick.spec)
     known_s = quick.seconds
     if not specs[0].is_ball:  # what is to be cut after a flat end a plan has guessed
@@ -259,7 +258,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
 
 
 def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple[float, ...]) -> Iterator[float]:
-    """Yield the seconds of each pass; known_s: of the first, where that is known."""
+    """Yield the seconds of each pass; known_s: those of the first, if known."""
     form, machine = quick.form, quick.job.machine
     mill, digits = kinematics_of(machine), digits_of(machine)
     stock_mm: Array | None = None
@@ -276,7 +275,7 @@ def _time_passes_s(quick: QuickLens, specs: tuple[PassSpec, ...], known_s: tuple
 
 
 def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the same with what is milled around the passes, before and after them."""
+    """Return the hours with those of the programs before and after the passes."""
     rates = job.machine.max_rate_mm_per_min
     around = {
         name: {
@@ -291,7 +290,7 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_rows: int) -> float:
-    """Return the seconds of a pass that others went before; depth_mm (ny, nx): what it takes off."""
+    """Return the seconds of a later pass; depth_mm (ny, nx): the stock that it takes off."""
     form, machine = quick.form, quick.job.machine
     mill = kinematics_of(machine)
     if spec.where == "rest":
@@ -301,7 +300,7 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array, *, made_ro
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
-    """Return heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to
+    """Return the heights (ny, nx) that a pass leaves: the lens as its ball reaches it, its cusps and its stock to
     leave.
     """
     if not spec.is_ball:
@@ -334,7 +333,7 @@ class Blur:
             yield Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=self.detail_mm)
 
 
-def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
+def _blur(quick: QuickLens, seen: PredictedPicture | None) -> Blur:
     disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
     return Blur(
         milling_mm=_blur_of_milling_mm(quick),
@@ -344,7 +343,7 @@ def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
 
 
 def _blur_of_milling_mm(quick: QuickLens) -> float:
-    """Return the blur of what the tool, or the work by hand after it, leaves."""
+    """Return the blur that the tool leaves, or the finish by hand after it."""
     if (finish := finish_of(quick.spec)) is not None:
         return blur_of(finish)
     if (slopes := _slopes(quick)) is None:
@@ -354,14 +353,14 @@ def _blur_of_milling_mm(quick: QuickLens) -> float:
     return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
 
 
-def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
-    """Return what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+def _predict_picture(quick: QuickLens, target: Array, *, exactly: bool) -> PredictedPicture | None:
+    """Predict what the milled lens shows of a target (ny, nx); None if no pass finishes the lens."""
     finish, slopes = _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
     if quick.see is not None:
         return quick.see()
-    return foretell(
+    return predict_picture(
         target,
         quick.bench,
         quick.form,
@@ -374,8 +373,8 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
     )
 
 
-def _draw_wall(seen: ForetoldPicture, viewed_from: Literal["lens", "behind"]) -> str:
-    """Return a PNG of the wall, as the viewer sees it, exposed as a job's pictures are, as a data URL."""
+def _draw_wall(seen: PredictedPicture, viewed_from: Literal["lens", "behind"]) -> str:
+    """Return a PNG of the wall as a data URL, as the viewer sees it, exposed like a job's pictures."""
     picture = picture_from_irradiance(seen.light, viewed_from=viewed_from)
     packed = picture_png(picture, white=float(seen.target.max()), side=WALL_PIXELS)
     return f"data:image/png;base64,{b64encode(packed).decode()}"
@@ -388,7 +387,7 @@ def _find_finish(quick: QuickLens) -> PassSpec | None:
 
 
 def _slopes(quick: QuickLens) -> RowSlopes | None:
-    """Return what the last finishing pass leaves; None where none finishes."""
+    """Return the slope errors that the last finishing pass leaves; None if no pass finishes."""
     machine, finish = quick.job.machine, _find_finish(quick)
     if finish is None:
         return None
@@ -410,7 +409,7 @@ def _floor_mm(quick: QuickLens) -> float:
 
 
 def _refusals(quick: QuickLens) -> Iterator[dict[str, Any]]:
-    """Yield reasons why the job would fail before it has a program, as the API tells problems."""
+    """Yield the reasons why the job would fail before it has a program, in the API's form."""
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)

@@ -1,4 +1,4 @@
-"""What the wall will show of a job, predicted for an estimate as the planner predicts it."""
+"""Predicts for an estimate what the wall will show of a job, as the planner predicts it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MOST_PIXELS = 512
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForetoldPicture:
-    """What the wall will show, and what it is to show: (ny, nx) irradiance, work frame. Its figures are of that light;
-    the smallest detail counts the marks alone.
+class PredictedPicture:
+    """The predicted picture and its target: (ny, nx) irradiance, work frame. The figures are those of this light; the
+    smallest detail counts only the tool's marks.
     """
 
     light: Array
@@ -29,7 +29,7 @@ class ForetoldPicture:
     detail_mm: float
 
 
-def foretell(
+def predict_picture(
     target: Array,
     bench: Bench,
     form: LensForm,
@@ -40,8 +40,8 @@ def foretell(
     by_hand: Finish | None,
     design: Design,
     fine: bool,
-) -> ForetoldPicture:
-    """Return what the milled lens shows of a target (ny, nx), mean 1.
+) -> PredictedPicture:
+    """Predict what the milled lens shows of a target (ny, nx), mean 1.
 
     missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
     by_hand : what is done after milling, of lenses by that design, as fine as the picture or coarse
@@ -57,10 +57,10 @@ def foretell(
     return describe_light(finished, marks)
 
 
-def describe_light(light: PictureLight, marks: Marks) -> ForetoldPicture:
-    """Return the picture that a plan's light shows of its marks."""
+def describe_light(light: PictureLight, marks: Marks) -> PredictedPicture:
+    """Return the picture that a plan's light predicts for its marks."""
     seen = light.picture(marks)
-    return ForetoldPicture(
+    return PredictedPicture(
         light=seen,
         target=light.target,
         psnr_db=psnr_db(seen, light.target),

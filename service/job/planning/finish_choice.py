@@ -1,4 +1,4 @@
-"""Which finish, and for how many minutes: every way of the library that the job allows, beside milling alone."""
+"""Chooses the finish and its minutes: compares every process of the library that the job allows with milling alone."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from service.job.spec.finish_library import Process, say
 from service.job.spec.lens_task import build_finish
 from service.job.spec.resolved import ResolvedJob
 
-_NEAR = 6  # of such steps, within which a lens is as good a sample
-_FINER = 1.12  # minutes, from one that is tried to the next
-_LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
+_NEAR = 6  # steps of _FINER within which one lens represents the finish
+_FINER = 1.12  # ratio of the minutes of two neighbouring trials
+_LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: outside, no picture or no finish is left
 _FINER_LACKS = (
-    1.9  # times as much as a lens of 96 pixels, of the light of one as fine as the picture: films, 2.1 and 1.7
+    1.9  # error of a lens as fine as the picture over that of one of 96 pixels: films, 2.1 and 1.7 on two pictures
 )
-_FINER_LACKS_TOUCH = 2.4  # the same of tools, which do not reach everywhere: 2.85 and 2.0 on the same two pictures
+_FINER_LACKS_TOUCH = 2.4  # the same for tools, which do not reach everywhere: 2.85 and 2.0 on these pictures
 _WORTH_DB = 0.1
-_ALIKE_DB = 0.2  # PSNR hardly changes near its best, where longer work still levels what is seen in even areas
+_ALIKE_DB = 0.2  # PSNR hardly changes near its best, but longer work still levels visible marks in even areas
 _CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finishing:
-    """A way to finish by hand: a process of the library, or one's own figures, and the work on the whole lens."""
+    """A finish by hand: a process of the library, or one's own figures, and the minutes of work on the whole lens."""
 
     process: str
     title: str
@@ -45,7 +45,7 @@ class Finishing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FinishedPlan:
-    """A plan, the finish after it, and the light that it was made with."""
+    """A plan, the finish after it, and the light model that it was made with."""
 
     plan: Plan
     finishing: Finishing
@@ -53,8 +53,8 @@ class FinishedPlan:
 
 
 def list_finishings(job: ResolvedJob) -> list[Finishing]:
-    """Return what the job allows: one where its transfer function is given, else one for each time of work worth
-    trying.
+    """Return the finishes that the job allows: one if its transfer function is given, otherwise one for each duration
+    worth trying.
     """
     spec, processes = job.spec, job.figures.processes
     given = spec.finish
@@ -97,8 +97,8 @@ def plan_finish(
     exactly: bool,
     margin_mm: float,
 ) -> FinishedPlan:
-    """Return the best plan of all finishings whose tool gets to the rims, of all where none does; its guesses are
-    corrected by a lens for one of the best of each process.
+    """Return the best plan of all finishes whose tool reaches the rims, or of all finishes if none does. For one of the
+    best of each process, a lens corrects the first guesses.
 
     exactly    : and the best by a lens as fine as the picture
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
@@ -132,14 +132,18 @@ def plan_finish(
 
 
 def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, FinishedLight]]) -> None:
-    """Take over how far guesses were off for the same process: what one tool does not reach says nothing of others."""
+    """Apply the corrections of one finish to others of the same process: places that one tool does not reach say
+    nothing about other tools.
+    """
     for finishing, light in ways:
         if finishing.process == calibrated.finishing.process and light is not calibrated.light:
             light.trust(calibrated.light)
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
-    """Return, of finishes without a rest pass that leave the same, the quickest, whatever their strategy; sorted."""
+    """Return the quickest of the finishes without a rest pass that leave the same marks, whatever their strategy;
+    sorted.
+    """
     found: dict[tuple[object, ...], Candidate] = {}
     for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):
         if one.rest is None:
@@ -149,7 +153,7 @@ def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _select_with_room(candidates: list[Candidate], light: FinishedLight, margin_mm: float) -> list[Candidate]:
-    """Return those after whose passes the tool of the finish gets to the rims."""
+    """Return the finishes whose tool reaches the rims after their passes."""
     found: dict[tuple[object, ...], bool] = {}
 
     def is_reached(one: Candidate) -> bool:
@@ -182,7 +186,7 @@ def _find_best_by_merit(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
 
 
 def find_best(plans: list[FinishedPlan], goal: Goal) -> FinishedPlan:
-    """Return the best by merit; of those whose PSNR is like its, where that decides, the one of the greatest SSIM."""
+    """Return the best by merit; among plans of like PSNR, if that decides, the one with the greatest SSIM."""
     best = _find_best_by_merit(plans, goal)
     if goal.is_quality:
         return best
@@ -200,7 +204,7 @@ def _ssim(one: FinishedPlan) -> float:
 
 
 def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Candidate]:
-    """Return, scored, those that come on a front, quickest first."""
+    """Return the plans of a Pareto front, scored, quickest first."""
     found: list[Candidate] = []
     for one, psnr_db in zip(candidates, light.psnrs_db([one.marks for one in candidates]), strict=True):
         if not found or psnr_db > found[-1].psnr_db + WORTH_DB:
@@ -209,8 +213,8 @@ def _score_better(candidates: list[Candidate], light: FinishedLight) -> list[Can
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
-    """Return the merit, larger is better: a goal that is met, then less time where a quality was asked for, the picture
-    where a time was, else what of both is worth more.
+    """Return the merit; larger is better. First counts whether the goal is met, then the time for a goal of quality,
+    the picture for a goal of time, and without a goal the better balance of both.
     """
     chosen = plan.chosen
     if goal.is_quality:
@@ -219,7 +223,7 @@ def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
 
 
 def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
-    """Return whether finishing makes the picture better, or the same goal quicker to reach."""
+    """Return whether finishing makes the picture better or reaches the same goal sooner."""
     if goal.is_quality:
         return merit(finished, goal) > merit(milled, goal)
     with_db, without_db = (min(plan.chosen.psnr_db, _CLOSE_DB) for plan in (finished, milled))

@@ -1,4 +1,4 @@
-"""What a lens shows after milling and finishing, as far as it can be known before a program is written.
+"""Predicts what a lens shows after milling and finishing, before a program is written.
 
 A finish levels what rows leave (the height errors of rows, high in frequency) and the finest of what carries the
 picture; the lens foresees it. So the picture lacks waves that hardly anything is left of, and has stripes by what is
@@ -27,15 +27,15 @@ from optics.heightfield import Array, Heightfield
 from service.job.picture.resampling import resize
 from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves, waves_of
 
-_EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
-_CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
-_STRIPES = 1.6  # bright places, whose stripes are stronger than their share
-_ALONG = 1.35  # what shaped heights leave along the rows, too: 1.16 to 1.53 for five pictures on two mills
+_EDGES = 1.6  # stray light beside edges over the loss of their waves: 1.5 to 2.2 on `camera` for six finishes
+_CLOSING = 0.5  # part of the cost of filling valleys that remains with a finish, which rounds them anyway
+_STRIPES = 1.6  # correction for bright places, where stripes are stronger than average
+_ALONG = 1.35  # correction for marks that shaped heights leave along the rows: 1.16 to 1.53, five pictures, two mills
 _GIVEN_UP = 1e-3  # H^2 of a wave of which a lens for a finish keeps half
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 1.75, 7
-_NEARLY_ALL = 0.98  # of a lens, that a tool touches: what it loses elsewhere is less than what it levels
-_WAVE_NUMBERS = 1024  # of a picture, that are told apart
-_ALIKE = 0.01  # waves, by the ratio of their numbers
+_NEARLY_ALL = 0.98  # share of a lens that a tool touches: above it, the loss elsewhere is less than the gain
+_WAVE_NUMBERS = 1024  # number of wave numbers for a picture
+_ALIKE = 0.01  # step of the logarithm of wave numbers
 _ROW_WAVES = np.exp(np.arange(math.log(0.05), math.log(400.0), _ALIKE))
 """Wave numbers [rad/mm] of rows, to periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them."""
 
@@ -44,8 +44,8 @@ Design = Callable[[Finish, float, bool], tuple[Heightfield, Array]]
 
 
 class Spectra:
-    """Mean squares of a picture's waves, and of what lenses for balls miss of them, by wave number; of rows' curvature
-    by _ROW_WAVES.
+    """Mean squares by wave number of a picture's waves and of what lenses for balls miss of them, and by _ROW_WAVES of
+    the curvature of rows.
 
     k_rad_per_mm, wanted : (n,)
     """
@@ -62,13 +62,13 @@ class Spectra:
         self._bends: dict[tuple[Marks, ...], Array] = {}
 
     def lack_of(self, shown: Shown) -> Array:
-        """Return (n,) of what a lens misses as it is unmilled."""
+        """Return (n,) what a lens misses of each wave before milling."""
         if shown not in self._lacks:
             self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
         return self._lacks[shown]
 
     def bends_of(self, several: tuple[Marks, ...]) -> Array:
-        """Return (m, n) of what rows leave, as a pixel on the screen sees it [1/mm^2]."""
+        """Return (m, n) curvature that rows leave, as a pixel on the screen sees it [1/mm^2]."""
         if several not in self._bends:
             self._bends[several] = np.stack([self._see_rows(marks) for marks in several])
         return self._bends[several]
@@ -85,8 +85,8 @@ class Spectra:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
-    """A finished lens without marks, what it was made for, and its light (ny, nx): bare, and where the tool does not
-    touch blurred by the rows of the mill.
+    """A finished lens without marks, its target, and its light (ny, nx): bare, and, where the tool does not touch,
+    blurred by the rows of the mill.
     """
 
     done: Finished
@@ -96,14 +96,15 @@ class Seen:
 
 
 class FinishedLight(PictureLight):
-    """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold.
+    """The light of milled lenses after a finish, made from the light model of milled lenses. It predicts rows only, no
+    rest pass.
 
     spectra : of the milled light, where several finishes are compared
     """
 
     def __init__(self, milled: PictureLight, finish: Finish, spectra: Spectra | None = None) -> None:
         super().__init__(milled.target, milled.hazy_bench, goal=milled.goal)
-        self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
+        self.lenses, self.finish = dict(milled.lenses), finish  # a copy: the other light settles its lenses again
         self._spectra = spectra or Spectra(milled)
         self._lens_scale, self._lost_contact = 1.0, 0.0
         self._stripe_scale: dict[Direction, float] = {"x": 1.0, "y": 1.0}
@@ -113,14 +114,14 @@ class FinishedLight(PictureLight):
 
     @cached_property
     def _kept_waves(self) -> Array:
-        """(ny, nx) part of each wave of the picture that is kept by a lens that foresees the finish."""
+        """Return (ny, nx) the part of each wave of the picture that a lens made for the finish keeps."""
         return _kept_of(self.finish, _picture_wave_numbers(self.target.shape, self.bench))
 
     def psnr_db(self, marks: Marks) -> float:
         return self.psnrs_db([marks])[0]
 
     def psnrs_db(self, several: Sequence[Marks]) -> list[float]:
-        """Return `psnr_db` of several at once, in their order."""
+        """Return `psnr_db` of several plans at once, in their order."""
         errors = np.array([self._lens_error(one.radius_mm) for one in several])
         errors += np.square(self._grains(several)) * self._square
         return [self.db_of_error(error) for error in errors.tolist()]
@@ -128,11 +129,11 @@ class FinishedLight(PictureLight):
     aimed_db = unsharpened_db = psnr_db
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
-        """Return no blur: the finish takes off what rows blur."""
+        """Return no blur, because the finish takes off what blurs."""
         return 0.0, 0.0
 
     def blur_mm(self, slopes: RowSlopes) -> float:
-        """Return the standard deviation of a Gaussian that keeps half of the wave that the finish leaves half of."""
+        """Return the standard deviation of the Gaussian that halves the same wave as the finish."""
         return blur_of(self.finish)
 
     def perfect_db(self, radius_mm: float) -> float:
@@ -140,37 +141,35 @@ class FinishedLight(PictureLight):
         return self.db_of_error(self._lens_error(radius_mm))
 
     def grain(self, marks: Marks) -> float:
-        """Return the standard deviation of the light over its mean, by what is left of the rows."""
+        """Return the standard deviation of the light over its mean, from the remaining height errors of rows."""
         return float(self._grains([marks])[0])
 
     def _grains(self, several: Sequence[Marks]) -> Array:
-        """Return `grain` (n,) of several at once: the way to the wall times what is left of the rows' curvature."""
+        """Return `grain` (n,) of several plans: the distance to the wall times the remaining curvature of rows."""
         squares = self._spectra.bends_of(tuple(several))
         reaches_mm = np.array([self.reach_mm(self.lenses[one.radius_mm].form) for one in several])
         stripes = np.array([_STRIPES * self._stripe_scale[one.spec.direction] for one in several])
         return np.asarray(reaches_mm * np.sqrt(stripes * (squares @ np.square(self.finish.kept(_ROW_WAVES)))))
 
     def is_lit(self, marks: Marks) -> bool:
-        """Return whether a lens for that ball was looked at."""
+        """Return whether the light of a lens for that ball has been simulated."""
         return marks.radius_mm in self._lit
 
     def smooth_picture(self, marks: Marks) -> Array:
-        """Return the light without stripes: of a lens that was looked at, or of waves alone."""
+        """Return the light without stripes: of a simulated lens, or from the waves alone."""
         if (seen := self._lit.get(marks.radius_mm)) is not None:
             return seen
         return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
     def clear_picture(self, marks: Marks) -> Array:
-        """Return irradiance (ny, nx) on the screen, work frame: the smooth picture, stripes along the rows by lot."""
+        """Return irradiance (ny, nx) on the screen, work frame: the smooth picture with random stripes along rows."""
         smooth, along_x = self.smooth_picture(marks), marks.spec.direction == "x"
         lot = self._draw_stripes(marks, smooth.shape[0 if along_x else 1])
         stripes = lot[:, None] if along_x else lot[None, :]
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * stripes, 0.0))
 
     def _draw_stripes(self, marks: Marks, count: int) -> Array:
-        """Return stripes (count,) drawn by lot, of standard deviation 1 and as wide as what the finish leaves of
-        rows.
-        """
+        """Return random stripes (count,) of standard deviation 1, as wide as those that the finish leaves."""
         side_mm = self.bench.height_mm if marks.spec.direction == "x" else self.bench.width_mm
         k = math.pi * np.arange(1, count) / side_mm
         squares = self._spectra.bends_of((marks,))[0] * np.square(self.finish.kept(_ROW_WAVES)) / _ROW_WAVES
@@ -179,8 +178,8 @@ class FinishedLight(PictureLight):
         return np.asarray(lot / max(float(lot.std()), 1e-300))
 
     def look_at(self, marks: Marks, design: Design) -> None:
-        """Keep the light of a coarse lens that is designed and finished as what is seen of those marks: with the waves
-        that it has no part in, as far as the finish keeps them.
+        """Simulate a coarse lens designed for the finish and keep its light for those marks; add the waves that a
+        coarse lens lacks, as far as the finish keeps them.
         """
         seen = self._shine(marks, design, fine=False)
         ny, nx = seen.target.shape
@@ -189,8 +188,8 @@ class FinishedLight(PictureLight):
         self._lit[marks.radius_mm] = np.maximum(picture_of_waves(waves), 0.0)
 
     def calibrate(self, marks: Marks, design: Design, *, fine: bool = False, finer_lacks: float = 1.0) -> None:
-        """Correct both guesses by a lens that is designed, milled in rows, finished and lit; a fine one is kept as what
-        is seen.
+        """Correct both guesses by a lens that is designed, milled in rows, finished and lit; keep the light of a fine
+        one.
 
         finer_lacks : how many times as much one as fine as the picture misses
         """
@@ -202,7 +201,7 @@ class FinishedLight(PictureLight):
         off_free = finer_lacks * float(np.square(light - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
-        finer[:ny, :nx] = 0.0  # waves that the lens has no part in
+        finer[:ny, :nx] = 0.0  # waves too fine for the coarse lens
         off_fine = float((finer * np.square(1.0 - self._kept_waves)).mean())
         # No finish makes a lens better than it is without marks.
         unmarked = self.lenses[marks.radius_mm].perfect_error
@@ -214,7 +213,7 @@ class FinishedLight(PictureLight):
             self._calibrate_stripes(replace(marks, spec=replace(marks.spec, direction=direction)), seen)
 
     def _shine(self, marks: Marks, design: Design, *, fine: bool) -> Seen:
-        """Return what is seen of those marks; a lens is designed once."""
+        """Return the simulated light for those marks; each lens is designed once."""
         if (marks, fine) not in self._shone:
             self._shone[marks, fine] = self._shine_anew(marks, design, fine=fine)
         return self._shone[marks, fine]
@@ -226,7 +225,9 @@ class FinishedLight(PictureLight):
         return Seen(done=done, target=target, bare=bare, light=self._blur_past_tool(bare, done, marks))
 
     def _blur_past_tool(self, light: Array, done: Finished, marks: Marks) -> Array:
-        """Return light (ny, nx) whose part that comes by what the tool does not touch is blurred by rows, as milled."""
+        """Return light (ny, nx) in which the part from places that the tool does not touch is blurred by rows, as
+        milled.
+        """
         if done.touched.all():
             return light
         hangs = 1.0 - done.touched[:-1, :-1].astype(np.float64)
@@ -240,7 +241,7 @@ class FinishedLight(PictureLight):
             self._stripe_scale[marks.spec.direction] *= _ALONG * float(np.square(marked - seen.bare).mean()) / guessed
 
     def trust(self, calibrated: FinishedLight) -> None:
-        """Take over how far the guesses of another finish were off."""
+        """Apply the corrections of another finish."""
         self._lens_scale, self._stripe_scale = calibrated._lens_scale, dict(calibrated._stripe_scale)
         self._lost_contact, self.contact_share = calibrated._lost_contact, calibrated.contact_share
 
@@ -250,11 +251,11 @@ class FinishedLight(PictureLight):
         return simulate_caustic(lens, self.bench, pixels=pixels, tubes_per_cell=tubes, beams=_BEAMS).irradiance
 
     def _lens_error(self, radius_mm: float) -> float:
-        """Return the mean square of what the picture of the lens for a ball lacks."""
+        """Return the mean square error of the picture of the lens for a ball."""
         return self._lens_scale * self._guess_error(radius_mm) + self._lost_contact
 
     def _guess_error(self, radius_mm: float) -> float:
-        """Return the same by the finish's waves alone, as it is guessed before a lens is looked at."""
+        """Return the mean square error estimated from the finish's waves alone, before a lens is simulated."""
         if radius_mm not in self._errors:
             kept = _kept_of(self.finish, self._spectra.k_rad_per_mm)
             lost = np.square(1.0 - kept) @ self._spectra.wanted
@@ -276,17 +277,17 @@ def _kept_of(finish: Finish, k_rad_per_mm: Array) -> Array:
 
 
 def blur_of(finish: Finish) -> float:
-    """Return standard deviation [mm on the lens] of the Gaussian that leaves half of the wave of which half is kept."""
+    """Return the standard deviation [mm on the lens] of the Gaussian that halves the same wave."""
     return math.sqrt(2.0 * math.log(2.0)) / _half_kept(finish)
 
 
 def _half_kept(finish: Finish) -> float:
-    """Return the wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is _GIVEN_UP."""
+    """Return the wave number [rad/mm] of which a lens made for the finish keeps half: H^2 is _GIVEN_UP there."""
     return finish.k0_rad_per_mm * float(-0.5 * math.log(_GIVEN_UP)) ** (1.0 / finish.order)
 
 
 def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
-    """Return the surface with what the finish leaves of rows that are off in height, the same all along each row."""
+    """Return the surface plus what the finish leaves of rows with height errors, constant along each row."""
     spec = marks.spec
     along_x = spec.direction == "x"
     places = finished.y_mm if along_x else finished.x_mm

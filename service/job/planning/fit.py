@@ -1,4 +1,4 @@
-"""Does the job fit: the ball into the lens, the programs onto the disk?
+"""Checks before the first block is written whether the ball fits the lens and the programs fit the disk.
 
 All of this is asked before the first block is written.
 """
@@ -31,7 +31,7 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     share = facts.reached_share(radius_mm)
     if 1 - share < SEEN_SHARE:
         return None
-    fits = _word_fits(facts)
+    fits = _describe_fits(facts)
     if share < LEAST_REACHED:
         number = next(n for n, spec in enumerate(passes) if spec.finishes and spec.radius_mm == radius_mm)
         words = Phrase(
@@ -53,8 +53,8 @@ def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for
     return join("; ", (unfit, fits, remedy))
 
 
-def _word_fits(facts: LensFacts) -> Phrase:
-    """Return which balls fit everywhere and nearly everywhere."""
+def _describe_fits(facts: LensFacts) -> Phrase:
+    """Describe which balls fit everywhere and nearly everywhere."""
     parts = [
         Phrase("the largest that fits everywhere has {radius_mm:.3g} mm", radius_mm=facts.min_concave_radius_mm),
         *(
@@ -68,7 +68,7 @@ def _word_fits(facts: LensFacts) -> Phrase:
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
-    """Raise SpecError where flutes are shorter than one bite, or the lens itself would stand against the shank.
+    """Raise SpecError if flutes are shorter than one bite, or if the lens itself would touch the shank.
 
     Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
     """
@@ -101,7 +101,7 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
 
 
 def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
-    """Return about how large a program becomes."""
+    """Return the approximate size of a program [bytes]."""
     size_mm = (stock.width_mm, stock.height_mm)
     return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
 

@@ -16,9 +16,9 @@ _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensFacts:
-    """What curvature admits; a ball this large may still not reach where two slopes stand close together.
+    """Balls that the curvature admits; such a ball may still not reach a place where two slopes are close together.
 
-    min_concave_radius_mm                  : largest ball that fits everywhere; inf where nothing is concave
+    min_concave_radius_mm                  : largest ball that fits everywhere; inf if nothing is concave
     radius_for_99_mm, radius_for_999_mm    : largest ball for 99 % and 99.9 % of the aperture
     curvature                              : (n,) greatest principal curvature, positive in a hollow [1/mm]
     curvature_per_mm                       : percentiles of it over the area; negative where all of it bulges out

@@ -1,4 +1,4 @@
-"""Lenses for the planner: one designed, or left by the ball, for each ball of the shop, and lit once.
+"""Lenses for the planner: for each ball of the shop one designed for it, or one as the ball leaves it, and their light.
 
 Lenses are designed on a coarser picture: what they miss of it is taken over, fine detail as the target has it.
 """
@@ -34,10 +34,10 @@ from service.job.picture.resampling import resize
 from service.job.planning.finished_light import Design
 from service.job.planning.predicted_light import PictureLight, Valleys
 
-COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
+COARSE = 256  # pixels along the longer side of the picture for the lenses made here
 _SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
-_COARSE_STEPS = 8  # of the descent behind a finish; as fine as the picture: as many as the job takes
+_COARSE_STEPS = 8  # steps of descent for a finish; a lens as fine as the picture takes as many as the job
 
 _solving = Lock()
 
@@ -53,8 +53,7 @@ def predict_designs(
     aims: bool = True,
     on_progress: Progress | None = None,
 ) -> PictureLight:
-    """Design a lens for each ball, largest first: where nothing is to be filled, smaller balls have the same
-    one.
+    """Design a lens for each ball, largest first; if nothing has to be filled, smaller balls share the lens.
 
     as_given : the settings alone shape the lens, and each ball leaves of it what it can
     aims     : each lens is to be made sharper by what milling will blur
@@ -112,13 +111,13 @@ class _Shaped:
 
 
 def simplify(settings: LensSettings) -> LensSettings:
-    """Return settings for a quick lens: by transport, corrected once at most, not polished, for no finish."""
+    """Return settings for a quick lens: transport method, at most one correction, no polish, no finish."""
     return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
 
 
 def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Return a maker of lenses for finishes, descended on in a few steps: coarse ones for the one finish, or as fine as
-    the target for what may come of it.
+    """Return a function that designs lenses for finishes by a few steps of descent: coarse ones for a single finish, or
+    one as fine as the target for all outcomes of a finish.
     """
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
@@ -152,8 +151,7 @@ def design_whole(light: PictureLight, marks: Marks, settings: LensSettings, *, a
 def compute_passes(
     target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] | None = None
 ) -> Corrected:
-    """Return the passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones
-    again.
+    """Return the passes for a target (ny, nx). Small lenses are cached, because people try one value after another.
 
     first : the target's own solution, or one like it, where that is not to be found here
     """
@@ -164,7 +162,7 @@ def compute_passes(
 
 
 def _solve_first(target: Array, settings: LensSettings) -> OpticalPath:
-    """Solve for a picture itself: lenses for all balls and finishes begin with it."""
+    """Solve for the picture itself: the lenses for all balls and finishes start from this solution."""
     bench, skim_mm = settings.bench, settings.skim_mm
     wanted = _Wanted.of(target, bench, skim_mm, make=lambda: solve_transport(target, bench, skim_mm=skim_mm))
     with _solving:  # several threads ask for the same at once
@@ -172,7 +170,7 @@ def _solve_first(target: Array, settings: LensSettings) -> OpticalPath:
 
 
 def form_of(lens: Heightfield) -> LensForm:
-    """Return its form: of a small lens the same as before, with all that is known of how long its passes take."""
+    """Return the form of a lens; small lenses are cached together with all computed times of their passes."""
     return _form_once(lens) if lens.z_mm.size <= 2 * _SMALL else LensForm.of(lens)
 
 
@@ -181,7 +179,7 @@ _form_once = lru_cache(maxsize=32)(LensForm.of)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Wanted:
-    """What is made of some values, by their hash."""
+    """A cache of results, by the hash of their inputs."""
 
     key: bytes
     make: Callable[[], Any] = field(compare=False)
@@ -242,7 +240,7 @@ def _add_as_left(
 
 
 def _valleys(lens: Heightfield, left: Heightfield, bench: Bench, target: Array) -> Valleys | None:
-    """Return what a ball leaves filled of a lens; None where it is too little for a rest pass."""
+    """Return the valleys that a ball leaves filled; None if they are too small for a rest pass."""
     filled = Filled(lens=lens, over_mm=left.z_mm - lens.z_mm)
     if filled.share == 0:
         return None

@@ -1,4 +1,4 @@
-"""A plan with the light model it was made with, and what of it the job spec takes."""
+"""A plan, the light model that it was made with, and the values that it gives to the job spec."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Planned:
     light: PictureLight
     machine: MachineProfile
     goal: Goal
-    shapes_lens: bool  # the lens is shaped for the ball that is chosen
+    shapes_lens: bool  # whether the lens is shaped for the chosen ball
     tools: tuple[Tool, ...]
-    finishing: Finishing | None = None  # what is done by hand after milling
-    unfinished: Plan | None = None  # the best without that
-    rim_room: RimRoom | None = None  # that the passes leave for the tool of that
+    finishing: Finishing | None = None  # the finish by hand after milling
+    unfinished: Plan | None = None  # the best plan without that finish
+    rim_room: RimRoom | None = None  # left by the passes for the tool of that finish
 
     @cached_property
     def radius_of(self) -> dict[str, float]:
@@ -57,20 +57,20 @@ class Planned:
         return self._scores[self.plan.front.index(candidate)]
 
     def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:
-        """Return what the lens is to be made sharper for, to the micrometre."""
+        """Return the blur for which the lens is to be sharpened, to the micrometre."""
         return [round(value, 3) for value in self.light.foreseen_blur_mm((candidate or self.chosen).marks)]
 
     def blur_px(self, candidate: Candidate) -> float:
         return candidate.blur_mm / min(self.light.pixel_mm)
 
     def rows(self, candidate: Candidate | None = None) -> list[dict[str, Any]]:
-        """Return the passes as the job spec takes them."""
+        """Return the passes in the form of the job spec."""
         passes = (candidate or self.chosen).passes
         rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
         return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
     def settings(self) -> dict[str, Any]:
-        """Return what of the plan the job's lens and programs are made by: see `spec.resolve.with_plan`."""
+        """Return the values of the plan from which lens and programs are made: see `spec.resolve.with_plan`."""
         return {
             "passes": self.rows(),
             "branch": self.light.bench.branch,
@@ -81,7 +81,7 @@ class Planned:
         }
 
     def fragment(self, candidate: Candidate | None = None) -> dict[str, Any]:
-        """Return what laid over the job's spec, section by section, makes it this plan."""
+        """Return the values that turn the job's spec into this plan if merged into it, section by section."""
         one = candidate or self.chosen
         optics: dict[str, Any] = {"branch": self.light.bench.branch}
         if self.shapes_lens:
@@ -92,7 +92,7 @@ class Planned:
         return {"passes": self.rows(one), "optics": optics, "machine": machine, "finish": self.finish_table()}
 
     def finish_table(self) -> dict[str, Any]:
-        """Return the finish as the job spec takes it."""
+        """Return the finish in the form of the job spec."""
         if (chosen := self.finishing) is None:
             return {"process": NONE}
         table = {
@@ -106,7 +106,7 @@ class Planned:
         return {key: value for key, value in table.items() if value is not None}
 
     def rest_gain_db(self, one: Candidate) -> float:
-        """Return what its rest pass brings; 0 without one."""
+        """Return the gain of the rest pass [dB]; 0 without one."""
         if one.rest is None:
             return 0.0
         return one.psnr_db - self.light.aimed_db(replace(one.marks, rest=None))

@@ -1,4 +1,4 @@
-"""A plan's figures for report.json: what was chosen and what else there was."""
+"""Figures of a plan for report.json: the choice and the other candidates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from service.job.planning.sentences import blur_warning, blur_warnings, candidat
 
 
 def plan_figures(planned: Planned) -> dict[str, Any]:
-    """Return for report.json what was chosen and what else there was, each with all that it takes to have it."""
+    """Return the choice and the other candidates for report.json, each with the values that select it."""
     chosen = planned.chosen
     return plain(
         {
@@ -35,7 +35,7 @@ def plan_figures(planned: Planned) -> dict[str, Any]:
 
 
 def _rest(planned: Planned, one: Candidate) -> dict[str, Any] | None:
-    """Return the figures of the pass that takes out what the finishing ball leaves in valleys."""
+    """Return the figures of the rest pass, which mills the valleys that the finishing ball leaves filled."""
     if one.rest is None:
         return None
     lens = planned.light.forms[one.finish.radius_mm]

@@ -1,4 +1,4 @@
-"""A job's passes from its picture, its lens, the shop's tools and its mill: what `cam.planning.planner` needs."""
+"""Plans a job's passes: gives picture, lens, tools and mill to `cam.planning.planner`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def plan_for_picture(
     whole: Array | None = None,
     on_progress: Progress | None = None,
 ) -> Planned:
-    """Plan passes for a lens that is still to be designed, for the ball that finishes it.
+    """Plan passes for a picture, together with the ball for which the lens will be shaped.
 
     target : (ny, nx) work frame, mean 1
     whole  : the same with more pixels, where finishes are to be compared by that
@@ -79,7 +79,7 @@ def plan_for_picture(
 def plan_for_lens(
     job: ResolvedJob, lens: Heightfield, target: Array, *, on_progress: Progress | None = None
 ) -> Planned:
-    """Plan passes for a lens that exists."""
+    """Plan passes for an existing lens."""
     shop = shop_of(job)
     bench = replace(bench_of(job.spec), branch=branch_of(job.spec, target))
     light = predict_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
@@ -87,7 +87,7 @@ def plan_for_lens(
 
 
 def _score_by(light: PictureLight, plan: Plan) -> Plan:
-    """Return the plan, its choice scored by another light, without its rest pass."""
+    """Return the plan without its rest pass, its choice scored by another light model."""
     seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
     return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
 
@@ -98,7 +98,7 @@ def _rim_room(light: PictureLight, plan: Plan, finishing: Finishing, margin_mm: 
 
 
 def mill_of(job: ResolvedJob) -> MachineProfile:
-    """Return the mill as a plan runs it: heights in whole steps where these are coarse, unless the job says
+    """Return the mill as a plan uses it: with heights in whole steps if the steps are coarse, unless the job says
     otherwise.
     """
     machine = job.machine
@@ -132,8 +132,8 @@ def shop_of(job: ResolvedJob) -> Shop:
 
 
 def _radii(shop: Shop) -> list[float]:
-    """Return the radii of balls that the spindle takes and the block has room for; of all, where there is none, so that
-    each is refused by name.
+    """Return the radii of the balls that the spindle holds and the block has room for; if there are none, all radii, so
+    that each is refused by name.
     """
     radii = {tool.radius_mm for tool in shop.balls}
     return sorted({tool.radius_mm for tool in shop.balls if shop.holds(tool) and shop.has_room_for(tool)} or radii)
@@ -141,7 +141,7 @@ def _radii(shop: Shop) -> list[float]:
 
 @contextmanager
 def _refuse_without_plan() -> Iterator[None]:
-    """Raise InputError, which tells of each tool why it is left out, where none can finish a lens."""
+    """Raise InputError with the reason for each tool if none of them can finish a lens."""
     try:
         yield
     except NoPlanError as error:

@@ -1,4 +1,4 @@
-"""What lenses show as milled, as far as it can be known before a program is written: the planner's light model.
+"""The planner's light model: predicts what milled lenses show, before a program is written.
 
 Facets of a milled surface are much smaller than a pixel: each patch sends its light over all their slopes, and the
 picture is that of the perfect lens convolved with where they send it, darker at its edges, with the stripes of rows
@@ -34,14 +34,16 @@ from service.job.picture.resampling import resize
 from service.job.planning.waves import Waves, lost_when_sharpened, yx_spreads
 
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
-_SEEN_PIXELS = 0.25  # of blur along the rows; less is not worth sharpening for
+_SEEN_PIXELS = 0.25  # blur along the rows; less is not worth sharpening
 
 Redesign = Callable[[Marks, Array], Callable[["PictureLight"], None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Valleys:
-    """Those that a ball leaves filled; shares (ny, nx): of each pixel's light that comes past them, by the lens."""
+    """Valleys that a ball leaves filled; shares (ny, nx): the part of each pixel's light that comes past them, by the
+    lens.
+    """
 
     filled: Filled
     shares_past: Array
@@ -49,8 +51,8 @@ class Valleys:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shown:
-    """A lens for one ball: its form, the waves (ny, nx) of the picture that it would show unmilled, were it not
-    sharpened, and the mean square that this picture is off by; what the ball leaves filled of it.
+    """A lens for one ball: its form, the waves (ny, nx) of its picture before milling and without sharpening, the mean
+    square error of that picture, and the valleys that the ball leaves filled.
     """
 
     form: LensForm
@@ -113,11 +115,11 @@ class PictureLight:
         )
 
     def reuse_lens(self, radius_mm: float, as_of_mm: float) -> None:
-        """Use the lens for another ball for this one as well."""
+        """Use the lens of another ball for this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
 
     def retarget(self, target: Array) -> PictureLight:
-        """Return the same lenses against the picture at another size, without what balls leave filled of them."""
+        """Return the same lenses with the picture at another size, without the valleys that balls leave filled."""
         light = PictureLight(target, self.hazy_bench, aims=self.aims)
         first: dict[Shown, float] = {}
         for radius_mm, shown in self.lenses.items():
@@ -129,14 +131,16 @@ class PictureLight:
         return light
 
     def _widen_slopes(self, marks: Marks) -> RowSlopes:
-        """Return the slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
+        """Return the slope errors as wide as the picture sees them: the light of a groove has the groove's own width at
+        the start.
+        """
         form = self.lenses[marks.radius_mm].form
         reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
         wider = marks.slopes.across.times(form.widen_factor(marks.spec, reach_mm))
         return replace(marks.slopes, across=wider)
 
     def reach_mm(self, form: LensForm) -> float:
-        """Return how far aside a slope error sends light on the screen, per unit of slope.
+        """Return how far a slope error deflects light on the screen, per unit of slope.
 
         A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
         much, the mean of along it and across it.
@@ -156,9 +160,7 @@ class PictureLight:
         return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
 
     def psnr_db(self, marks: Marks) -> float:
-        """Guess the PSNR as if darkness had no floor, and the picture no place where its edges' darkness matters
-        more.
-        """
+        """Estimate the PSNR, ignoring the floor of darkness and places where darkness at edges matters more."""
         error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
         return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
 
@@ -166,11 +168,11 @@ class PictureLight:
         return self.psnr_of(self.smooth_picture(marks), self.grain(marks))
 
     def unsharpened_db(self, marks: Marks) -> float:
-        """Return the same of a lens that aims at the picture itself."""
+        """Return the same for a lens that aims at the picture itself."""
         return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
     def settle(self, several: Iterable[Marks]) -> None:
-        """Design the lenses of these balls once more, sharpened for those rows; nothing where none is sharpened."""
+        """Design the lenses of these balls again, sharpened for those rows; do nothing if none is sharpened."""
         if self._redesign is None:
             return
         wanted = [marks for marks in several if any(self.foreseen_blur_mm(marks))]
@@ -184,11 +186,13 @@ class PictureLight:
         self._halves.clear()
 
     def perfect_db(self, radius_mm: float) -> float:
-        """Return what the lens for a ball would show without any mark of the tool."""
+        """Return the PSNR of the lens for a ball without any mark of the tool."""
         return self.db_of_error(self.lenses[radius_mm].perfect_error)
 
     def grain(self, marks: Marks) -> float:
-        """Return the standard deviation of a pixel's light over its mean: rows off in height, chords off in slope."""
+        """Return the standard deviation of a pixel's light over its mean, from height errors of rows and slope errors
+        of chords.
+        """
         own = self._grain_of(marks)
         if marks.rest is None:
             return own
@@ -207,11 +211,11 @@ class PictureLight:
         return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
 
     def picture(self, marks: Marks) -> Array:
-        """Return the irradiance (ny, nx) on the screen: `clear_picture` through a block as hazy as it is."""
+        """Return the irradiance (ny, nx) on the screen: `clear_picture` through the block's haze."""
         return self.hazy_bench.add_haze(self.clear_picture(marks))
 
     def clear_picture(self, marks: Marks) -> Array:
-        """Return the irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the
+        """Return the irradiance (ny, nx) on the screen, work frame, mean 1, with random grain that is longer along the
         rows.
         """
         smooth = np.maximum(self.smooth_picture(marks), 0.0)
@@ -220,8 +224,8 @@ class PictureLight:
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot / lot.std(), 0.0))
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
-        """Return (x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
-        nor where contours blur each place in a direction of its own.
+        """Return the standard deviations (x, y) for which the lens may be sharpened; nothing for an existing lens, or
+        for contours, which blur each place in its own direction.
         """
         if not self.aims or marks.spec.strategy == "contour":
             return 0.0, 0.0
@@ -235,7 +239,7 @@ class PictureLight:
         return score_caustic(picture, self.target)
 
     def _error_by_rows(self, marks: Marks) -> float:
-        """Return the mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
+        """Return the mean square error of the waves of a lens that is sharpened as far as light allows."""
         kept = self._kept(marks)
         lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
         if marks.rest is None:
@@ -267,8 +271,9 @@ class PictureLight:
         return self._sums[shown]
 
     def _half_waves(self, marks: Marks) -> tuple[Array, Array]:
-        """Return waves past the valleys that the finishing ball leaves filled, and through them, where a rest
-        pass cuts; the lens is as the smaller ball leaves it."""
+        """Return the waves past the valleys that the finishing ball leaves filled, and those through them, which a rest
+        pass cuts; there the lens is as the smaller ball leaves it.
+        """
         key = (marks.radius_mm, marks.smallest_mm)
         if key not in self._halves:
             self._halves[key] = self._split(marks, self.lenses[marks.smallest_mm].waves)
@@ -281,19 +286,19 @@ class PictureLight:
         return past, waves - past
 
     def smooth_picture(self, marks: Marks) -> Array:
-        """Return the picture of the lens for that ball, made sharper and then milled, without grain."""
+        """Return the picture of the lens for that ball, sharpened and then milled, without grain."""
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
             waves = waves + waves_of(self.aim(marks) - self.target)
         return self._milled(marks, waves)
 
     def aim(self, marks: Marks) -> Array:
-        """Return the target, sharper by what those rows will blur."""
+        """Return the target, sharpened by the blur of those rows."""
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
         return sharpen(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
 
     def _milled(self, marks: Marks, waves: Array) -> Array:
-        """Blur the aim; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
+        """Blur the aim; a cosine transform mirrors the picture at the edges, although it is dark beyond them."""
         reach_mm = self.reach_mm(self.lenses[marks.radius_mm].form)
         edges = [
             spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
@@ -309,7 +314,7 @@ class PictureLight:
         return np.asarray(picture_of_waves(blurred) * np.outer(*edges))
 
     def _kept(self, marks: Marks) -> Array:
-        """Return what is left of each wave (ny, nx)."""
+        """Return the remaining part of each wave (ny, nx)."""
         form = self.lenses[marks.radius_mm].form
         return self._along.kept(form, self._widen_slopes(marks), marks.spec, self.reach_mm(form))
 
@@ -319,7 +324,7 @@ class PictureLight:
         return self.db_of_error(error)
 
     def db_of_error(self, mean_square: float) -> float:
-        """Return PSNR of a picture that is off by so much before haze, which costs all the same."""
+        """Return the PSNR for a mean square error before haze, which adds its own."""
         return float(10 * np.log10(self._peak**2 / max(mean_square + self._lost_by_haze, 1e-300)))
 
 

@@ -1,4 +1,4 @@
-"""A picture as a lens aims at it: as it is, or prepared for what will show on the wall (`image.prepare`)."""
+"""The target of a lens: the picture as it is, or prepared for what will show on the wall (`image.prepare`)."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _LEAST_PX = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AimedPicture:
-    """What a lens aims at, in the work frame, mean 1, (ny, nx).
+    """The target of a lens, in the work frame, mean 1, (ny, nx).
 
-    original  : the picture as it is, in the same units; None where the target is that
+    original  : the picture as it is, in the same units; None if the target is that
     detail_mm : smallest detail on the screen that it was prepared for; None: it was not to be prepared
     black     : light of its darkest pixels as a share of the mean
     """
@@ -40,13 +40,13 @@ class AimedPicture:
     black: float = 0.0
 
     def figures(self) -> dict[str, Any]:
-        """Report `image`; empty where nothing was asked for."""
+        """Return `image` of the report; empty if no preparation was asked for."""
         if self.detail_mm is None:
             return {}
-        told = {"prepare": "detail", "prepare_detail_mm": self.detail_mm, "prepared": self.original is not None}
+        row = {"prepare": "detail", "prepare_detail_mm": self.detail_mm, "prepared": self.original is not None}
         if self.original is None:
-            return told
-        return {**told, "black_share": self.black, "against_original": score_against(self.target, self.original)}
+            return row
+        return {**row, "black_share": self.black, "against_original": score_against(self.target, self.original)}
 
 
 def aim_at_picture(spec: JobSpec, linear: Array) -> AimedPicture:
@@ -65,7 +65,7 @@ def aim_at_picture(spec: JobSpec, linear: Array) -> AimedPicture:
 
 
 def detail_to_prepare_for_mm(spec: JobSpec, *, columns: int) -> float:
-    """Return the smallest detail on the screen that a picture of so many pixels across is prepared for.
+    """Return the smallest detail on the screen for which a picture of that many pixels across is prepared.
 
     As the person says; else what usual marks bend light by and the size of the source, two pixels at the least.
     """
@@ -80,7 +80,7 @@ def detail_to_prepare_for_mm(spec: JobSpec, *, columns: int) -> float:
 
 def scores_against_original(map_file: Path, irradiance: Array) -> dict[str, Any]:
     """Return {"against_original": PSNR and SSIM} of light (work frame, mean 1) on a wall, for a part of the report;
-    empty where the lens does not aim at a prepared picture.
+    empty if the lens does not aim at a prepared picture.
 
     map_file : the job's map.npz
     """

@@ -1,11 +1,14 @@
-"""How large programs become, from the spec alone: asked before anything is computed."""
+"""Estimates the size of programs from the spec alone, before anything is computed."""
 
 from __future__ import annotations
 
 from service.job.spec.model import USUAL_ROWS, JobSpec
 
-FINISH_BYTES_PER_MM, ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, measured on a photograph; within a factor of three
-SURE = 4.0  # a disk that has less than this part of the estimate does not hold them, certainly
+FINISH_BYTES_PER_MM, ROUGH_BYTES_PER_MM = (
+    160.0,
+    20.0,
+)  # per mm of path, measured on a photograph; right within a factor of three
+SURE = 4.0  # a disk with less than the estimate over this number certainly cannot hold them
 
 
 def pass_bytes(size_mm: tuple[float, float], *, radius_mm: float, pitch_mm: float, finishes: bool) -> float:
@@ -15,7 +18,7 @@ def pass_bytes(size_mm: tuple[float, float], *, radius_mm: float, pitch_mm: floa
 
 
 def job_bytes(spec: JobSpec) -> float:
-    """Return all programs of a job."""
+    """Return the bytes of all programs of a job."""
     size_mm = (spec.optics.width_mm, spec.optics.height_mm)
     return sum(
         pass_bytes(size_mm, radius_mm=row.radius_mm, pitch_mm=row.pitch_mm, finishes=row.stock_to_leave_mm == 0)

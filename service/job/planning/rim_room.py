@@ -1,5 +1,5 @@
-"""Whether the tool of a finish gets to the rims of a lens: they lie in a pit, and beside them stands the wall that the
-cutters leave.
+"""Checks whether the tool of a finish reaches the rims of a lens: they lie in a pit, beside the wall that the cutters
+leave.
 
 Rows go one radius R beyond the rim. From there the wall rises as the cutter's flank, and stands up at 2 R: a rim that
 lies deeper than R has its wall there, however deep it is. A finish has to go on for its reach x beyond the rim, or it
@@ -27,22 +27,22 @@ from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
 
 LEAST_TOOL_MM = 3.0
-"""Narrower ones are no tool for work by hand that is to be even."""
+"""A narrower tool cannot work evenly by hand."""
 
-_SEEN_MM = 0.1  # of a rim
-_ALIKE = 0.9  # of the usual tool: nobody measures nearer
+_SEEN_MM = 0.1  # least width of a rim that shows
+_ALIKE = 0.9  # size over that of the usual tool; nobody measures more exactly
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RimRoom:
-    """What there is to finish the rims of a lens in its block.
+    """The room for finishing the rims of a lens in its block.
 
     depth_mm   : of the rims under the block's top, least and most
-    wall_mm    : from the rims to the wall at the block's top, where it leaves the least room; inf where the block
+    wall_mm    : from the rims to the wall at the block's top, where it leaves the least room; inf if the block
                  ends before it
     beyond_mm  : how far beyond the rim the finish has to go
     pad_mm     : size of the usual tool
-    largest_mm : of round tools that get there everywhere; inf where any does
+    largest_mm : of round tools that get there everywhere; inf if any does
     """
 
     depth_mm: tuple[float, float]
@@ -53,12 +53,12 @@ class RimRoom:
 
     @property
     def is_reached(self) -> bool:
-        """Whether a tool that a hand can hold gets to the rims."""
+        """Whether a tool that a hand can hold reaches the rims."""
         return self.largest_mm >= min(self.pad_mm, LEAST_TOOL_MM)
 
     @property
     def tool_mm(self) -> float:
-        """Size of the tool that gets to the rims."""
+        """Size of the tool that reaches the rims."""
         return min(self.pad_mm, self.largest_mm)
 
     @property
@@ -72,7 +72,7 @@ class RimRoom:
 def measure_rim_room(
     lens: Heightfield, passes: Sequence[PassSpec], finish: Finish, *, margin_mm: float
 ) -> RimRoom | None:
-    """Return the room that passes leave around the rims of a lens in its block; None of a film, which needs none.
+    """Return the room that passes leave around the rims of a lens in its block; None for a film, which needs none.
 
     margin_mm : of the block around the lens, whose top is Z0
     """
@@ -102,14 +102,14 @@ def measure_rim_room(
 
 
 def weigh_removal(lens: Heightfield, finish: Finish, density_g_per_cm3: float) -> float:
-    """Return how many grams a tool takes off a lens, and off what lies around it as far as the finish goes."""
+    """Return the mass that a tool takes off a lens and off its surroundings as far as the finish goes [g]."""
     assert finish.depth_mm is not None
     width_mm, height_mm = lens.width_mm + 2 * finish.reach_mm, lens.height_mm + 2 * finish.reach_mm
     return finish.depth_mm * width_mm * height_mm * density_g_per_cm3 / 1000
 
 
 def _wall_mm(spec: PassSpec, depths_mm: Array) -> Array:
-    """Return how far from a rim (n,) of those depths a pass leaves the wall, at the block's top."""
+    """Return the distance from rims of those depths (n,) to the wall that a pass leaves, at the block's top [mm]."""
     corner_mm = spec.shape.corner_mm(spec.radius_mm)
     deep = np.clip(depths_mm - spec.stock_to_leave_mm, 0.0, corner_mm)
     flank = np.sqrt(corner_mm**2 - (corner_mm - deep) ** 2)
@@ -117,7 +117,7 @@ def _wall_mm(spec: PassSpec, depths_mm: Array) -> Array:
 
 
 def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
-    """Warn where no tool that a hand can hold gets to the rims, with what would make room."""
+    """Warn if no tool that a hand can hold reaches the rims, and say how to make room."""
     if room is None or room.is_reached:
         return None
     radius_mm = math.ceil(10.0 * max(room.beyond_mm, (room.beyond_mm + LEAST_TOOL_MM / 2) / 2)) / 10.0
@@ -143,7 +143,7 @@ def warn_of_rim_room(room: RimRoom | None) -> Phrase | None:
 
 
 def advise_on_rims(room: RimRoom | None) -> Phrase | None:
-    """Return which smaller tool the rims want, and how it is used; None where the usual one does, or none."""
+    """Advise which smaller tool the rims need and how to use it; None if the usual tool reaches them, or none does."""
     if room is None or not room.is_reached or room.tool_mm > _ALIKE * room.pad_mm:
         return None
     smaller = room.tool_mm / room.pad_mm

@@ -1,4 +1,4 @@
-"""A plan in sentences: why these passes, what they cannot show, and what would help."""
+"""Explains a plan in sentences: why these passes, what they cannot show, and what would help."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from service.wording import ball, cutter, duration
 
 RUBBING_M_PER_MIN = 10.0
 HOPEFUL_DB = 1.5
-"""What a milled picture may fall short of the foretold one: grooves spread light less where the picture is bright, and
-the foretold one has them everywhere alike (a photograph on 40 mm: 25.0 dB foretold, 24.0 dB by every groove; a soft
-picture: 1.4 dB less than foretold).
+"""How much worse a milled picture may be than predicted: grooves spread light less where the picture is bright, and
+the prediction has them everywhere alike (a photograph on 40 mm: 25.0 dB predicted, 24.0 dB by every groove; a soft
+picture: 1.4 dB less than predicted).
 """
-_NEAR = 0.15  # ball by reach of light: beyond, that differs too much from place to place to be foretold
-_SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
+_NEAR = 0.15  # ball over reach of light: above it, the difference varies too much over the lens to be predicted
+_SEEN_SHARE = 0.001  # share of the lens; smaller filled parts are not mentioned
 
 
 def reasons(planned: Planned) -> list[Phrase]:
@@ -35,9 +35,7 @@ def reasons(planned: Planned) -> list[Phrase]:
 
 
 def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[Phrase]:
-    """Return what the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it
-    blurs.
-    """
+    """Return what the picture loses, and whether the ball rubs. milled_next: the job itself will report the blur."""
     found = []
     chosen = planned.chosen
     if not planned.plan.met:
@@ -82,7 +80,7 @@ def blur_warning(planned: Planned, one: Candidate, remedy: Phrase | None = None)
 
 
 def finish_words(finish: PassSpec) -> Phrase:
-    """Return a finishing pass in a few words."""
+    """Describe a finishing pass in a few words."""
     size, pitch_mm = ball(finish.radius_mm), finish.pitch_mm
     if finish.strategy == "contour":
         return Phrase("ball {size}, pitch {pitch_mm:g} mm, contours", size=size, pitch_mm=pitch_mm)
@@ -91,19 +89,19 @@ def finish_words(finish: PassSpec) -> Phrase:
 
 
 def candidate_words(one: Candidate) -> Phrase:
-    """Return how a lens is finished, in a few words."""
+    """Describe in a few words how a lens is finished."""
     return join("; ", filter(None, (finish_words(one.finish), rest_words(one))))
 
 
 def rest_words(one: Candidate) -> Phrase | None:
-    """Return words on the rest pass; None where there is none."""
+    """Describe the rest pass; None if there is none."""
     if one.rest is None:
         return None
     return Phrase("then ball {size} in what it leaves", size=ball(one.rest.spec.radius_mm))
 
 
 def best_possible(planned: Planned) -> Phrase:
-    """Return what no plan on this mill can surpass."""
+    """Describe the best picture that any plan on this mill can show."""
     best = planned.plan.best
     perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
     return Phrase(
@@ -118,14 +116,14 @@ def best_possible(planned: Planned) -> Phrase:
 
 
 def hopeful_db(planned: Planned) -> float | None:
-    """Return how much the milled picture may fall short of the foretold one; None: more than can be told."""
+    """Return by how much the milled picture may be worse than predicted [dB]; None: unpredictable."""
     radius_mm = planned.chosen.finish.radius_mm
     reach_mm = planned.light.reach_mm(planned.light.forms[radius_mm])
     return HOPEFUL_DB if radius_mm <= _NEAR * reach_mm else None
 
 
 def _aim(planned: Planned) -> Phrase:
-    goal, shown, best = planned.goal, _word_shown(planned), best_possible(planned)
+    goal, shown, best = planned.goal, _describe_shown(planned), best_possible(planned)
     if not planned.plan.met:
         return Phrase("{shown}, the nearest to what was asked for. {best}", shown=shown, best=best)
     if goal.hours is not None:
@@ -149,8 +147,8 @@ def _aim(planned: Planned) -> Phrase:
     )
 
 
-def _word_shown(planned: Planned) -> Phrase:
-    """Return what the plan shows, and in which time."""
+def _describe_shown(planned: Planned) -> Phrase:
+    """Describe what the plan shows, and in which time."""
     psnr_db, time = planned.chosen.psnr_db, duration(3600 * planned.chosen.hours)
     if planned.finishing is not None:
         return Phrase("{psnr_db:.1f} dB, once finished by hand, in {time}", psnr_db=psnr_db, time=time)
@@ -164,7 +162,7 @@ def _word_shown(planned: Planned) -> Phrase:
 
 
 def _by_hand(planned: Planned) -> Iterator[Phrase]:
-    """Yield which finish, how long, and what the same goal would show without it; nothing where there is none."""
+    """Yield the finish, its minutes, and what the same goal would show without it; nothing if there is no finish."""
     finishing, without = planned.finishing, planned.unfinished
     if finishing is None:
         return
@@ -193,7 +191,7 @@ def _by_hand(planned: Planned) -> Iterator[Phrase]:
 
 
 def _ball(planned: Planned) -> Iterator[Phrase]:
-    """Yield what the ball is chosen for, and which others were not."""
+    """Yield the reason for the ball, and the larger balls that were left out."""
     radius = planned.chosen.finish.radius_mm
     size, slope_um_per_mm = ball(radius), 1000 * planned.chosen.slopes.across.rms
     if planned.shapes_lens:
@@ -226,7 +224,7 @@ def _ball(planned: Planned) -> Iterator[Phrase]:
 
 
 def _rest(planned: Planned) -> Iterator[Phrase]:
-    """Yield what is left in valleys too narrow for the ball, and who takes it out."""
+    """Yield what is left in valleys too narrow for the ball, and the rest pass for them."""
     chosen = planned.chosen
     filled = planned.light.fillings.get(chosen.finish.radius_mm)
     if chosen.rest is not None:
@@ -343,7 +341,7 @@ def _not_met(planned: Planned) -> Phrase:
 
 
 def _remedy(planned: Planned) -> Phrase:
-    """Return what would help most: a larger ball, or a mill that is off by less."""
+    """Return the change that would help most: a larger ball, or a more exact mill."""
     largest = max(planned.light.lenses)
     if planned.plan.left_out and any(_radius(planned, name) > largest for name, _ in planned.plan.left_out):
         return Phrase("a wider margin of the block leaves room for a larger ball")

@@ -1,4 +1,6 @@
-"""What milling leaves of a picture, wave by wave of its cosine transform: rows spread light one way, contours all."""
+"""How much of a picture milling leaves, wave by wave of its cosine transform: rows blur in one direction, contours in
+all.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ from cam.planning.row_slopes import RowSlopes, SlopeSpread
 from optics.heightfield import Array
 
 _DIRECTIONS = 16
-_STEPS = 128  # between which what is left of a wave is taken as straight
-_BLOCK = 4  # waves along a side that share what contours keep of them
-_SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
+_STEPS = 128  # nodes between which the remaining part of a wave is interpolated linearly
+_BLOCK = 4  # waves along a side of a block, for which contours keep the same part
+_SHARPENING = 4.0  # Landweber steps that non-negative light allows on average
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +39,7 @@ class Waves:
 
     @cached_property
     def by_blocks(self) -> Waves:
-        """One for each block of the others."""
+        """Return waves with one wave for each block of these."""
         ny, nx = (one.size // _BLOCK * _BLOCK for one in (self.along_y, self.along_x))
         return Waves(along_y=self.along_y[:ny:_BLOCK], along_x=self.along_x[:nx:_BLOCK])
 
@@ -48,7 +50,7 @@ class Waves:
         return np.asarray(whole.reshape(ny, _BLOCK, nx, _BLOCK).sum(axis=(1, 3)))
 
     def kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec, reach_mm: float) -> Array:
-        """Return (ny, nx) what is left of each wave when a slope of 1 sends light `reach_mm` aside."""
+        """Return (ny, nx) the remaining part of each wave if a slope of 1 deflects light by `reach_mm`."""
         if spec.strategy == "contour":
             return self.kept_by_contours(form, slopes, reach_mm)[0]
         over_y, over_x = yx_spreads(slopes, spec)
@@ -76,7 +78,9 @@ def _share_by_turn(form: LensForm) -> Array:
 
 @njit(cache=True, nogil=True)
 def _keep_by_contours(along_y, along_x, turns, across, along, step, kept, squared):  # type: ignore[no-untyped-def]
-    """Compute kept and squared (ny, nx), waves here having no sign; across, along (k,): left of waves a step apart."""
+    """Compute kept and squared (ny, nx), for waves without a sign; across, along (k,): parts left of waves one step
+    apart.
+    """
     for j in range(along_y.size):
         for i in range(along_x.size):
             total = square = 0.0
@@ -98,7 +102,7 @@ def _between(values, place):  # type: ignore[no-untyped-def]
 
 
 def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpread]:
-    """Return the slope errors along Y and along X of rows; both those across them where rows run along contours."""
+    """Return the slope errors of rows along Y and along X; if rows run along contours, twice those across them."""
     if spec.strategy == "contour":
         return slopes.across, slopes.across
     return (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)

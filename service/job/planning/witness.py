@@ -1,4 +1,4 @@
-"""Where the witness marks of a job are, and what cuts them: a strip in the block's margin, after the last pass.
+"""Places the witness marks of a job, a strip in the block's margin cut after the last pass, and chooses their cutter.
 
 The strip lies where no pass, no cut-out and no clamp that the spec names comes, beside the lens or at one of its other
 sides. It is as deep as the lens's highest point, so that it is cut wherever the block's top is.
@@ -28,7 +28,7 @@ _LEAST_ROW_MM, _MOST_ROW_MM = 4.0, 12.0
 _CLAMP_MM = 1.5  # between a clamp and the cutter
 _BESIDE_SLOT_MM = 1.0
 _MOVED_MM = 3.0
-_DEEPER_MM = 0.05  # than the lens's highest point: the most that ripples and steps add
+_DEEPER_MM = 0.05  # below the lens's highest point: the greatest height of ripples and steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ class _Room:
 
     @classmethod
     def of(cls, job: ResolvedJob, side: Side, finish: Finish, depth_mm: float) -> _Room | None:
-        """Return the room at a side; None where there is too little, or the mill does not travel so far."""
+        """Return the room at a side; None if there is too little, or the mill does not travel so far."""
         spec, optics, margin_mm = job.spec, job.spec.optics, job.spec.stock.margin_mm
         skim_mm, radius_mm = spec.stock.skim_mm, spec.passes[-1].radius_mm
         beside_mm = math.sqrt(2 * radius_mm * (skim_mm + _DEEPER_MM))

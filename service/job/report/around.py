@@ -92,7 +92,7 @@ def _of_every_program(machine: Mapping[str, Any]) -> Iterator[Phrase]:
         within_mm = number(tolerance_mm, 4)
         yield Phrase("Corners are rounded by the control within {within_mm} mm (G64).", within_mm=within_mm)
     elif tolerance_mm is not None:
-        yield Phrase("The control stops exactly at every point (G61.1): slow, and with marks where it stands.")
+        yield Phrase("The control stops exactly at every point (G61.1): this is slow and leaves marks where it stops.")
     if (mode := machine.get("high_precision", "none")) in HIGH_PRECISION_WORDS:
         on, off = HIGH_PRECISION_WORDS[str(mode)]
         yield Phrase(

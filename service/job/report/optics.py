@@ -8,7 +8,7 @@ from typing import Any
 from phrases.phrase import Phrase, join
 from service.job.finite_json import table
 from service.job.spec.light import describe_light, name_spectrum
-from service.wording import ball, number, psnr_in_words, word_misplaced
+from service.wording import ball, describe_misplaced, number, psnr_in_words
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
 _STRAIGHT_MM = 0.005
@@ -38,9 +38,9 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[Phrase, str, Phrase]]:
             rows.append((Phrase("{part}: structure (SSIM)", part=part), f"{scores['ssim']:.3f}", words))
         if (share := scores.get("misplaced_light")) is not None:
             what = Phrase("{part}: light in wrong places", part=part)
-            rows.append((what, f"{100 * share:.2f} %", word_misplaced(share)))
+            rows.append((what, f"{100 * share:.2f} %", describe_misplaced(share)))
         if leak := scores.get("dark_leak"):
-            what = Phrase("{part}: light where it is to be dark", part=part)
+            what = Phrase("{part}: light where it should be dark", part=part)
             rows.append((what, f"{100 * leak:.2f} %", _leak_in_words(scores)))
     sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
     if sharp is not None:
@@ -132,7 +132,7 @@ def _rows_of_closing(closing: Mapping[str, Any]) -> list[tuple[Phrase, str]]:
     parts = [Phrase("costs {lost_db:.1f} dB", lost_db=lost_db) if lost_db >= 0.05 else Phrase("costs nothing")]
     if closing["dark_leak_with"] > 0:
         leaks = " → ".join(f"{100 * closing[key]:.2f}" for key in ("dark_leak_without", "dark_leak_with"))
-        parts.append(Phrase("light where it is to be dark {shares} %", shares=leaks))
+        parts.append(Phrase("light where it should be dark {shares} %", shares=leaks))
     return [(Phrase("Valleys filled for a ball {size}", size=ball(closing["radius_mm"])), join(", ", parts))]
 
 

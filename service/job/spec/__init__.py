@@ -1,1 +1,1 @@
-"""The job spec: its model, files and overrides, what it resolves to; the libraries of tools and finishes."""
+"""The job spec: its model, files, overrides and resolution; the libraries of tools and finishes."""

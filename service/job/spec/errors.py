@@ -1,4 +1,4 @@
-"""pydantic's complaints about a job spec, turned into one line each: key, value, what is allowed."""
+"""Turns pydantic's complaints about a job spec into one line each: key, value, what is allowed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from service.job.spec.model import JobSpec
 from service.job.spec.section import RuleError, unit_of
 
 Place = tuple[int | str, ...]
-MOST_PROBLEMS = 50  # each costs a search for the key that was meant, and nobody reads more
+MOST_PROBLEMS = 50  # each costs a search for the nearest key, and nobody reads more
 _KEY_CHARS = 60
 
 
@@ -25,21 +25,21 @@ def as_spec_error(error: ValidationError) -> SpecError:
     details = error.errors(include_url=False)
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
-    told = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
-    problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in told]
-    limits = {join_place(one["loc"]): bound for one in told for bound in _bounds(one)}
+    details = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
+    problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in details]
+    limits = {join_place(one["loc"]): bound for one in details for bound in _bounds(one)}
     if count > MOST_PROBLEMS:
         problems.append(("spec", Phrase("{count} more problems like these", count=count - MOST_PROBLEMS)))
     return SpecError(list(dict.fromkeys(problems)), limits)
 
 
 def _bounds(detail: ErrorDetails) -> Iterator[float]:
-    """Yield the bound that a number is beyond, where it is allowed itself."""
+    """Yield the bound that a number exceeds, if the bound itself is allowed."""
     yield from (bound for name, bound in detail.get("ctx", {}).items() if name in ("le", "ge"))
 
 
 def unknown_key(key: str, known: Sequence[str]) -> Phrase:
-    """Return what to say about a key nobody knows: the nearest known one, or all of them."""
+    """Return the sentence about an unknown key: the nearest known one, or all of them."""
     near = difflib.get_close_matches(key[:_KEY_CHARS], known, n=1, cutoff=0.6)
     if near:
         return Phrase("there is no such key; did you mean '{key}'?", key=near[0])
@@ -51,8 +51,8 @@ def join_place(place: Place) -> str:
     return ".".join(str(step)[:_KEY_CHARS] for step in place) or "spec"
 
 
-def word_allowed(place: Place) -> Phrase:
-    """Return the allowed values of a key, in words: 'a number from 0.5 to 2000 mm'."""
+def describe_allowed(place: Place) -> Phrase:
+    """Describe the allowed values of a key: 'a number from 0.5 to 2000 mm'."""
     schema, keys = _schema_at(place), [step for step in place if isinstance(step, str)]
     return _words(schema, keys[-1] if keys else "") if schema else Phrase("see the documentation")
 
@@ -67,16 +67,16 @@ def _sentence(detail: ErrorDetails) -> Phrase:
     if kind == "extra_forbidden":
         return unknown_key(str(place[-1]), known_keys(place[:-1]))
     if kind == "missing":
-        return Phrase("is missing; allowed: {allowed}", allowed=word_allowed(place))
+        return Phrase("is missing; allowed: {allowed}", allowed=describe_allowed(place))
     if isinstance(error := detail.get("ctx", {}).get("error"), RuleError):
         return error.words
     if kind == "too_short" and isinstance(value, list | tuple) and not value:
-        return Phrase("is empty; allowed: {allowed}", allowed=word_allowed(place))
-    return Phrase("{value} is not allowed; allowed: {allowed}", value=_shown(value), allowed=word_allowed(place))
+        return Phrase("is empty; allowed: {allowed}", allowed=describe_allowed(place))
+    return Phrase("{value} is not allowed; allowed: {allowed}", value=_shown(value), allowed=describe_allowed(place))
 
 
 def _shown(value: Any) -> str:
-    """Return a value as the person wrote it, cut to a length that keeps the message on one line."""
+    """Return a value as the person wrote it, cut to fit one line of the message."""
     text = f"'{value}'" if isinstance(value, str) else repr(value)
     if isinstance(value, bool):
         text = "true" if value else "false"
@@ -90,7 +90,7 @@ def _spec_schema() -> dict[str, Any]:
 
 
 def _schema_at(place: Place) -> dict[str, Any] | None:
-    """Return the JSON schema of one key; None where the place does not exist."""
+    """Return the JSON schema of one key; None if the place does not exist."""
     here: dict[str, Any] = _spec_schema()
     for step in place:
         here = _resolve_schema(here)

@@ -93,24 +93,24 @@ class FinishSpec(Section):
 
     @property
     def witnessed(self) -> bool:
-        """Whether marks are asked for and a pad may do the work, as far as it is known yet."""
+        """Whether marks are asked for and a pad may do the work, as far as is known yet."""
         by_contact = self.process != NONE if self.depth_um is None else self.contact_depth_mm is not None
         return self.witness and self.finishes and by_contact
 
     @property
     def finishes(self) -> bool:
-        """Whether anything is levelled, as far as it is known yet."""
+        """Whether anything is levelled, as far as is known yet."""
         return self.process != NONE or self.k0_rad_per_mm is not None
 
     @property
     def contact_depth_mm(self) -> float | None:
-        """What a tool takes off by contact; None of a film, and where no depth is given."""
+        """Depth that a tool takes off by contact; None for a film, or if no depth is given."""
         has_tool = self.pad_mm is None or self.pad_mm <= LONGEST_PAD_MM
         return self.depth_um / 1000 if self.depth_um is not None and self.depth_um > 0 and has_tool else None
 
 
 def find_processes(name: str) -> dict[str, Process]:
-    """Find those of the library that may come of a spec that names this one; none where it is not there any more."""
+    """Find the library's processes that a spec with this name may use; none if the name no longer exists."""
     if name == NONE:
         return {}
     processes = load_processes()
@@ -122,7 +122,7 @@ def find_processes(name: str) -> dict[str, Process]:
 def resolve_finish(
     finish: FinishSpec, processes: Mapping[str, Process], *, area_mm2: float, to_be_planned: bool
 ) -> FinishSpec:
-    """Fill in what is known of the process; minutes and what follows stay open where they are planned.
+    """Fill in the known figures of the process; minutes and what follows from them stay open if they are planned.
 
     processes : of `find_processes`
     SpecError names the key, its value and what is allowed.
@@ -148,9 +148,7 @@ def resolve_finish(
 
 
 def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> FinishSpec:
-    """Fill in transfer function, depth and tool after the minutes, or the minutes after which the transfer is
-    reached.
-    """
+    """Fill in transfer function, depth and tool from the minutes, or the minutes from the transfer function."""
     minutes, k0 = finish.minutes, finish.k0_rad_per_mm
     if minutes is None:
         assert k0 is not None
@@ -180,7 +178,7 @@ def _round_minutes(minutes: float) -> float:
 
 
 def _require_own_figures(finish: FinishSpec) -> None:
-    """Require k0 and order together where there is no process, and nothing else by itself."""
+    """Require k0 and order together if there is no process, and no other figure alone."""
     if (finish.k0_rad_per_mm is None) != (finish.order is None):
         missing = "order" if finish.order is None else "k0_rad_per_mm"
         words = Phrase("is missing; allowed: k0_rad_per_mm and order together, or a process")

@@ -1,4 +1,4 @@
-"""The finish library: what people do to a milled lens by hand, as transfer functions, minutes and sentences.
+"""The finish library: processes for finishing a milled lens by hand, as transfer functions, minutes and sentences.
 
 `finishing.toml` beside this module holds the usual processes; tables of a person's own finishing.toml, beside their own
 tools.toml, are added to them or take their place. All figures are start values: a test piece measures a shop's own.
@@ -23,17 +23,17 @@ _BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = _BUILT_IN.name
 _SENTENCES, _LISTS = ("title", "removal", "when_to_stop", "law"), ("needs", "steps", "donts")
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
-LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
-LEAST_K0_RAD_PER_MM = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
+LONGEST_PAD_MM = 500.0  # larger: no tool touches the lens (a film or a flame)
+LEAST_K0_RAD_PER_MM = 0.05  # less would level half of a wave of 90 mm, and with it the lens
 ORDER_RANGE = (0.5, 8.0)
 DEPTH_RANGE_UM = (-500.0, 500.0)
 LEAST_PAD_MM = 0.5
-AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by piece are for so much of it
+AREA_MM2 = 10_000.0  # area for the minutes of a process that goes over the lens piece by piece
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Process:
-    """A way to finish a lens: what it leaves of a wave of k rad/mm is H(k) = exp(-(k/k0)^order).
+    """A process for finishing a lens: of a wave of k rad/mm it leaves H(k) = exp(-(k/k0)^order).
 
     offered         : words under which the page offers it, and "best" tries it: a maker can repeat it, and it leaves
                       no stress in the block; empty: only by its name
@@ -74,7 +74,8 @@ class Process:
         return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
 
     def k0_rad_per_mm(self, minutes: float, area_mm2: float) -> float:
-        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf: nothing is levelled.
+        """Return the k at which H has fallen to 1/e after that many minutes on a lens of that area; inf: nothing is
+        levelled.
 
         minutes  : of work on the whole lens, >= 0
         area_mm2 : of the whole lens, > 0
@@ -83,12 +84,12 @@ class Process:
         return self.default_k0_rad_per_mm * part**-self.k0_exponent if part > 0 else math.inf
 
     def depth_after_um(self, minutes: float, area_mm2: float) -> float:
-        """Return what comes off in that many minutes on a lens of that area; negative where a layer is added."""
+        """Return the depth that comes off in that many minutes on a lens of that area; negative if a layer is added."""
         part = self._part(minutes, area_mm2)
         return self.depth_um * part if self.depth_grows else self.depth_um * (part > 0)
 
     def minutes_to(self, k0_rad_per_mm: float, area_mm2: float) -> float:
-        """Return the minutes after which k0 has fallen to that; inf where it never does."""
+        """Return the minutes after which k0 has fallen to this value; inf if it never does."""
         if k0_rad_per_mm >= self.k0_rad_per_mm(0.0, area_mm2):
             return 0.0
         if math.isinf(self.default_k0_rad_per_mm):
@@ -106,7 +107,7 @@ class Process:
 def instruct_finishing(
     finish: Mapping[str, Any], processes: Mapping[str, Process], *, area_mm2: float
 ) -> dict[str, Any] | None:
-    """Return what a person has to be told of a job's finish, as plain values; None where it has none.
+    """Return the instructions for a job's finish as plain values; None if the job has none.
 
     finish    : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
                given
@@ -122,12 +123,12 @@ def instruct_finishing(
     if name == "none" and k0 is None:
         return None
     title = Phrase("a finish of your own") if name == "none" else name
-    told: dict[str, Any] = {"process": name, "title": title, "minutes": finish.get("minutes")}
-    told |= {"needs": [], "steps": [], "donts": []}
+    instructions: dict[str, Any] = {"process": name, "title": title, "minutes": finish.get("minutes")}
+    instructions |= {"needs": [], "steps": [], "donts": []}
     if process is not None:
-        minutes = process.minutes(area_mm2) if told["minutes"] is None else told["minutes"]
+        minutes = process.minutes(area_mm2) if instructions["minutes"] is None else instructions["minutes"]
         low, high = process.least_and_most_minutes(area_mm2)
-        told |= {
+        instructions |= {
             "minutes": minutes,
             "least_minutes": low,
             "most_minutes": high,
@@ -138,26 +139,26 @@ def instruct_finishing(
         order = process.order if order is None else order
         depth_um = process.depth_after_um(minutes, area_mm2) if depth_um is None else depth_um
         pad_mm = process.pad_mm if pad_mm is None else pad_mm
-    told |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
+    instructions |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
     if pad_mm is not None and pad_mm <= LONGEST_PAD_MM:
-        told["pad_mm"] = pad_mm
+        instructions["pad_mm"] = pad_mm
     if k0 is not None and order is not None and math.isfinite(k0):
-        told |= {
+        instructions |= {
             "levelled_mm": wavelength_mm(_LEVELLED, k0, order),
             "kept_mm": wavelength_mm(_KEPT, k0, order),
             "run_out_mm": 3 * math.sqrt(2) / k0,
         }
-    return told
+    return instructions
 
 
 def say(text: str) -> str:
-    """Return a sentence of the built-in processes as a phrase; one of a person's own as it is written."""
+    """Return a sentence of a built-in process as a phrase; one of a person's own as it is written."""
     return built_in_sentences().get(text, text)
 
 
 @cache
 def built_in_sentences() -> Mapping[str, Phrase]:
-    """Return by text what the built-in processes say to the person who does the work."""
+    """Return the sentences of the built-in processes, by text."""
     processes = built_in_processes().values()
     texts = [getattr(one, key) for one in processes for key in _SENTENCES]
     texts += [text for one in processes for key in _LISTS for text in getattr(one, key)]
@@ -193,7 +194,7 @@ def built_in_processes() -> Mapping[str, Process]:
 
 
 def _read(path: Path) -> dict[str, Process]:
-    data = read_library(path, Phrase("a finish library"))
+    data = read_library(path)
     for name, row in data.items():
         if not isinstance(row, dict):
             raise InputError(
@@ -221,7 +222,7 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
         raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
     minutes = values["default_minutes"]
     left_out = {
-        "k0_exponent": 1 / values["order"],  # what is levelled grows with the time, k0^-order with it
+        "k0_exponent": 1 / values["order"],  # the levelling, k0^-order, grows in proportion to the time
         "minutes_range": (minutes / 4, minutes * 4),
         "by_area": True,
         "depth_um": 0.0,

@@ -1,4 +1,4 @@
-"""A job's mill as what foretells times takes it; apart, as planning stages needs no arrays."""
+"""A job's mill in the form that time estimates use; a separate module, because planning stages needs no arrays."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ def kinematics_of(machine: MachineProfile) -> Kinematics:
 
 
 def digits_of(machine: MachineProfile) -> Digits:
-    """Return the raster of the mill's dialect, or whole steps where programs are to keep to them."""
+    """Return the resolution of the mill's dialect, or whole steps if programs are to use them."""
     return POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)

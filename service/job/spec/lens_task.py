@@ -1,4 +1,4 @@
-"""The job spec as the optics package takes it: the bench, its light, and what was decided about the lens."""
+"""The job spec in the form of the optics package: the bench, its light, and the decisions about the lens."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def light_of(optics: OpticsSpec) -> Light:
 
 
 def facts_of_light(spec: JobSpec) -> dict[str, Any]:
-    """Return the light that scores hold under, as plain data, and its colours in words; dispersion: n_F - n_C that
-    counts, None: not known.
+    """Return the light of the scores as plain data, and its colours in words; dispersion: the effective n_F - n_C,
+    None: unknown.
     """
     light = spec.optics.light.model_dump(mode="json", exclude={"profile"}, exclude_none=True)
     dispersion = MATERIALS[spec.stock.material].dispersion
@@ -84,7 +84,7 @@ def facts_of_light(spec: JobSpec) -> dict[str, Any]:
 
 
 def branch_of(spec: JobSpec, target: Array) -> Branch:
-    """Return whether rays cross: as the person wants it, or as the picture and the thickness of the block suggest."""
+    """Return whether rays cross: as the person wants, or as picture and thickness of the block suggest."""
     if spec.optics.method == "paper":
         return "direct"
     if spec.optics.branch == "auto":
@@ -115,12 +115,12 @@ def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
 
 
 def finish_of(spec: JobSpec) -> Finish | None:
-    """Return the finish after milling; None where nothing is levelled, or where it is still to be planned."""
+    """Return the finish after milling; None if nothing is levelled, or if it is still to be planned."""
     return build_finish(spec.finish)
 
 
 def build_finish(given: FinishSpec) -> Finish | None:
-    """Return a finish as the optics package takes it; None where nothing is levelled, as far as it is known."""
+    """Return a finish in the form of the optics package; None if nothing is levelled, as far as is known."""
     if given.k0_rad_per_mm is None or given.order is None:
         return None
     return Finish(
@@ -132,7 +132,7 @@ def build_finish(given: FinishSpec) -> Finish | None:
 
 
 def _profile(optics: OpticsSpec) -> Array | None:
-    """Return strength on the face, row 0 at the lowest y, mean 1; None where it is even."""
+    """Return the strength on the face, row 0 at the lowest y, mean 1; None if it is even."""
     light = optics.light
     if light.profile is not None:
         seen = np.array(light.profile, dtype=np.float64)
@@ -146,7 +146,7 @@ def _profile(optics: OpticsSpec) -> Array | None:
 
 
 def explain_blocked_light(spec: JobSpec) -> Phrase | None:
-    """Explain where the screen, as it stands, keeps the light from a mirror, which is lit past its screen."""
+    """Explain if the screen blocks the light of a mirror, which is lit past its screen."""
     optics, light = spec.optics, spec.optics.light
     if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:
         return None
@@ -165,7 +165,7 @@ def explain_blocked_light(spec: JobSpec) -> Phrase | None:
 
 
 def warn_of_reflection(share: float) -> Phrase:
-    """Warn of the share of the light that does not get out of a lens."""
+    """Warn of the share of light that is totally reflected inside the lens."""
     return Phrase(
         "{percent:.2g} % of the light is totally reflected inside the lens; a wall farther away helps",
         percent=100 * share,
@@ -173,7 +173,7 @@ def warn_of_reflection(share: float) -> Phrase:
 
 
 def require_contrast(spec: JobSpec, target: Array) -> None:
-    """Raise PictureError where light is even without a lens, and shall be: for a target (ny, nx) of one tone.
+    """Raise PictureError for a target (ny, nx) of one tone if the light is even without a lens.
 
     An even screen of another size or place, or from a lamp, is a task for a lens.
     """
@@ -191,7 +191,7 @@ def require_contrast(spec: JobSpec, target: Array) -> None:
 
 
 def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
-    """Return the diameter of the source's disc on the wall, of a thin lens; None where it has no size."""
+    """Return the diameter of the source's disc on the wall, for a thin lens; None for a source without size."""
     light = table(table(spec.get("optics")).get("light"))
     kind = kind_of(light)
     figures: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The light of a job: what shines on the lens. Each kind of source has its own figures; others' are errors."""
+"""The light of a job. Each kind of source has its own figures; those of other kinds are errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PARALLEL = "collimated"
 """The kind of a light that says none, and the only one that comes square to the lens everywhere."""
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
-_LEAST_PROFILE = 1e-6  # the greatest of them is at least so much: no ratio of them overflows
+_LEAST_PROFILE = 1e-6  # least maximum of a profile, so that no ratio of its values overflows
 _LEFT_OUT = {"size_deg": SUN_DEG, "size_mm": 0.0}
 SPECTRA = {
     "white": ("white LED", Phrase("a white LED")),
@@ -38,7 +38,7 @@ _RANGE = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightWords:
-    """What a person sets and reads of a kind of source; what it does to light is in `optics.light.LIGHT_KINDS`.
+    """Figures and texts of a kind of source; its optics are in `optics.light.LIGHT_KINDS`.
 
     label, hint : in the form
     figures     : that are its own
@@ -59,7 +59,7 @@ def kind_of(light: Mapping[str, Any]) -> str:
 
 
 def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> Phrase:
-    """Say what the light must be like, for the person who sets it up; light as plain data."""
+    """Describe the required light for the person who sets it up; light: plain data."""
     return LIGHT_WORDS[kind_of(light)].describe(light, is_mirror)
 
 
@@ -125,7 +125,7 @@ class LedSpec(Section):
 
 
 def spectrum_of(light: LightSpec) -> Spectrum:
-    """Return the spectrum as optics takes it."""
+    """Return the spectrum in the form of optics."""
     from optics.spectrum import Spectrum  # the API takes in jobs without loading optics
 
     if isinstance(light.spectrum, LedSpec):
@@ -192,12 +192,12 @@ class LightSpec(Section):
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Those of its kind."""
+        """The figures of its kind."""
         return {name: getattr(self, name) for name in LIGHT_WORDS[self.kind].figures}
 
     @property
     def even(self) -> bool:
-        """Whether nothing is said of where on the aperture it is stronger."""
+        """Whether the light is even over the aperture."""
         return self.profile is None and self.gaussian_mm is None
 
     @field_validator(*_RANGE)
@@ -272,12 +272,12 @@ class LightSpec(Section):
 
 def _profile_fault(rows: Any) -> Phrase | None:
     if not isinstance(rows, list | tuple):
-        return Phrase("it is no list of rows")
+        return Phrase("it is not a list of rows")
     if not 2 <= len(rows) <= MOST_PROFILE:
         return Phrase("{count} rows", count=len(rows))
     for at, row in enumerate(rows):
         if not isinstance(row, list | tuple):
-            return Phrase("row {number} is no list of numbers", number=at)
+            return Phrase("row {number} is not a list of numbers", number=at)
         if len(row) != len(rows[0]) or not 2 <= len(row) <= MOST_PROFILE:
             return Phrase(
                 "row {number} has {count} values, row 0 has {others}", number=at, count=len(row), others=len(rows[0])

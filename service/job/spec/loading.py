@@ -1,4 +1,4 @@
-"""Where a job spec comes from: defaults, an earlier job or a TOML/JSON file, a preset, and --set overrides."""
+"""Builds a job spec from defaults, an earlier job or a TOML/JSON file, a preset, and --set overrides."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def resolve_job(
     return complete_job(look_up(validate_spec(data), load))
 
 
-def wishes_where_untold(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> dict[str, Any]:
-    """Return the lowest layer of a command line's spec: where it says nothing of passes, the best that the mill can do,
-    finished by hand; nothing where it does, or names a file.
+def default_layer(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the lowest layer of a command line's spec: if it neither names passes nor a file, the best plan for the
+    mill, finished by hand; otherwise nothing.
 
     Measured for the mills in `machines/profiles`, `camera`, 100 mm: docs/passes.md.
     """
-    told = {text.partition("=")[0].strip() for text in overrides}
-    sections = {key.partition(".")[0] for key in told}
+    keys = {text.partition("=")[0].strip() for text in overrides}
+    sections = {key.partition(".")[0] for key in keys}
     if file is not None or preset is not None or sections & {"preset", "passes"}:
         return {}
     return {"preset": "recommended", **({} if "finish" in sections else {"finish": {"process": BEST}})}
@@ -70,7 +70,7 @@ def spec_data(
     base: Mapping[str, Any] | None = None,
     light_picture: Path | None = None,
 ) -> dict[str, Any]:
-    """Return what resolve_job validates: plain data, put together from all that was given."""
+    """Return the plain data that resolve_job validates, merged from all sources."""
     data = _merge(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
         data = {**data, "preset": preset}
@@ -99,7 +99,7 @@ def validate_spec(data: Mapping[str, Any]) -> JobSpec:
 
 
 def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
-    """Read plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
+    """Read plain data of a .toml or .json file; SpecError names the fault and its line."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
@@ -124,7 +124,7 @@ def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
 
 
 def load_stored_spec(folder: Path) -> JobSpec:
-    """Load the spec of an earlier job; SpecError where there is none."""
+    """Load the spec of an earlier job; SpecError if there is none."""
     path = folder / SPEC
     if not path.is_file():
         words = Phrase(
@@ -139,14 +139,12 @@ def load_stored_spec(folder: Path) -> JobSpec:
 
 
 def load_stored_job(folder: Path) -> ResolvedJob:
-    """Return the earlier job in a folder, with the figures that the files of this computer give now. SpecError."""
+    """Return the earlier job in a folder, with the present figures of this computer's files. SpecError."""
     return look_up(load_stored_spec(folder))
 
 
 def restore_job(spec: Mapping[str, Any], figures: str | None) -> ResolvedJob:
-    """Restore the job that was kept as plain data and text. figures: None where it was submitted before they were
-    kept.
-    """
+    """Restore a stored job from plain data and text. figures: None if it was submitted before figures were stored."""
     found = validate_spec(spec)
     return look_up(found) if figures is None else ResolvedJob(spec=found, figures=Figures.from_text(figures))
 
@@ -154,9 +152,7 @@ def restore_job(spec: Mapping[str, Any], figures: str | None) -> ResolvedJob:
 def resolve_for_lens(
     folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
 ) -> ResolvedJob:
-    """Resolve the complete job of new programs for the lens in a job's folder: what was asked for there, then
-    resolve_job.
-    """
+    """Resolve the complete job of new programs for a job folder's lens: the folder's spec, then as resolve_job."""
     stored = load_stored_job(folder)
     wanted = resolve_job(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
     require_same_lens(stored.spec, wanted.spec)
@@ -164,7 +160,7 @@ def resolve_for_lens(
 
 
 def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
-    """Raise SpecError where `wanted` asks for another lens than the one that exists."""
+    """Raise SpecError if `wanted` asks for another lens than the existing one."""
     pairs = [("image", stored.image, wanted.image), ("optics", stored.optics, wanted.optics)]
     problems = [
         (
@@ -178,7 +174,7 @@ def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
         if after.model_dump()[key] != old
     ]
     stock = ["skim_mm", "thickness_mm"] if stored.optics.light_crosses_block else ["skim_mm"]
-    for key in stock:  # light that slants arrives elsewhere through a thicker block
+    for key in stock:  # oblique light arrives elsewhere through a thicker block
         if (old := getattr(stored.stock, key)) != getattr(wanted.stock, key):
             words = Phrase("this lens was designed with {value}; allowed: the same", value=old)
             problems.append((f"stock.{key}", words))
@@ -212,14 +208,14 @@ def _require_preset(preset: object) -> None:
 
 
 def _leave_room(data: dict[str, Any]) -> None:
-    """Set a margin that leaves large balls the choice, where the person has not said how wide it is."""
+    """Set a margin that allows large balls, if the person gave no margin."""
     stock = data.get("stock", {})
     if isinstance(stock, Mapping):
         data["stock"] = {"margin_mm": RECOMMENDED_MARGIN_MM, **stock}
 
 
 def _merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay upper over lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
+    """Merge upper into lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
     result = dict(lower)
     if upper.get("preset") not in (None, lower.get("preset")):
         result.pop("passes", None)
@@ -230,7 +226,7 @@ def _merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _override(data: dict[str, Any], text: str) -> None:
-    """Set one key in place; tables and the passes on the way are copied, never shared."""
+    """Set one key in place; copy the tables and passes on the path to it, never share them."""
     steps, value = parse_override(text)
     here: Any = data
     for depth, step in enumerate(steps[:-1]):
@@ -248,13 +244,13 @@ def _override(data: dict[str, Any], text: str) -> None:
 
 
 def _set_profile(data: dict[str, Any], picture: Path) -> None:
-    """Put the picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
+    """Set optics.light.profile to the picture's rows; its tones are read like those of the job's picture."""
     from service.job.picture.reading import light_rows  # arrays: not for those who only plan
 
     optics, image = data.get("optics", {}), data.get("image", {})
     light = optics.get("light", {}) if isinstance(optics, Mapping) else {}
     if not isinstance(optics, Mapping) or not isinstance(light, Mapping):
-        return  # a table that is none; it is refused as what it is
+        return  # not a table; validation refuses it by its type
     tone = image.get("tone") if isinstance(image, Mapping) else None
     rows = light_rows(picture, tone="linear" if tone == "linear" else "srgb")
     data["optics"] = {**optics, "light": {**light, "profile": rows}}

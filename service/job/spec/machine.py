@@ -17,7 +17,7 @@ Accelerations = Annotated[list[Annotated[float, Field(ge=0.1, le=100_000)]], Thr
 Pair = Annotated[list[Speed], Field(min_length=2, max_length=2)]
 _XYZ = ("X", "Y", "Z")
 _USUAL_PROFILE = "grbl"
-_shown = partial(shown, usual="machine's")  # what is left out is as the profile says
+_shown = partial(shown, usual="machine's")  # missing values come from the profile
 
 
 class MachineSpec(Section):

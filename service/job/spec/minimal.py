@@ -1,4 +1,4 @@
-"""A resolved job spec written as shortly as it can be: what a person has to ask for to get it again."""
+"""Reduces a resolved job spec to the shortest one that resolves to the same job."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SOME_PROFILE = [[1.0, 1.0], [1.0, 1.0]]
 
 
 def reduce_spec(resolved: Mapping[str, Any]) -> Json:
-    """Return the smallest part of `resolved` (JSON-able) that resolves to the same; all where it does not resolve."""
+    """Return the smallest part of `resolved` (JSON-able) that gives the same job; all of it if it does not resolve."""
     asked = _without_nulls(resolved)
     light = asked.get("optics", {}).get("light", {})
     profile = light.get("profile")
@@ -41,7 +41,7 @@ def reduce_spec(resolved: Mapping[str, Any]) -> Json:
 
 
 def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
-    """Yield tables before what they hold."""
+    """Yield the places of all values, tables before their contents."""
     for key in spec:
         yield (key,)
         held = enumerate(spec[key]) if isinstance(spec[key], list) else [(None, spec[key])]
@@ -52,7 +52,7 @@ def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
 
 
 def _remove(spec: Json, place: Place) -> Json | None:
-    """Return a copy that lacks what lies at a place; None where that has gone with its table."""
+    """Return a copy without the value at a place; None if its table is gone already."""
     found: Any = spec
     for step in place:
         if isinstance(found, Mapping) and step not in found:

@@ -113,14 +113,14 @@ class ImageSpec(Section):
 
 
 def refuse_several_aims(names: Iterable[str]) -> Phrase:
-    """Return what to say about several keys of `plan`."""
+    """Return the sentence about several keys of `plan`."""
     aims = reduce(lambda names, name: Phrase("{names} and {name}", names=names, name=name), names)
     return Phrase("{aims} cannot all be aimed at; allowed: one of them", aims=aims)
 
 
 class PlanSpec(Section):
-    """What preset "recommended" aims at, one thing at the most: hours of machine time to stay within, the blur to stay
-    under, or the PSNR to reach in the least time. Without any: nearly the best picture in the least time.
+    """The goal of preset "recommended", at most one: machine time to stay within, blur to stay under, or PSNR to reach
+    in the least time. Without a goal: nearly the best picture in the least time.
     """
 
     hours: Annotated[
@@ -215,23 +215,23 @@ class JobSpec(Section):
 
     @property
     def to_be_planned(self) -> bool:
-        """Whether the passes are still to be found, from the picture."""
+        """Whether the passes are still to be planned from the picture."""
         return not self.passes
 
     @property
     def goes_on_after_passes(self) -> bool:
-        """Whether something is milled after the passes, into the stock that they leave."""
+        """Whether a program after the passes mills into the stock that they leave."""
         return self.finish.witnessed or self.stock.cut_out is not None
 
     @property
     def pixel_rows(self) -> int:
-        """Picture rows: square pixels on the screen, as nearly as whole rows allow."""
+        """Picture rows: pixels on the screen as square as whole rows allow."""
         width_mm, height_mm = self.optics.screen_size_mm
         return max(1, round(self.image.pixels * height_mm / width_mm))
 
     @property
     def lens_radius_mm(self) -> float:
-        """The ball that the lens is shaped for: as given, or the smallest that finishes; 0 for none."""
+        """The ball for which the lens is shaped: as given, or the smallest that finishes; 0 for none."""
         if self.optics.min_radius_mm is not None:
             return self.optics.min_radius_mm
         finishing = [row.radius_mm for row in self.passes if row.stock_to_leave_mm == 0]

@@ -19,7 +19,9 @@ from service.job.spec.light import PARALLEL, LightSpec
 from service.job.spec.section import Distance, Length, RuleError, Section, none_or_from, shown
 
 _SHAPES = ("rectangle", "ellipse")
-_LEAST_GAUSSIAN = 0.5  # of the aperture's longer side: in the corners of a square 3e-7 of the middle is left
+_LEAST_GAUSSIAN = (
+    0.5  # share of the aperture's longer side: in the corners of a square 3e-7 of the strength in the middle is left
+)
 
 Shift = Annotated[float, Field(ge=-20_000, le=20_000), none_or_from(0.001)]
 Blur = Annotated[float, Field(ge=0, le=100), none_or_from(1e-4)]
@@ -28,8 +30,8 @@ Corner = Sequence[float]
 
 MOST_CORNERS = 256
 _ELLIPSE_CORNERS = 256  # on a lens of 100 mm the chords lie 4 um inside the ellipse
-_NEAREST_MM = 1e-3  # of two corners: below that they are one
-_LEAST_FILLED = 0.05  # of the aperture that a lens must fill
+_NEAREST_MM = 1e-3  # distance of two corners: nearer ones count as one
+_LEAST_FILLED = 0.05  # share of the aperture that a lens must fill
 
 
 def ellipse_mm(width_mm: float, height_mm: float) -> list[list[float]]:
@@ -45,7 +47,7 @@ def counter_clockwise(corners: Sequence[Corner]) -> list[list[float]]:
 
 
 def outline_fault(corners: Sequence[Corner], *, width_mm: float, height_mm: float) -> Phrase | None:
-    """Return what is wrong with a closed outline, in words; None where it is the outline of a lens."""
+    """Return a sentence about the fault of a closed outline; None if it can be the outline of a lens."""
     sides = list(pairwise([*corners, corners[0]]))
     for number, (x, y) in enumerate(corners):
         if not (0 <= x <= width_mm and 0 <= y <= height_mm):
@@ -165,7 +167,7 @@ class OpticsSpec(Section):
 
     @property
     def screen_size_mm(self) -> tuple[float, float]:
-        """Width and height of the screen; one that is not given follows the other in the aperture's proportion."""
+        """Width and height of the screen; a missing one follows from the aperture's proportion."""
         width, height = self.screen_width_mm, self.screen_height_mm
         if width is None:
             width = self.width_mm if height is None else height * self.width_mm / self.height_mm
@@ -180,7 +182,7 @@ class OpticsSpec(Section):
 
     @property
     def light_crosses_block(self) -> bool:
-        """Whether the thickness of the block has a part in where light goes."""
+        """Whether the thickness of the block affects the light."""
         return self.surface == "lens" and self.light.kind != PARALLEL
 
     @field_validator("outline", mode="before")

@@ -1,5 +1,5 @@
-"""Files of TOML in the person's configuration folder: where they are, how they are read and written; among them the
-mills that a person states on the page or over REST, beside profiles written by hand, which are left alone.
+"""TOML files in the person's configuration folder: their paths, reading and writing; also the mills that a person
+describes on the page or over REST. Profiles written by hand are never changed.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, find_own_profiles, load_profile, profile_names, user_folders
+from machines.profile_values import UnreadableFileError, read_toml
 from phrases.phrase import Phrase
-from service.errors import InputError, sentence_of_os_error
+from service.errors import InputError
 from service.job.files import write_bytes
 
-_MOST_BYTES = 1_000_000
 PROFILE_KEYS = (
     "extends", "description", "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "spindle_rpm", "step_mm",
     "z_noise_mm", "collet_mm", "spindle_w", "removal_cm3_per_min",
@@ -26,13 +26,13 @@ PROFILE_KEYS = (
 
 
 def find_own_file(name: str) -> Path | None:
-    """Return where the person's own file of that name is, or would be; None: there is no such folder."""
+    """Return the path of the person's own file of that name, existing or not; None: there is no such folder."""
     folders = user_folders()
     return folders[0].parent / name if folders else None
 
 
 def require_own_file(name: str) -> Path:
-    """Return the same. InputError says how to have such a folder."""
+    """Return the same path. InputError says how to get such a folder."""
     path = find_own_file(name)
     if path is None:
         raise InputError(Phrase("no folder for your own files; set CAUSTICMILL_CONFIG_DIR and start the server again"))
@@ -40,7 +40,7 @@ def require_own_file(name: str) -> Path:
 
 
 def write_own_file(path: Path, text: str) -> None:
-    """Write it, whole or not at all, with the folders above it."""
+    """Write the file, whole or not at all, and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, text.encode())
 
@@ -50,23 +50,12 @@ def format_toml(values: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
 
 
-def read_library(path: Path, what: Phrase) -> dict[str, Any]:
-    """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
+def read_library(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file of data. InputError names the file and the reason if it cannot be read."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing=Phrase("{path}: cannot be read", path=path))) from None
-    if len(raw) > _MOST_BYTES:
-        words = Phrase("{path}: is too large; {what} has at most {most} bytes", path=path, what=what, most=_MOST_BYTES)
-        raise InputError(words)
-    try:
-        return tomllib.loads(raw.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(Phrase("{path}: is not UTF-8 text; save it as UTF-8", path=path)) from None
-    except (ValueError, RecursionError) as error:
-        cause = " ".join(str(error).split())
-        raise InputError(Phrase("{path}: not valid TOML: {cause}", path=path, cause=cause)) from None
+        return read_toml(path)
+    except UnreadableFileError as error:
+        raise InputError(Phrase("{path}: {cause}", path=path, cause=error.words)) from None
 
 
 def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
@@ -101,7 +90,7 @@ def forget_profile(name: str) -> None:
 
 
 def read_stated_profiles() -> dict[str, dict[str, Any]]:
-    """Return the values of each profile that was stated so, by name."""
+    """Return the values of each profile saved by `save_profile`, by name."""
     read = {name: _parse_statement(Path(file)) for name, file in find_own_profiles().items()}
     return {name: values for name, values in read.items() if values is not None}
 
@@ -119,7 +108,7 @@ def _require_free(name: str) -> Path:
 
 
 def _parse_statement(file: Path) -> dict[str, Any] | None:
-    """Return the values of a file that is as `save_profile` writes it."""
+    """Return the values of a file written by `save_profile`."""
     with contextlib.suppress(OSError, ValueError):
         text = file.read_text("utf-8")
         values = tomllib.loads(text)

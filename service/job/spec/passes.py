@@ -80,8 +80,8 @@ class PassRow(Section):
         if not self.is_ball and not roughs:
             raise RuleError(
                 Phrase(
-                    "corner_radius_mm = {corner_mm:g} is no ball, which alone makes a lens; allowed: with "
-                    'stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"',
+                    "corner_radius_mm = {corner_mm:g} is not a ball, and only a ball can finish a lens; allowed: "
+                    'with stock_to_leave_mm above 0, strategy = "raster" and where = "everywhere"',
                     corner_mm=corner_mm,
                 )
             )

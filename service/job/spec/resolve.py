@@ -1,5 +1,5 @@
-"""What a person left out of a job, filled in (presets, speeds, feeds, the index) and held against the mill; as `cam`
-takes it.
+"""Fills in what a person left out of a job (presets, speeds, feeds, the index), checks it against the mill, and
+converts it for `cam`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "
 
 
 def preset_rows(preset: str) -> list[dict[str, Any]]:
-    """Return a preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish.
+    """Return a preset's passes as plain data, without speeds. A pass that leaves stock is named rough, others finish.
 
     Those of "recommended" are none: they are planned once the picture is known.
     """
@@ -42,8 +42,8 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
 
 
 def complete_job(job: ResolvedJob) -> ResolvedJob:
-    """Return the same job with every speed, feed and step-down filled in from the material's start values, its index of
-    refraction, and the ball that the lens is shaped for.
+    """Return the job with every speed, feed and step-down filled in from the material's start values, with its index of
+    refraction, and with the ball for which the lens is shaped.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
@@ -71,7 +71,7 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
 
 
 def _radii_mm(job: ResolvedJob) -> list[float]:
-    """Return the radii of the job's cutters; of passes that are still to be planned the least that they can have."""
+    """Return the radii of the job's cutters; for passes still to be planned, the smallest possible."""
     if not job.spec.to_be_planned:
         return [row.radius_mm for row in job.spec.passes]
     collet_mm = job.machine.collet_mm or inf
@@ -84,10 +84,10 @@ def _with_optics(spec: JobSpec, **values: float | None) -> JobSpec:
 
 
 def without_derived(job: ResolvedJob) -> dict[str, Any]:
-    """Return the spec as plain data without the speeds, feeds and step-downs that `complete_job` would fill in as they
-    are.
+    """Return the spec as plain data without the speeds, feeds and step-downs that `complete_job` would fill in with the
+    same values.
 
-    What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
+    Values in spec.json that the program chose are not wishes of the person, and are chosen again for another mill
     or another ball.
     """
     spec, machine, material = job.spec, job.machine, MATERIALS[job.spec.stock.material]
@@ -113,8 +113,8 @@ def without_derived(job: ResolvedJob) -> dict[str, Any]:
 
 
 def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
-    """Return the spec with the passes that its stage `passes` has planned; itself where they stand already, or not
-    yet.
+    """Return the spec with the passes that its stage `passes` has planned; unchanged if they are there already, or not
+    planned yet.
     """
     if not spec.to_be_planned or "plan" not in report:
         return spec
@@ -135,12 +135,12 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
 
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
-    """Return the passes as the CAM package takes them."""
+    """Return the passes in the form of the CAM package."""
     return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
 
 
 def cam_stock_of(spec: JobSpec) -> Stock:
-    """Return the block as the CAM package takes it."""
+    """Return the block in the form of the CAM package."""
     return Stock(
         width_mm=spec.optics.width_mm,
         height_mm=spec.optics.height_mm,
@@ -151,7 +151,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
 
 
 def facing_task_of(spec: JobSpec) -> Facing | None:
-    """Return how the stock's top is faced, as the CAM package takes it; None where it is not."""
+    """Return the facing of the stock's top in the form of the CAM package; None if there is none."""
     face = spec.stock.face
     if face is None:
         return None
@@ -170,7 +170,7 @@ def facing_task_of(spec: JobSpec) -> Facing | None:
 
 
 def cut_out_of(spec: JobSpec) -> CutOut | None:
-    """Return how the lens is cut out, as the CAM package takes it; None where it is not."""
+    """Return the cut-out of the lens in the form of the CAM package; None if there is none."""
     return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump(exclude={"shank_radius_mm"}))
 
 
@@ -199,23 +199,23 @@ def _fill_row(row: PassRow, machine: MachineProfile, material: Material) -> Pass
 
 
 def most_removal_mm3_per_min(machine: MachineProfile, material: Material) -> float:
-    """Return what rows may take off at most: by the frame, and by the spindle's power."""
+    """Return the highest removal rate of rows, limited by the frame and the spindle's power [mm^3/min]."""
     by_frame = inf if machine.removal_cm3_per_min is None else 1000 * machine.removal_cm3_per_min
     by_spindle = inf if machine.spindle_w is None else material.removal_mm3_per_min(machine.spindle_w)
     return min(by_frame, by_spindle)
 
 
 def warn_of_removal(spec: JobSpec, machine: MachineProfile) -> Iterator[Phrase]:
-    """Yield what passes with figures of the person's own ask for beyond what the mill takes off."""
+    """Yield warnings of passes with a person's own figures that exceed the mill's removal rate."""
     most = most_removal_mm3_per_min(machine, MATERIALS[spec.stock.material])
     for number, row in enumerate(spec.passes):
         assert row.step_down_mm is not None and row.feed_mm_per_min is not None  # by complete_job
         asked = row.pitch_mm * row.step_down_mm * row.feed_mm_per_min
         if asked > (1 + _ROUNDING) * most:
             yield Phrase(
-                "passes.{number} ({name}) takes off {asked_cm3_per_min:.2g} cm3/min in rows; '{mill}' stands about "
-                "{most_cm3_per_min:.2g} (machine.removal_cm3_per_min, spindle_w): a smaller step_down_mm, or expect "
-                "chatter and lost steps",
+                "passes.{number} ({name}) takes off {asked_cm3_per_min:.2g} cm3/min in rows; '{mill}' can take "
+                "about {most_cm3_per_min:.2g} (machine.removal_cm3_per_min, spindle_w): choose a smaller "
+                "step_down_mm, or expect chatter and lost steps",
                 number=number,
                 name=row.name,
                 asked_cm3_per_min=asked / 1000,
@@ -241,7 +241,7 @@ def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_s
 
 
 def _unheld(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, Phrase]]:
-    """Return that the spindle cannot take a pass's cutter; where nothing is said of its shank that is as thick."""
+    """Return a problem if the spindle cannot hold a pass's cutter; an unknown shank is as thick as the cutter."""
     shank_mm = 2 * (row.radius_mm if row.shank_radius_mm is None else row.shank_radius_mm)
     if machine.collet_mm is None or shank_mm <= machine.collet_mm:
         return []

@@ -1,6 +1,6 @@
-"""A job as it is carried out: its spec, and the figures of mill, tools and finishing processes it was submitted with.
+"""A job with its spec and the figures of mill, tools and finishing processes that it was submitted with.
 
-They are looked up once, when a job is submitted, and go with it from then on: whoever works on it later may have other
+They are looked up once, when a job is submitted, and stored with it: the computer that works on it later may have other
 files under the same names, or a later version of them.
 """
 
@@ -33,7 +33,7 @@ _PROFILE_KEYS = MachineSpec.model_fields.keys() - {"profile"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """What stood in the files that a spec names.
+    """Contents of the files that a spec names.
 
     profile   : of the mill
     tools     : of the shop, where the passes are planned; else none
@@ -45,12 +45,12 @@ class Figures:
     processes: Mapping[str, Process]
 
     def to_text(self) -> str:
-        """Return JSON, with Infinity where a figure is that."""
+        """Return JSON, with Infinity for infinite figures."""
         return json.dumps(asdict(self), separators=(",", ":"))
 
     @classmethod
     def from_text(cls, text: str) -> Figures:
-        """Parse the text; FailedError where another version has written it."""
+        """Parse the text; FailedError if another version wrote it."""
         try:
             return _FIGURES.validate_python(json.loads(text))
         except ValidationError as error:
@@ -72,7 +72,7 @@ class ResolvedJob:
 
     @cached_property
     def machine(self) -> MachineProfile:
-        """The mill's profile with the job's own figures in place of its; SpecError where its control cannot do that."""
+        """The mill's profile with the job's own figures; SpecError if its control does not support them."""
         spec, own = self.spec, dict[str, Any]()
         for key in _PROFILE_KEYS:
             value = getattr(spec.machine, key)
@@ -95,7 +95,7 @@ class ResolvedJob:
 
 
 def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
-    """Return the job of a spec with the figures that the files of this computer give now.
+    """Return the job of a spec with the present figures of this computer's files.
 
     load : reads a mill's profile
     SpecError names what the spec names and is not there; InputError what is wrong in a file of tools or processes.

@@ -1,4 +1,4 @@
-"""What all tables of the job spec have in common, lengths in mm, and what the form of a new job shows of a key.
+"""Common parts of all tables of the job spec, lengths in mm, and the look of their keys in the form of a new job.
 
 The words for the form go into the JSON schema, from which the page makes its rows (`service/page/new/fields.js`). A key
 has a row as soon as it is in the spec; `shown` says it.
@@ -29,7 +29,7 @@ _UNITS = (
 
 
 class FieldLook(TypedDict, total=False):
-    """How a row looks, where it is not like all others.
+    """How a row looks, if it differs from the others.
 
     card   : the card that it stands on, "main" for what everybody chooses; left out: in the part for experts, under the
              title of its table
@@ -63,31 +63,31 @@ def shown(
     """
     form: dict[str, Any] = {**look}
     if choices is not None:
-        told = {value: (words, "") if isinstance(words, str) else words for value, words in choices.items()}
-        form["choices"] = [{"const": value, "title": word, "description": s} for value, (word, s) in told.items()]
+        rows = {value: (words, "") if isinstance(words, str) else words for value, words in choices.items()}
+        form["choices"] = [{"const": value, "title": word, "description": s} for value, (word, s) in rows.items()]
     return Field(title=label, description=hint or None, json_schema_extra={"form": form})
 
 
 def unit_of(key: str) -> str:
-    """Return the unit that the name of a key states, "" where it states none."""
+    """Return the unit in the name of a key; "" if it has none."""
     return next((unit for ending, unit in _UNITS if key.endswith(ending)), "")
 
 
 def unknown_name(name: str, known: Iterable[str]) -> Phrase:
-    """Return what to say about a name nobody knows: all of them."""
+    """Return the sentence about an unknown name: all known ones."""
     names = ", ".join(f"'{one}'" for one in known)
     return Phrase("'{name}' is not known; allowed: {names}", name=name, names=names)
 
 
 def state_units(schema: dict[str, Any]) -> None:
     """Add to the JSON schema of a table the unit of each of its keys that has one."""
-    for key, told in schema.get("properties", {}).items():
+    for key, entry in schema.get("properties", {}).items():
         if unit := unit_of(key):
-            told["unit"] = unit
+            entry["unit"] = unit
 
 
 class RuleError(ValueError):
-    """A value that only a validator of ours refuses, and why."""
+    """A value that only our own validator refuses, and why."""
 
     def __init__(self, words: Phrase) -> None:
         super().__init__(words)

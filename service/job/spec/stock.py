@@ -1,7 +1,7 @@
 """[stock]: the block, what holds it, and what is milled beside the lens: its top, the cut-out. Lengths in mm.
 
-Rows of `passes` make the lens: presets and plans choose them, and what the light will be follows from them. Facing and
-cut-out make the block, whatever the passes are.
+Rows of `passes` make the lens: presets and plans choose them, and they determine the light. Facing and cut-out make the
+block, independent of the passes.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from service.job.spec.section import (
 Pitch = Annotated[float, Field(ge=0.01, le=50)]
 
 MOST_CLAMPS = 20
-MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
+MIN_FLOOR_MM = 2.0  # least stock under the deepest point: less bends and vibrates under the cutter
 FRAME_MM = 1.0
-"""Of the block that must stay around the slot: without it the tabs hold nothing."""
+"""Width of the block that must remain around the slot: without it the tabs hold nothing."""
 
 
 class FaceSpec(Section):
@@ -136,7 +136,7 @@ def cut_out_fault(
     margin_mm: float,
     thickness_mm: float,
 ) -> Phrase | None:
-    """Return why the lens cannot be cut out so, with the numbers; None where it can.
+    """Return why the lens cannot be cut out so, with the numbers; None if it can.
 
     corners : of the lens in the work frame; size_mm: width and height of the aperture
     """

@@ -1,4 +1,4 @@
-"""The tool library: which end mills the shop has.
+"""The tool library: the end mills of the shop.
 
 `tools.toml` beside this module holds the usual ones; a person's own tools.toml in their configuration folder, beside
 the folder of their machines, takes its place.
@@ -16,6 +16,7 @@ from machines.profile_values import BadValueError, Rule, Rules, number, whole
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, format_toml, read_library, require_own_file, write_own_file
+from service.wording import align
 
 BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
@@ -43,7 +44,7 @@ _VALUES = Rules(
 
 
 def library_file(given: Path | None = None) -> Path:
-    """Return the file in use: the one given, else the person's own, else the built-in."""
+    """Return the file in use: the one given, or the person's own, or the built-in one."""
     if given is not None:
         return given
     own = find_own_file(_NAME)
@@ -53,7 +54,7 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """Return the tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    return _tools_of(path, read_library(path, Phrase("a tool library")))
+    return _tools_of(path, read_library(path))
 
 
 def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
@@ -65,7 +66,7 @@ def save_tools(rows: Sequence[Mapping[str, Any]]) -> tuple[Tool, ...]:
 
 
 def forget_tools() -> None:
-    """Go back to the shipped library."""
+    """Delete the person's own library, so that the built-in one is used."""
     require_own_file(_NAME).unlink(missing_ok=True)
 
 
@@ -139,15 +140,13 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
 
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
-    """Return lines that list the library for a person."""
+    """Return the library as lines of a table."""
     head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST", "CORNER")
     rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     own = find_own_file(_NAME)
     where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
     origin = "built in" if path == BUILT_IN else str(path)
-    return [*lines, "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
+    return [*align(rows), "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
 
 
 def _cell(value: object) -> str:

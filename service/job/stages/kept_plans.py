@@ -23,7 +23,7 @@ from phrases.phrase import Phrase, phrases_in, restore
 from service.errors import FailedError
 from service.job.arrays import npz_bytes
 from service.job.files import write_bytes
-from service.job.planning.estimate_light import ForetoldPicture, describe_light
+from service.job.planning.estimate_light import PredictedPicture, describe_light
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import Progress, plan_for_picture
@@ -51,7 +51,7 @@ class MadePlan:
     figures: dict[str, Any]
     notes: list[Phrase]
     draw: Callable[[], bytes]
-    see: Callable[[], ForetoldPicture]
+    see: Callable[[], PredictedPicture]
 
 
 class KeptPlans:
@@ -111,7 +111,7 @@ def _load(path: Path, target: Array) -> MadePlan | None:
         with np.load(path, allow_pickle=False) as stored:
             words, picture, light = (stored[name] for name in ("words", "picture", "light"))
         plain = json.loads(words.tobytes())
-        seen = ForetoldPicture(light=light, target=target, **plain["seen"])
+        seen = PredictedPicture(light=light, target=target, **plain["seen"])
         found = restore(plain["plan"], plain["phrases"])
         os.utime(path)  # in use: see `forget_oldest`
         return MadePlan(figures=found["figures"], notes=found["notes"], draw=picture.tobytes, see=lambda: seen)

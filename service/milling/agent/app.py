@@ -1,6 +1,10 @@
-"""The agent's HTTP application: the routes behind the guard, every refusal as problem+json."""
+"""The agent's HTTP application: the routes behind the guard, every refusal as problem+json; and what is known of the
+mill (/v1/status, /v1/events, /v1/machine).
+"""
 
 from __future__ import annotations
+
+import dataclasses
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -10,14 +14,37 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from machines.errors import MachineError
+from service.http.event_hub import HubStream, Reader
 from service.http.problems import Problem, on_error, on_http_error
 from service.milling.agent.agent import Agent
-from service.milling.agent.auth import AgentGuard
-from service.milling.agent.routes.control import ControlRoutes
-from service.milling.agent.routes.mill import MillRoutes
-from service.milling.agent.routes.orders import OrderRoutes
+from service.milling.agent.requests import AgentGuard
+from service.milling.agent.routes.orders import ControlRoutes, OrderRoutes
 from service.milling.agent.routes.programs import ProgramRoutes
 from service.milling.agent.routes.runs import RunRoutes
+
+
+class MillRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def routes(self) -> list[Route]:
+        return [
+            Route("/v1/status", self.status, methods=["GET"]),
+            Route("/v1/events", self.events, methods=["GET"]),
+            Route("/v1/machine", self.machine, methods=["GET"]),
+        ]
+
+    async def status(self, _request: Request) -> Response:
+        return JSONResponse(self._agent.access.status())
+
+    async def events(self, request: Request) -> HubStream:
+        hub, reader, last = self._agent.hub, Reader(), request.headers.get("last-event-id", "")
+        return HubStream(hub, reader, lambda: hub.add(reader, last), heartbeat_s=self._agent.settings.heartbeat_s)
+
+    async def machine(self, _request: Request) -> Response:
+        settings = self._agent.settings
+        profile = dataclasses.asdict(self._agent.profile)
+        return JSONResponse({"name": settings.machine, "port": settings.port_url, "profile": profile})
 
 
 def make_app(agent: Agent) -> Starlette:

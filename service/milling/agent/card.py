@@ -1,7 +1,7 @@
-"""agent.json in the agent's folder: where the agent of this mill is, for the job server on the same computer.
+"""How programs on this computer find the agent of a mill: its card, agent.json, and its token, both in its folder.
 
-It is there from when the agent listens until its orderly end. After a crash it points to nobody, or to a stranger: who
-reads it must ask whom it meets for the machine's name, and the token in the folder is no other agent's.
+The card is there from when the agent listens until its orderly end. After a crash it points to nobody, or to a
+stranger: who reads it must ask whom it meets for the machine's name, and the token in the folder is no other agent's.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -16,6 +17,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from phrases.phrase import Phrase
+from service.errors import FailedError, InputError, sentence_of_os_error
+from service.processes.private import keep_private
 from service.processes.whole_file import write_whole
 
 CARD_FILE = "agent.json"
@@ -69,3 +73,49 @@ def agent_url(host: str, port: int) -> str:
     """Return how a program on this computer reaches a server bound to `host`."""
     host = _ANY.get(host, host)
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+TOKEN_FILE = "token"
+_SHORTEST = 16
+
+
+def read_token(path: Path) -> str:
+    """Read the token a person keeps in a file; InputError where it is missing or too short to be one."""
+    try:
+        others = path.stat().st_mode & 0o077
+        token = path.read_text(encoding="ascii").strip()
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="--token-file: cannot read")) from None
+    except UnicodeDecodeError:
+        raise InputError(
+            Phrase("--token-file: {path} is not plain text; allowed: one line of ASCII", path=path)
+        ) from None
+    if others:
+        raise InputError(Phrase("--token-file: {path} can be read by others; run: chmod 600 {path}", path=path))
+    if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
+        raise InputError(
+            Phrase("--token-file: {path} must hold one word of at least {least} characters", path=path, least=_SHORTEST)
+        )
+    return token
+
+
+def make_token(folder: Path) -> tuple[str, Path]:
+    """Return the token of this data folder, made on first use and readable by its owner only.
+
+    Of several agents that start at once all have the first one's: it is there as a whole or not at all.
+    """
+    path = keep_private(folder) / TOKEN_FILE
+    draft = path.with_name(f".{TOKEN_FILE}.{secrets.token_hex(4)}")
+    try:
+        if not path.exists():
+            descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(descriptor, "w", encoding="ascii") as file:
+                file.write(secrets.token_urlsafe(32) + "\n")
+            try:
+                with contextlib.suppress(FileExistsError):
+                    os.link(draft, path)
+            finally:
+                draft.unlink()
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot write the token")) from None
+    return read_token(path), path

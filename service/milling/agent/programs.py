@@ -68,7 +68,7 @@ class ProgramStore:
         except FileNotFoundError:
             raise Problem(
                 404,
-                Phrase("no program {sha256} here; PUT /v1/programs/{sha256} brings it", sha256=sha256),
+                Phrase("no program {sha256} here; PUT /v1/programs/{sha256} uploads it", sha256=sha256),
                 field="program",
             ) from None
         return StoredProgram(sha256, facts.st_size, round(facts.st_mtime, 3))

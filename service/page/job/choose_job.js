@@ -5,7 +5,7 @@ import { open } from "../lib/dialog.js";
 import { t } from "../lib/language.js";
 import { ago, jobName } from "../lib/words.js";
 
-/** Resolves with the id of the job that was taken, or null. */
+/** Resolves with the id of the chosen job, or null. */
 export async function openJobs(job) {
   const { jobs } = await api.get("/v1/jobs?state=succeeded&limit=50");
   const others = jobs.filter(({ id }) => id !== job.id);

@@ -66,7 +66,7 @@ function pictures(sides, names, shelf) {
   return part(choice, both.node);
 }
 
-/** [what, how it is said, which is better: 1 more, -1 less, 0 neither, the value of a job] */
+/** [name, formatter, better direction: 1 more, -1 less, 0 neither, getter of a job's value] */
 const FIGURES = [
   [t("Time on the mill"), hours, -1, ({ job }) => millSeconds(job.report)],
   [t("Smallest detail"), mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],

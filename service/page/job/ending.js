@@ -1,4 +1,4 @@
-/** A lens that is made: its picture on the wall, big, and what to do next; what is done is ticked. */
+/** A finished lens: its picture on the wall, large, and the next steps; finished steps are ticked. */
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";

@@ -21,7 +21,7 @@ export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
 }
 
-/** What it means from one level of dB to another: [[from, to, the first of its words]], worst first. */
+/** Bands of PSNR with a word for each: [[from dB, to dB, word]], worst first. */
 export function eyeBands(low, high) {
   const tops = [Infinity, ...EYE.map(([least]) => least)];
   const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;、]/)[0]]);

@@ -4,7 +4,7 @@ import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { expertFigures, expertSides, headlines, lightSentence, mainCause } from "./figures.js";
-import { foretoldOf } from "./foretold.js";
+import { predictedPsnr } from "./prediction.js";
 
 /** {node, update(job)} */
 export function factsPart() {
@@ -16,7 +16,7 @@ export function factsPart() {
   let shown = "";
 
   function update(job) {
-    const rows = headlines(job.spec, job.report, foretoldOf(job)), figures = expertFigures(job.report);
+    const rows = headlines(job.spec, job.report, predictedPsnr(job)), figures = expertFigures(job.report);
     const key = JSON.stringify([rows, figures]);
     if (key === shown) return;
     shown = key;
@@ -41,7 +41,7 @@ function row([what, figure, words]) {
   return h("div", {}, h("dt", {}, what), value);
 }
 
-/** {node, update(job)}: the report's warnings; nothing where there are none. */
+/** {node, update(job)}: the report's warnings; nothing if there are none. */
 export function warningsPart() {
   const list = h("div", { class: "stack" });
   const title = h("h2", { id: "warnings-title" }, t("Look out for"));

@@ -63,15 +63,15 @@ export function millSeconds(report) {
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
-/** The first things to know of a job: [[what, figure, words]], as many as are known. foretold: PSNR by its estimate. */
-export function headlines(spec, report, foretold) {
+/** The first things to know of a job: [[what, figure, words]], as many as are known. predicted: its PSNR. */
+export function headlines(spec, report, predicted) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);
   const known = made < wanted ? t`${made} of ${wanted} passes so far` : made === 1 ? t`${made} pass` : t`${made} passes`;
   if (seconds !== null) found.push([t("On the mill"), hours(seconds), known]);
   else if (report?.plan?.hours) found.push([t("On the mill"), hours(report.plan.hours * 3600), t("as planned")]);
   if (detail !== null) found.push([t("Sharpness"), t`details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), foretold));
+  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), predicted));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = t`steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push([t("Depth of the lens"), mm(report.optics.relief_mm), steep]);
@@ -79,7 +79,7 @@ export function headlines(spec, report, foretold) {
   return found;
 }
 
-/** What one will see once the lens is finished by hand, and before; null where it is not known. */
+/** What one will see once the lens is finished by hand, and before; null if it is not known. */
 function seenByHand(report) {
   const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
   if (seen === undefined) return null;
@@ -87,9 +87,9 @@ function seenByHand(report) {
   return [[t("On the wall, as finished"), eyeWords(seen), t("after the work by hand below")], ...before];
 }
 
-/** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
-function onTheWall(milled, polished, foretold) {
-  const seen = milled ?? foretold ?? null, how = milled === undefined ? t("as predicted; the last steps simulate it") : "";
+/** The likeness on the wall; a lens sharpened for the marks of its tool shows less without them. */
+function onTheWall(milled, polished, predicted) {
+  const seen = milled ?? predicted ?? null, how = milled === undefined ? t("as predicted; the last steps simulate it") : "";
   const shown = polished === undefined ? [] : [[t("On the wall, if polished"), eyeWords(polished)]];
   if (seen === null) return shown.map((row) => [...row, t("as milled it may be less; the last steps show how much")]);
   if (polished < seen) return [[t("On the wall"), eyeWords(seen), how || t("Do not polish it: it is made for the tool's marks.")]];
@@ -116,7 +116,7 @@ export function expertFigures(report) {
   return known.map(([key, what, say]) => [what, ...sides.map((side) => (side?.[key] === undefined ? "–" : say(side[key])))]);
 }
 
-/** The light that all of them hold under; null where a report of old does not say it. */
+/** The light that all of them hold under; null if a report of old does not say it. */
 export function lightSentence(report) {
   const words = report?.optics?.light?.words;
   return words ? t`All these figures hold under ${words}.` : null;
@@ -128,7 +128,7 @@ function sharpnessWords(spec, detail) {
 }
 
 /**
- * What costs the milled picture most, as a sentence; null where nothing stands out. Marks hide each other: where one is
+ * What costs the milled picture most, as a sentence; null if nothing stands out. Marks hide each other: where one is
  * taken away the others stay, so what each alone would bring does not add up to what all of them cost.
  */
 export function mainCause(report) {
@@ -148,7 +148,7 @@ export function isSharpened({ spec, report }) {
   return (report?.plan ?? spec.optics).foreseen_blur_mm.some((blur) => blur > 0);
 }
 
-/** How exactly the wall must stand, as a sentence; null where it was not simulated. */
+/** How exactly the wall must stand, as a sentence; null if it was not simulated. */
 export function focusSentence(report) {
   const range = report?.optics?.tolerances?.focus_range_mm;
   if (!range) return null;

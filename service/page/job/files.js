@@ -44,7 +44,7 @@ export function programsPart() {
   return { node, update };
 }
 
-/** Why nothing can be sent to a mill yet, or what is still to come. */
+/** Why no program can be sent to a mill yet, or which ones are still to come. */
 function waitWords(job) {
   if (job.state === "succeeded") return "";
   if (!job.programs.length) return t("The programs appear here once all of them have been checked.");
@@ -95,7 +95,7 @@ export function sendLink(job, program, mill, { alone, first }) {
   return h("a", { class: first ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
 }
 
-/** {node, update(job, artifacts)}: what else there is to keep. */
+/** {node, update(job, artifacts)}: the other files. */
 export function filesPart() {
   const list = h("ul", { class: "files" });
   const every = h("ul", { class: "files" });

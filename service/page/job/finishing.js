@@ -1,4 +1,4 @@
-/** What a person does to the lens after the mill: report `finishing` as a card, with what comes of it. */
+/** The finish by hand: report `finishing` as a card, with its result. */
 import { h, replace } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
@@ -8,7 +8,7 @@ import { likenessOf } from "./figures.js";
 
 const WORTH_DB = 0.3;
 
-/** {node, update(job)}; the card is there only where the job has a finish. */
+/** {node, update(job)}; the card is shown only if the job has a finish. */
 export function finishingPart() {
   const title = h("h2", { id: "finishing-title" }), body = h("div", { class: "stack" });
   const node = h("section", { class: "card finishing", "aria-labelledby": "finishing-title", hidden: true }, title, body);

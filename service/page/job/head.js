@@ -1,4 +1,4 @@
-/** Name and state of a job, what can be done with it, and what to do next where something went wrong. */
+/** Name and state of a job, its actions, and the next step after a failure. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { confirm, toast } from "../lib/dialog.js";
@@ -70,7 +70,7 @@ function presetWords({ preset, passes }) {
   return { recommended: t("passes as recommended"), draft: t("draft"), paper: t("passes of the paper") }[preset] ?? "";
 }
 
-/** Since when it is what it is. */
+/** The time since when it has its state. */
 function whenWords(job, now) {
   if (job.ended_at) return endWords(job.state, ago(job.ended_at, now));
   if (job.started_at) return t`begun ${ago(job.started_at, now)}`;
@@ -82,7 +82,7 @@ function endWords(state, when) {
   return state === "failed" ? t`failed ${when}` : t`ended ${when}`;
 }
 
-/** What went wrong and the next step; nothing for a job that goes its way. */
+/** The fault and the next step; nothing for a job without a fault. */
 function noticeOf(job) {
   if (job.state === "cancelled") {
     const words = t("This job was cancelled. Try again goes on with the steps that were finished.");

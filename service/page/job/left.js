@@ -1,5 +1,5 @@
 /**
- * How long a job will go on. Every stage has a time that it usually takes; how much slower or faster this computer is
+ * How long a job will take to its end. Every stage has a time that it usually takes; how much slower or faster this computer is
  * today is seen in the stages that are done, and in the one at work by its own share.
  */
 
@@ -51,7 +51,7 @@ function paceOf(stages) {
   return sum("seconds") / sum("usual_s");
 }
 
-/** By what it usually takes, and by its own pace: the longer one. One that is late has as long to go as it is late. */
+/** The longer of the usual remaining time and that at its own pace. A late stage is expected to take as much more as it is late. */
 function ofRunning({ started_at: startedAt, usual_s: usualS }, usual, share, now) {
   const spent = Math.max(0, (now - Date.parse(startedAt)) / 1000);
   const own = share > TELLING ? (spent * (1 - share)) / share : 0;

@@ -32,7 +32,7 @@ void main() {
 }`;
 
 /**
- * A picture of the lens on this canvas: {draw(look), showWall(image, place), free()}; null where the browser has no WebGL2.
+ * A picture of the lens on this canvas: {draw(look), showWall(image, place), free()}; null if the browser has no WebGL2.
  * With look.wall the block stands upright, its light goes away from who looks, and the wall is there with its picture.
  */
 export function lensPicture(canvas, grid) {

@@ -1,4 +1,4 @@
-/** The lens on a turntable, alone or with the wall that it lights: turns by itself until somebody takes hold of it, or wishes for no motion at all. */
+/** The lens on a turntable, alone or with the wall that it lights: turns by itself until somebody drags it, but never if the browser asks for reduced motion. */
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { gestures } from "./gestures.js";
@@ -12,7 +12,7 @@ const FRAME_MS = 33;
 const SLOW_MS = 120;
 const SLOW_FRAMES = 12; // in a row, after which a browser that has to draw by itself is spared
 
-/** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null where that gives nothing. */
+/** {node, seen(on), showWall(image, place), free()}, drawn by `make(canvas, grid)`; null if that gives nothing. */
 export function lensStage(grid, make) {
   const label = t("The lens in three dimensions. Arrow keys turn it, plus and minus zoom.");
   const canvas = h("canvas", { class: "lens-canvas", tabindex: 0, role: "img", "aria-label": label });

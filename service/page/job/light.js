@@ -1,4 +1,4 @@
-/** Light in the hand: the wall's picture, found anew while somebody moves wall, block and lamp. */
+/** Live light: computes the wall's picture again while somebody moves wall, block and lamp. */
 import { api } from "../lib/api.js";
 import { freshId, h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";

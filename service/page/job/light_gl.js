@@ -160,7 +160,7 @@ export function meet(lens, beam, p) {
   return { face: [sx + share * from[0], sy + share * from[1], (1 + (reach / away) ** 2) ** -1.5], way };
 }
 
-/** Its way behind a surface of this slope; null where light does not get out. */
+/** Its way behind a surface of this slope; null if light does not get out. */
 export function leave(lens, way, [zx, zy]) {
   const normal = unit([-zx, -zy, 1]), n = lens.is_mirror ? 1 : lens.refractive_index, cosine = dot(way, normal);
   const inner = 1 - n * n * (1 - cosine * cosine);
@@ -244,7 +244,7 @@ function unit(way) {
 
 /**
  * The light of a lens on its wall, kept in two pictures of `pixels` along the wall's longer side, the one shown and the
- * one being made; null where the browser cannot.
+ * one being made; null if the browser cannot.
  *
  * margin: how much more of the wall is seen than the lens was made for, as a factor.
  */
@@ -305,7 +305,7 @@ export function lightPicture(canvas, lens, { pixels = 512, margin = 1 } = {}) {
       gl.disable(gl.BLEND);
     });
   }
-  /** What was being made is what is shown from now on. */
+  /** Show the picture that was being made. */
   function turnOver() {
     shown = 1 - shown;
     showAgain();

@@ -36,7 +36,7 @@ export class PathFile {
     return this.head.programs.reduce((sum, program) => sum + program.lines, 0);
   }
 
-  /** The chunks' rows of a level, fetched where they are not known yet. */
+  /** The chunks' rows of a level, fetched if they are not known yet. */
   async rows(number, signal) {
     const level = this.levels[number];
     if (!level.rows) {
@@ -46,7 +46,7 @@ export class PathFile {
     return level.rows;
   }
 
-  /** Fetches those of the chunks that are not there; neighbours in the file come together. */
+  /** Fetch the missing chunks; neighbours in the file with one request. */
   async load(number, chunks, signal) {
     const { rows, data, offset_bytes: base } = this.levels[number];
     const missing = chunks.filter((k) => !data.has(k));
@@ -57,7 +57,7 @@ export class PathFile {
     }
   }
 
-  /** Forgets chunks beyond so many bytes, those first that were put in longest ago; never the coarsest level. */
+  /** Drop the oldest chunks beyond that many bytes; never the coarsest level. */
   forget(most) {
     for (const level of this.levels.slice(1)) {
       let held = 0;

@@ -3,7 +3,7 @@ import { programOf, release } from "./gl.js";
 import { POINT_BYTES } from "./path_file.js";
 
 const MOST_BYTES = 96 << 20; // of points on the card
-const WIDE_SEGMENTS = 120_000; // up to here lines are as wide as they should be, beyond as thin as they can be
+const WIDE_SEGMENTS = 120_000; // up to this count lines have their full width, beyond it the least width
 
 const VERTEX = `#version 300 es
 layout(location = 0) in uvec4 a_from; layout(location = 1) in uvec4 a_to;
@@ -43,7 +43,7 @@ const UNIFORMS = [
   "u_deep", "u_high", "u_coming", "u_rapid", "u_now",
 ];
 
-/** {draw(scene) -> promise of ms, free()}; null where the browser has no WebGL2. */
+/** {draw(scene) -> promise of ms, free()}; null if the browser has no WebGL2. */
 export function pathPicture(canvas) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
   if (!gl) return null;
@@ -57,7 +57,7 @@ export function pathPicture(canvas) {
     gl.vertexAttribDivisor(place, 1);
   }
 
-  /** The buffer of a chunk's points; a card's memory is not endless, so what was longest unused goes. */
+  /** The buffer of a chunk's points; the least recently used buffers are freed, because a card's memory is limited. */
   function bufferOf(points) {
     const known = buffers.get(points);
     if (known) buffers.delete(points);
@@ -116,7 +116,7 @@ export function pathPicture(canvas) {
   return { draw, free: () => release(gl) };
 }
 
-/** Resolves with the milliseconds since `began` when the card has drawn all that it was told to. */
+/** Resolves with the milliseconds since `began` when the graphics card has drawn everything. */
 async function finished(gl, began) {
   const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   gl.flush();

@@ -57,7 +57,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
     moved();
   }
 
-  /** Shows what there is where the camera is now, and draws it anew as soon as that disturbs nobody. */
+  /** Show the present drawing at the camera's place, and draw it again as soon as that disturbs nobody. */
   function moved() {
     place();
     clearTimeout(rest);
@@ -105,7 +105,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
   function tooFine(number) {
     return number > 0 && file.levels[number - 1].tolerance_mm * camera.scale * ratio() < SEEN_PX;
   }
-  /** One picture at a time: what is asked for meanwhile is drawn when it is done. */
+  /** Draw one picture at a time; a request that arrives meanwhile is drawn after it. */
   async function draw(most = budget) {
     if (!file || freed || !size().width) return;
     if (busy) return void (again = Math.max(again, most));
@@ -142,7 +142,7 @@ export function pathView({ label, outline, onDrawn = () => {} }) {
     canvas.style.height = `${height * OVERSIZE}px`;
   }
 
-  /** Fetches what the eye could tell from what is shown, and draws it. */
+  /** Fetch the detail that an eye could see, and draw it. */
   async function refine() {
     if (!file || freed) return;
     fetching?.abort();

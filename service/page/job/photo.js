@@ -1,4 +1,4 @@
-/** A photograph of the wall, looked at by the server: what is off, and what to do. Nothing is kept of it. */
+/** A photograph of the wall, measured by the server: what is off, and what to do. The server does not store it. */
 import { h } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { photograph } from "../lib/photograph.js";

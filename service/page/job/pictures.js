@@ -1,6 +1,6 @@
 /**
  * What the light paints, side by side, and any two over each other with a wipe; then the others that are for the page.
- * Which there are, and what they are called, is said in service/job/report/pictures.py.
+ * service/job/report/pictures.py lists them and their titles.
  */
 import { api } from "../lib/api.js";
 import { freshId, h, replace } from "../lib/dom.js";

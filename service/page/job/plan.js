@@ -1,4 +1,4 @@
-/** The trade of hours against sharpness: every plan worth having as a point that one takes. */
+/** Hours against sharpness: every useful plan as a point that a person can choose. */
 import { h, replace, svg } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
@@ -112,7 +112,7 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
   );
 }
 
-/** What a band of likeness means to an eye, where the line does not go: low ones at the right, high ones at the left. */
+/** Words for a band of likeness, placed away from the line: low bands at the right, high ones at the left. */
 /** @param {any[]} band @param {any} at @param {number} width */
 function bandWords([from, to, words], at, width) {
   const top = at.y(to), foot = at.y(from);

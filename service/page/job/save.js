@@ -1,7 +1,7 @@
 /**
  * Files for a person to keep. Where no token is needed a plain link is best: the browser saves as it loads. A token
  * cannot be put into a link, so then the file is fetched, straight onto the disk where the browser can do that
- * (showSaveFilePicker), else by way of memory.
+ * (showSaveFilePicker), otherwise through memory.
  */
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
@@ -10,7 +10,7 @@ import { language, t } from "../lib/language.js";
 import { at } from "../lib/root.js";
 import { bytes, percent } from "../lib/words.js";
 
-/** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told.
+/** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: by this page, which can show why it fails.
  * @param {{url: string, name: string, size?: number, words: any, plain?: boolean, fetched?: boolean}} options */
 export function saveLink({ url, name, size, words, plain = false, fetched = false }) {
   const link = h("a", { class: plain ? "" : "button", href: at(url), download: name }, words ?? name);
@@ -79,18 +79,18 @@ async function fetchAndSave({ url, name, size, link }) {
   }
 }
 
-/** A stream onto the disk; null where the browser has none. AbortError where the person thinks better of it. */
+/** A stream onto the disk; null if the browser has none. AbortError if the person thinks better of it. */
 async function pickTarget(name) {
   if (!window.showSaveFilePicker) return null;
   return (await window.showSaveFilePicker({ suggestedName: name })).createWritable();
 }
 
-function counter(tell) {
+function counter(onCount) {
   let done = 0;
   return new TransformStream({
     transform(piece, out) {
       done += piece.byteLength;
-      tell(done);
+      onCount(done);
       out.enqueue(piece);
     },
   });

@@ -3,7 +3,7 @@ import { t } from "../lib/language.js";
 import { passName, within } from "../lib/words.js";
 import { PASS, SPEC } from "../new/fields.js";
 
-/** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
+/** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key without a field unchanged. */
 export function settingWords(key, spec) {
   const { pass, own } = splitKey(key), row = rowOf(key), label = row ? within(row.label) : own;
   if (pass === null) return label;
@@ -12,7 +12,7 @@ export function settingWords(key, spec) {
   return label ? t`${label} of pass ${pass + 1}${called}` : t`pass ${pass + 1}${called}`;
 }
 
-/** Its value with its unit, or the words of its choice; what counts where there is none. */
+/** Its value with its unit, or the words of its choice; the default if there is no value. */
 export function valueWords(key, value) {
   const row = rowOf(key);
   if (value === undefined || value === null) return typeof row?.usual === "string" ? row.usual : "–";

@@ -1,7 +1,7 @@
 /**
  * One job: how far it is, what its light will be, its lens, its paths, its programs.
  *
- * The events say that something changed; what it is now is asked for, and every part shows what it has been given. So a
+ * Events only say that something changed; the page then fetches the job, and every part shows its data. So a
  * page that was away, a server that was restarted, and a job that was tried again are all the same case.
  */
 import { api } from "../lib/api.js";
@@ -93,7 +93,7 @@ export default async function view(root, params, app) {
     });
   }
   const clock = setInterval(tick, CLOCK_MS);
-  /** What is said of time goes on where nothing else happens. */
+  /** Update the times even if nothing else happens. */
   function tick() {
     parts.head.update(watched.job);
     parts.progress.update(watched.job, watched.live, watched.link);
@@ -132,7 +132,7 @@ function layout(parts, spec) {
   return h(
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
     parts.head.node, parts.ending.node, parts.progress.node,
-    h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
+    h("div", { class: "job-columns job-results" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.light.node, parts.plan.node,
     parts.lens.node, parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
   );

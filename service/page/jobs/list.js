@@ -1,4 +1,4 @@
-/** All jobs, what works and what is new first, or those that are searched for; and the place where a new one begins. */
+/** All jobs, running and new ones first, or the results of a search; and the place to start a new job. */
 
 import { api } from "../lib/api.js";
 import { confirm } from "../lib/dialog.js";
@@ -60,8 +60,8 @@ export default async function view(root, params, app) {
 }
 
 function addressOf(asked) {
-  const told = Object.entries(asked).filter(([key, value]) => value && !(key === "show" && value === "all"));
-  return told.length ? `#/?${new URLSearchParams(told)}` : "#/";
+  const query = Object.entries(asked).filter(([key, value]) => value && !(key === "show" && value === "all"));
+  return query.length ? `#/?${new URLSearchParams(query)}` : "#/";
 }
 
 /** Which jobs, searched and sorted how; and the choice of many, to delete them. What is asked stays in the address. */
@@ -112,16 +112,16 @@ function toolbar(asked, list) {
   };
 }
 
-/** The cards, or `none` in words, and what keeps them true: a light question every now and then, more often while something is going on. */
+/** The cards, or the text `none`; a small request at intervals keeps them current, more often while a job runs. */
 function jobList(states, none, asked) {
   const query = states.map((state) => `&state=${state}`).join("");
   const pictures = thumbnails();
   const cards = new Map(); // id -> {card, job}
   const stop = new AbortController();
   const made = {
-    element: h("ul", { class: "jobs", "aria-label": t("Jobs"), onchange: () => tell() }),
+    element: h("ul", { class: "jobs", "aria-label": t("Jobs"), onchange: () => announce() }),
     empty: h("p", { class: "dim", hidden: true }),
-    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => loadOlder(PAGE).then(tell) }, t("Show older jobs"))),
+    more: h("p", { hidden: true }, h("button", { type: "button", onclick: () => loadOlder(PAGE).then(announce) }, t("Show older jobs"))),
     picking: false,
     onChange: (/** @type {object} */ _) => {},
     start,
@@ -169,7 +169,7 @@ function jobList(states, none, asked) {
         .finally(plan);
   }
 
-  /** The newest page; what is newer than its last job and not on it is gone. */
+  /** Load the newest page; jobs newer than its last one that are not on it have been deleted. */
   async function refresh() {
     const page = await api.get(`/v1/jobs?limit=${PAGE}${query}`, { signal: stop.signal });
     const there = new Set(page.jobs.map((job) => job.id));
@@ -177,7 +177,7 @@ function jobList(states, none, asked) {
     for (const [id, { job }] of cards) if (!there.has(id) && (!page.next || job.created_at >= last)) drop(id);
     page.jobs.forEach(put);
     if (!paged) next = page.next;
-    tell();
+    announce();
   }
 
   async function loadOlder(limit) {
@@ -189,9 +189,9 @@ function jobList(states, none, asked) {
 
   /** By name, or in another order, all count: those that were not needed so far are asked for. */
   async function ask() {
-    tell();
+    announce();
     while (next && (asked.q || asked.sort) && cards.size < MOST) await loadOlder(WHOLE_PAGE);
-    tell();
+    announce();
   }
 
   function put(job) {
@@ -209,7 +209,7 @@ function jobList(states, none, asked) {
     cards.delete(id);
   }
 
-  /** Only what has another place is moved: the others keep the focus. */
+  /** Move only the cards whose place has changed: the others keep the focus. */
   function arrange() {
     const wanted = asked.q.toLowerCase();
     const rows = [...cards.values()].sort((a, b) => SORTS[asked.sort][1](a.job, b.job));
@@ -226,14 +226,14 @@ function jobList(states, none, asked) {
     made.picking = on;
     made.element.classList.toggle("picking", on);
     if (!on) for (const { card } of cards.values()) card.pick.checked = false;
-    tell();
+    announce();
   }
 
   function pickAll() {
     const shown = [...cards.values()].map(({ card }) => card).filter(({ element }) => !element.hidden);
     const all = shown.every(({ pick }) => pick.checked);
     for (const { pick } of shown) pick.checked = !all;
-    tell();
+    announce();
   }
 
   /** One after the other; why some were not, in sentences. */
@@ -246,12 +246,12 @@ function jobList(states, none, asked) {
       } catch (error) {
         refusals.push(`${jobName(job)}: ${sentence(error.detail ?? error.message)}`);
       }
-      tell();
+      announce();
     }
     return refusals;
   }
 
-  function tell() {
+  function announce() {
     const shown = arrange();
     made.empty.hidden = shown > 0 || (states.length === 0 && !asked.q);
     write(made.empty, asked.q ? t("No job has this in its name.") : none);

@@ -3,7 +3,7 @@
  *
  * The token lives in this module's memory and nowhere else: a reload forgets it. What fails because nobody answers is
  * a ProblemError of status 0; from then on the server is asked once in a while whether it is back, and who listens
- * with `onAway` is told both.
+ * with `onAway` hears of both.
  */
 
 import { readAnswer, t } from "./language.js";
@@ -61,7 +61,7 @@ export const api = {
   get token() {
     return token;
   },
-  /** Takes a token as it is; `useToken` also says whether the server knows it. */
+  /** Set a token without a check; `useToken` also checks that the server knows it. */
   set token(secret) {
     token = secret;
     api.hello().catch(() => {});
@@ -72,10 +72,10 @@ export const api = {
   get away() {
     return away;
   },
-  /** The server's time in milliseconds, whatever the clock here says. */
+  /** The server's time in milliseconds, independent of this computer's clock. */
   now: () => Date.now() + clockOff_ms,
 
-  /** Asks who we are to the server; before that nobody has any scope. */
+  /** Ask the server for our name and scopes; until then we have none. */
   hello() {
     const asked = askWho();
     settled = asked.catch(() => {});
@@ -115,7 +115,7 @@ export const api = {
     pictures.set(path, { etag, url, users: 1 + (known?.users ?? 0) });
     return url;
   },
-  /** A picture got by `blob(path)` is not shown there any more. */
+  /** A picture from `blob(path)` is no longer shown there. */
   release(path) {
     const known = pictures.get(path);
     if (!known) return;
@@ -250,7 +250,7 @@ function isOfAnother(response) {
   return AWAY_STATUS.has(response.status) && !ours;
 }
 
-/** Clocks that agree to a few seconds are taken to be the same: answers tell whole seconds, and take their time. */
+/** Clocks that agree to a few seconds are taken to be the same: answers give whole seconds, and take time. */
 function compareClocks(response) {
   const off = Date.parse(response.headers.get("date") ?? "") - Date.now();
   if (Number.isFinite(off)) clockOff_ms = Math.abs(off) < AGREE_MS ? 0 : off;
@@ -275,13 +275,13 @@ async function readJson(response) {
 
 function setWho(found) {
   who = found;
-  for (const tell of [...whoListeners]) tell(found); // not who begins to listen meanwhile: that may be without end
+  for (const listener of [...whoListeners]) listener(found); // not who begins to listen meanwhile: that may be without end
 }
 
 function setAway(now) {
   if (now === away) return;
   away = now;
-  for (const tell of [...awayListeners]) tell(now);
+  for (const listener of [...awayListeners]) listener(now);
   if (now) probe(0);
 }
 

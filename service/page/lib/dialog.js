@@ -6,7 +6,7 @@ import { t } from "./language.js";
 const TOAST_MS = 6000;
 
 /**
- * A dialog; resolves with what `close(value)` was given, null where it was dismissed (Escape). It takes all other
+ * A dialog; resolves with what `close(value)` was given, null if it was dismissed (Escape). It takes all other
  * controls away, but never from a screen that stops a mill.
  * body: nodes, or (close) => nodes. actions: [{words, value, kind: "primary"|"danger"|""}], in the order shown.
  */
@@ -42,7 +42,7 @@ export function open({ title, body, actions = [], wide = false }) {
   });
 }
 
-/** As a modal one, but for the mill in the head of the page, which can be held meanwhile. */
+/** Like a modal dialog, except that the mill in the head of the page can still be held. */
 function showBeside(dialog) {
   /** @type {NodeListOf<HTMLElement>} */
   const rest = document.querySelectorAll(".skip, .bar > :not(#mill), #view");

@@ -27,14 +27,14 @@ export function svg(tag, attributes, ...children) {
   return element;
 }
 
-/** Puts new children in place of all there are. */
+/** Replace all children by new ones. */
 export function replace(node, ...children) {
   node.replaceChildren();
   append(node, children);
   return node;
 }
 
-/** Writes a text only where it differs: screen readers and selections are left alone otherwise. */
+/** Write a text only if it differs, to leave screen readers and selections alone. */
 export function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
   return node;
@@ -67,7 +67,7 @@ function append(element, children) {
 
 const sheets = new Map();
 
-/** Loads a style sheet of this server once; resolves when it counts. */
+/** Loads a style sheet of this server once; resolves when it is applied. */
 export function sheet(href) {
   if (!sheets.has(href)) {
     sheets.set(

@@ -1,5 +1,5 @@
 /**
- * Says long before it happens that this page's token ends, so that nobody stands at a mill without one. A server renews
+ * Warns long before this page's token expires, so that nobody is at a mill without one. A server renews
  * the token of a page that watches a running program, so it is asked first.
  */
 
@@ -42,7 +42,7 @@ function secondsLeft({ expires_at: end }) {
   return end ? (Date.parse(end) - api.now()) / 1000 : Infinity;
 }
 
-/** The warning that is due now and was not given yet; null where none is. */
+/** The warning that is due now and was not given yet; null if none is. */
 function findWarning(who, warned) {
   const warn_s = WARN_S.findLast((limit) => secondsLeft(who) <= limit);
   return warn_s !== undefined && warn_s < warned ? warn_s : null;
@@ -54,7 +54,7 @@ function inWords(left_s, run) {
   return t`The code on this page ${end}. Enter a new one, and everything goes on.`;
 }
 
-/** {machine, program} of a program that is under way on any mill; null where none is, or nobody can say. */
+/** {machine, program} of a program that is under way on any mill; null if none is, or nobody can say. */
 async function findLiveRun() {
   const { hasLiveRun } = await import("../machine/words.js");
   const { machines } = await api.get("/v1/machines", { quiet: true }).catch(() => ({ machines: [] }));

@@ -1,5 +1,5 @@
 /**
- * The page's words in the language of who reads it. English stands in the sources, and is the key of the tables in
+ * The page's words in the reader's language. English stands in the sources, and is the key of the tables in
  * languages/; a table is loaded before anything else, and only where it is needed; that of the server's sentences with the
  * first that is not seen on every screen. what they lack is shown in English (docs/page.md).
  */
@@ -12,7 +12,7 @@ const KEPT = "causticmill-language";
 const LATE_MS = 1000;
 const LOAD_MS = 5000; // then in English: HOLD and STOP do not wait for words
 
-/** What a person has chosen here, or else the first language of the browser that the page knows. */
+/** The language chosen here, or the first of the browser's languages that the page knows. */
 export const language = [localStorage.getItem(KEPT), ...navigator.languages.map((one) => one.split("-")[0]), "en"].find((one) =>
   Object.hasOwn(LANGUAGES, one ?? ""),
 );
@@ -20,7 +20,7 @@ export const language = [localStorage.getItem(KEPT), ...navigator.languages.map(
 export const locale = navigator.languages.find((one) => one.split("-")[0] === language) ?? language;
 const table = language === "en" ? {} : await load("");
 let sentences = {}; // of the server
-let lacking = false; // a sentence was to be told that no table has so far
+let lacking = false; // a sentence was needed that no table has so far
 /** @type {Promise<void> | undefined} */
 let coming;
 document.documentElement.lang = table ? language : "en";
@@ -41,8 +41,8 @@ export function t(words, ...values) {
 export async function readAnswer(text) {
   const answer = JSON.parse(text);
   lacking = false;
-  const told = translate(answer);
-  if (!lacking) return told;
+  const translated = translate(answer);
+  if (!lacking) return translated;
   await loadSentences();
   return translate(answer);
 }

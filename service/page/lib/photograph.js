@@ -1,4 +1,4 @@
-/** A photograph taken with the phone or chosen, sent to the server and shown with what it tells. */
+/** A photograph from a phone's camera or a file, sent to the server and shown with the findings. */
 import { api } from "./api.js";
 import { h, replace, write } from "./dom.js";
 import { t } from "./language.js";
@@ -7,7 +7,7 @@ import { sentence } from "./words.js";
 const BUSY = t("Looking at the photograph…");
 
 /**
- * {button, node, clear()}: node holds what was told. address(): where it is sent; lines(told): texts or elements of a
+ * {button, node, clear()}: node holds the answer. address(): where it is sent; lines(answer): texts or elements of a
  * list; alt(): of the picture that comes with them.
  */
 export function photograph({ words = t("Take or choose a photograph"), address, lines, alt }) {

@@ -2,7 +2,7 @@
 
 const ROOT = new URL("../../", import.meta.url).pathname;
 
-/** The address of a path of the server's, "/v1/jobs". What has it already, or is elsewhere, stays as it is. */
+/** The address of a path of the server, such as "/v1/jobs". An address that is complete, or elsewhere, is unchanged. */
 export function at(path) {
   if (!path.startsWith("/") || (ROOT !== "/" && path.startsWith(ROOT))) return path;
   return ROOT + path.slice(1);

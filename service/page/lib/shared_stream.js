@@ -9,7 +9,7 @@
  */
 
 const SILENCE_MS = 60_000; // longer than a leader waits for its server
-const MOST = 400; // events that a tab which comes later is told
+const MOST = 400; // events sent to a tab that opens later
 const NEWEST_ONLY = new Set(["status", "progress"]); // each says all that the one before did
 
 /** Whether this browser lets tabs share: only where the page came in a way that nobody else reads. */
@@ -28,9 +28,9 @@ export async function nameOf(path, token) {
  *
  * place: {lastId, recent}, kept up to date. read(say, alive, signal): reads the stream itself, over all its connections,
  * until the signal or its end, and says {kind: "event", name, data, id} and {kind: "state", state, words}.
- * tell(message): what this tab hears of that, whoever leads.
+ * onMessage(message): called in this tab for each message, whichever tab leads.
  */
-export function share(name, { place, stopped, read, tell }) {
+export function share(name, { place, stopped, read, onMessage }) {
   const me = crypto.randomUUID();
   const channel = new BroadcastChannel(name);
   const over = new AbortController();
@@ -46,7 +46,7 @@ export function share(name, { place, stopped, read, tell }) {
     if (message.kind === "state") state = message;
     else if (message.kind === "event") remember(place, message);
     else return;
-    tell(message);
+    onMessage(message);
     if (message.state === "ended") over.abort();
   }
 

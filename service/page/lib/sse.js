@@ -23,7 +23,7 @@ const HOPELESS = new Set([400, 403, 404, 405, 410, 422]);
 export function follow(path, { onEvent, onState = () => {} }) {
   let part = null; // of this page in the stream: {token, place, stop}
   let over = false;
-  const tell = (message) => {
+  const receive = (message) => {
     if (message.kind === "event") return onEvent(message.name, message.data, message.id);
     if (message.state === "ended") close();
     onState(message.state, message.words);
@@ -35,7 +35,7 @@ export function follow(path, { onEvent, onState = () => {} }) {
     if (over || document.hidden || (part && !part.stop.signal.aborted)) return;
     const place = part && !other ? part.place : { lastId: "", recent: [] };
     part = { token: api.token, place, stop: new AbortController() };
-    takePart(path, tell, part);
+    takePart(path, receive, part);
   };
   const stopListening = api.onWho(look);
   document.addEventListener("visibilitychange", look);
@@ -49,12 +49,12 @@ export function follow(path, { onEvent, onState = () => {} }) {
   return { close };
 }
 
-async function takePart(path, tell, { token, place, stop: { signal: stopped } }) {
-  const pass = (message) => stopped.aborted || tell(message);
+async function takePart(path, receive, { token, place, stop: { signal: stopped } }) {
+  const pass = (message) => stopped.aborted || receive(message);
   if (!canShare()) return keep(path, place, pass, () => {}, stopped);
   const name = await nameOf(path, token);
   if (stopped.aborted) return;
-  share(name, { place, stopped, tell: pass, read: (say, alive, signal) => keep(path, place, say, alive, signal) });
+  share(name, { place, stopped, onMessage: pass, read: (say, alive, signal) => keep(path, place, say, alive, signal) });
 }
 
 /** Keeps the stream open over all its connections, until `stopped` or its end. */

@@ -34,7 +34,7 @@ export function passName(name) {
   return name.replace(/^(rough|finish)(?=$|-\d+$)/, (known) => PASSES[known]);
 }
 
-/** At least so many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
+/** At least that many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
 export function figures(value, count) {
   if (!Number.isFinite(value)) return t("unknown");
   if (value === 0) return "0";
@@ -79,7 +79,7 @@ export function percent(share) {
   return `${share >= 1 ? 100 : Math.min(99, Math.max(0, Math.floor(share * 100 + 1e-9)))} %`;
 }
 
-/** The same of what still goes on: never "100 %". */
+/** The same for unfinished work: never "100 %". */
 export function percentUnderWay(share) {
   return percent(Math.min(share, 0.99));
 }

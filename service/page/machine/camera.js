@@ -1,4 +1,4 @@
-/** What the camera beside the mill sees: a picture a second while it is unfolded and looked at. Nothing where there is none. */
+/** The picture of the camera beside the mill, one a second while it is unfolded and visible. Nothing if there is none. */
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";

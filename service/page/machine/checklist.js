@@ -1,4 +1,4 @@
-/** What a person looks at before the mill moves: every tick is given anew, each time, by name. */
+/** The checks of a person before the mill moves: every tick is required again each time, with a name. */
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
@@ -42,7 +42,7 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
     get ticked() {
       return boxes.every(({ box }) => box.checked);
     },
-    /** reason: why the order cannot be given now; "" where it can. isNext: whether it is the next step. settled: may be ticked. */
+    /** reason: why the order cannot be given now; "" if it can. isNext: whether it is the next step. settled: may be ticked. */
     update(reason, isNext, settled = true) {
       why = reason;
       enable(boxes.map(({ box }) => box), settled);
@@ -63,12 +63,12 @@ function line(check, box, run) {
   return h("label", { class: "tick" }, box, h("span", {}, words, more && h("small", {}, more)));
 }
 
-/** Every program switches it on; what has a switch of its own does not hear that. */
+/** Every program switches the spindle on, which has no effect on one with its own switch. */
 function spindleWords(rpm) {
   return rpm ? t`the program switches the spindle on, at ${thousands(rpm)} rpm; if yours has a switch of its own, turn it on now` : "";
 }
 
-/** What a person looked at before the mill moves; `setup` of the run says what is right. */
+/** The checks of a person before the mill moves; `setup` of the run gives the right values. */
 function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {

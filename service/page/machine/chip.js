@@ -53,7 +53,7 @@ export function showMill(place) {
   update();
 }
 
-/** The mill that is told of: the one shown before as long as it moves, so that no press of HOLD means another one. */
+/** The mill to show: the one shown before as long as it moves, so that no press of HOLD means another one. */
 function choose(machines, before) {
   const others = machines.filter((one) => !isOwnScreen(one));
   const moving = others.filter(isLive);

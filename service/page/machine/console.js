@@ -34,11 +34,11 @@ export function terminal(link) {
     });
   }
 
-  /** A line that changes what the mill is, such as where its travel ends, is sent at the second press only. */
+  /** A line that changes a property of the mill, such as the end of its travel, needs a second press. */
   function askAgain(body, error) {
     const cancel = () => (replace(question), text.focus());
     const go = () => give({ ...body, confirm: true });
-    askIn(question, t`Send ${body.text}`, { words: refusal(error), yes: t`Send ${body.text} all the same`, go, cancel });
+    askIn(question, t`Send ${body.text}`, { words: refusal(error), yes: t`Send ${body.text} anyway`, go, cancel });
   }
 
   const form = h("form", { class: "say", onsubmit: submit }, h("label", { class: "field" }, h("span", {}, t("One line to the mill")), text), send);
@@ -58,7 +58,7 @@ export function terminal(link) {
   };
 }
 
-/** Adds what is new; stays at the end where the reader was there. */
+/** Append new lines; stay at the end if the reader was there. */
 function show(list, log, last) {
   const atEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 40;
   for (const entry of log.slice(log.indexOf(last) + 1)) list.append(line(entry));

@@ -1,6 +1,6 @@
 /**
- * A gamepad as keys that jog: its cross in the plane, its right shoulder up, its left one down. While it is watched, one
- * button that goes down begins, and whatever changes after that ends: another button, letting go, a pad that is gone.
+ * Jogs with a gamepad: its cross in the plane, its right shoulder up, its left one down. While it is watched, pressing one
+ * button starts a jog, and any change ends it: another button, releasing it, a disconnected pad.
  */
 
 const DIRECTIONS = new Map([

@@ -1,6 +1,6 @@
 /**
- * An order to a mill: under a grant that is asked for at the press, or not at all. The mill's own computer takes it within
- * seconds of giving the grant, and not after a stop; here it is not sent where the grant came too late.
+ * Sends an order to a mill under a grant that it asks for at the press. The mill's own computer accepts the order only
+ * within seconds of the grant, and not after a stop; if the grant comes too late, the order is not sent.
  */
 
 import { api } from "../lib/api.js";
@@ -14,8 +14,8 @@ const LATE = t`Not sent: the mill did not answer within ${WITHIN_MS / 1000} s. L
 export class NotSentError extends Error {}
 
 /**
- * Sends an order of now; once, or never: NotSentError, or ProblemError where it was refused.
- * machine: its path; stops: how often it was told to stop, as the person could know; headers: who has control.
+ * Send an order now, once or never: NotSentError, or ProblemError if it was refused.
+ * machine: its path; stops: the count of stops that the person could know; headers: who has control.
  */
 export async function sendGranted({ machine, stops, headers }, path, body) {
   const elapsed_ms = stopwatch();
@@ -24,7 +24,7 @@ export async function sendGranted({ machine, stops, headers }, path, body) {
   return api.post(path, body, { headers: { ...headers, [HEADER]: grant } });
 }
 
-/** The word of the grant; "" where none came in time. */
+/** The grant; "" if none came in time. */
 async function askGrant(path, body, headers, left_ms) {
   const timeout = AbortSignal.timeout(Math.max(0, left_ms));
   try {

@@ -1,9 +1,9 @@
 /**
  * Jogging for as long as something is held down: a finger, a button of the mouse, a key.
  *
- * The mill is told to go a little way and no farther, so that it stops by itself even if nothing more ever reaches it.
- * Whatever ends the hold tells it to stop at once, and tells it again until it is seen to stand: a word to stop that
- * overtakes the word to go would stop nothing.
+ * Each order moves the mill only a little way, so that it stops by itself even if no further order reaches it.
+ * Any end of the hold sends a stop at once, and again until the mill is seen to stand still: a stop that overtakes the
+ * jog would stop nothing.
  */
 
 const MOST_S = 3; // of one hold
@@ -12,7 +12,7 @@ const AGAIN_MS = 250;
 const TRIES = 6;
 const ENDS = ["pointerup", "pointercancel", "blur", "pagehide"];
 
-/** {begin(direction), end(), close()}. go(by_mm): orders a jog, true where it was taken; feed(): mm/min. */
+/** {begin(direction), end(), close()}. go(by_mm): orders a jog, true if it was taken; feed(): mm/min. */
 export function holdToJog(link, { go, feed }) {
   let held = false;
   let asking = false;

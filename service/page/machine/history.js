@@ -75,7 +75,7 @@ function factsOf(run) {
   return [when, hours(cutSeconds(run)), run.share < 1 && percent(run.share), run.operator].filter(Boolean).join(" · ");
 }
 
-/** Quoted wherever a table program would read something else into it. */
+/** Quote a value that a spreadsheet would misread. */
 function csvOf(runs) {
   const cell = (value) => (/^[\w.:+-]*$/.test(value) && !/^[+-]/.test(value) ? value : `"${String(value).replace(/^[=+@-]/, "'$&").replaceAll('"', '""')}"`);
   const lines = runs.map((run) => Object.values(COLUMNS).map((of) => cell(String(of(run)))).join(","));

@@ -103,7 +103,7 @@ export function jogPanel(link) {
   };
 }
 
-/** The step as far as it may go; Error where it may not go at all. */
+/** The step as far as it may go; Error if it may not go at all. */
 function limitStep({ machine }, inside, by_mm) {
   if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error(t("The tool stands in the block: raise Z first."));
   const found = withinTravel(machine, by_mm);

@@ -1,7 +1,7 @@
 /**
- * Control of one mill: one person at a time. Kept by a sign of life, and given back, with a word, when its view is left:
- * who looks elsewhere does not see what moves, and the next person need not wait. A program goes on without anybody's
- * control, and HOLD and STOP need none; a window that would close over one asks first.
+ * Control of one mill: one person at a time. A heartbeat keeps it, and leaving the view gives it back with a notice: a
+ * person who looks elsewhere does not see what moves, and the next person need not wait. A program goes on without
+ * anybody's control, and HOLD and STOP need none; the page asks before a window with a program closes.
  */
 
 import { api } from "../lib/api.js";
@@ -37,7 +37,7 @@ export class Lease {
     return this.held ? { [HEADER]: this.secret } : {};
   }
 
-  /** ProblemError 409 where somebody else has it and it was not to be taken over. */
+  /** ProblemError 409 if somebody else has it and it was not to be taken over. */
   async take({ takeOver = false } = {}) {
     if (!(await api.need("machine:run"))) return;
     this.keep(await api.post(this.path, { operator: api.who.name, take_over: takeOver }));
@@ -68,7 +68,7 @@ export class Lease {
     }
   }
 
-  /** Who has control, as the mill says; a server that has lost the mill does not know, and what it said before is late. */
+  /** Who has control, according to the mill; a server that has lost the mill does not know, and its last answer is stale. */
   check({ agent, control }) {
     if (!this.held || !agent.reachable || Date.now() < this.freshUntil || control?.since === this.since) return;
     this.lose(control ? t`${control.operator} has taken control.` : t("Control has ended: the server heard nothing from this page for a minute."));

@@ -41,7 +41,7 @@ export default async function view(root, _params, app) {
   return { leave: mills.watch(show) };
 }
 
-/** What a press is meant for stays in its place: the parts of a card are made once, and as high whatever they say. */
+/** Targets of a press stay in place: the parts of a card are made once, with a height independent of their text. */
 function card(name) {
   const state = h("p", { class: "state" });
   const hold = h("button", { type: "button", class: "big hold", "aria-label": t`HOLD ${name}`, onclick: () => mills.hold(name) }, t("HOLD"));

@@ -110,7 +110,7 @@ export function loadCard(link, chosen) {
     button: load,
     follow,
     close: () => clearTimeout(timer),
-    /** What the next step is told by: {ready, jobs, atWork: the share that is done of the job waited for, preset}. */
+    /** Facts for the next step: {ready, jobs, atWork: the share that is done of the job waited for, preset}. */
     facts,
     update(nextStep) {
       const why = whyNot(link, STANDS, { besideRun: true });

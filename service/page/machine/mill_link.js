@@ -1,5 +1,5 @@
 /**
- * All that one machine's screen knows and says: state and log as they come, the run that is on the mill, orders one at a
+ * The state behind one machine's screen: its state and log as they arrive, the run that is on the mill, orders one at a
  * time, and stops, which have a way of their own and wait for nothing.
  */
 
@@ -30,7 +30,7 @@ export class MillLink {
     this.log = [];
     this.commands = 0; // that have ended, as the log tells
     this.away = "";
-    this.streamAway = ""; // a server that answers elsewhere may not tell of this mill yet
+    this.streamAway = ""; // a server that answers elsewhere may not know this mill yet
     this.gone = "";
     this.listeners = new Set();
     this.sending = false;
@@ -62,7 +62,7 @@ export class MillLink {
   }
 
   changed() {
-    for (const tell of this.listeners) tell(this);
+    for (const listener of this.listeners) listener(this);
   }
 
   // ---------------------------------------------------------------- what comes
@@ -115,7 +115,7 @@ export class MillLink {
     if (this.log.length > MOST_LOG) this.log.shift();
   }
 
-  /** The whole run: the one that is on the mill, or else the one that was there last. */
+  /** The whole run: the one on the mill, or the last one. */
   async lookAtRun(id) {
     if (this.looking) return;
     this.looking = true;
@@ -134,7 +134,7 @@ export class MillLink {
 
   // ---------------------------------------------------------------- what is said
 
-  /** An order beside a run. Sent once; an Error where it was not taken. Over when the log says what came of it. */
+  /** Send an order outside a run, once; an Error if it was not accepted. It ends when the log has its result. */
   order(what, body = {}) {
     const before = this.commands;
     return this.runExclusively(async () => {
@@ -173,19 +173,19 @@ export class MillLink {
     this.changed();
   }
 
-  /** A program of a job onto the mill, where it waits. Nothing moves by that. */
+  /** Load a program of a job onto the mill, where it waits. Nothing moves. */
   load(job, program) {
     return this.runExclusively(() => api.post(`${this.path}/runs`, { job, program }, { headers: this.lease.headers() }));
   }
 
-  /** Whatever can start a motion, or change what one means, goes this way. */
+  /** Send an order that can start a motion, or change what a motion means. */
   async give(path, body) {
     const answer = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
     this.stopper.words = "";
     return answer;
   }
 
-  /** How often the mill was told to stop, as far as this page knows: an order is refused where it was told so since. */
+  /** The count of stops that this page knows: an order is refused if a stop came since. */
   get stopCount() {
     return this.stopper.countFrom(this.machine?.mill?.stops);
   }
@@ -203,7 +203,7 @@ export class MillLink {
     }
   }
 
-  /** hold, abort or jog-cancel: from everybody, at any time, whatever else is on its way. True where it was taken. */
+  /** hold, abort or jog-cancel: for everybody, at any time, while other orders are on their way. True if it was accepted. */
   async sendUrgent(what) {
     try {
       return await this.stopper.stop(what, this.machine, this.away !== "");

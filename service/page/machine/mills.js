@@ -1,4 +1,4 @@
-/** All mills that the server knows, looked at now and then for whoever shows them, and held from wherever they are shown. */
+/** All mills that the server knows: polled for the views that show them, and held from any of these views. */
 
 import { api } from "../lib/api.js";
 import { StopSocket } from "./stop_socket.js";
@@ -20,17 +20,17 @@ export const mills = {
   /** Whether they are looked at while nobody sees this page. */
   inBackground: false,
 
-  /** Asks the server now. quiet: who may not see them is not asked for the code. */
+  /** Ask the server now. quiet: do not ask a person without access for the code. */
   async look({ quiet = false } = {}) {
     mills.seen = await api.get("/v1/machines", { quiet });
     for (const machine of mills.seen.machines) mills.stopper(machine.name).see(machine);
-    tell();
+    notifyListeners();
   },
 
   /** One of them as its own screen hears of it, sooner than it is looked at. */
   hear(machine) {
     mills.seen = { ...mills.seen, machines: mills.seen.machines.map((one) => (one.name === machine.name ? machine : one)) };
-    tell();
+    notifyListeners();
   },
 
   /** fn() whenever they were looked at or heard of, or a stop was answered. Returns how to stop watching. */
@@ -46,16 +46,16 @@ export const mills = {
     return stoppers.get(name);
   },
 
-  /** HOLD, without control and whatever else is on its way. */
+  /** HOLD, without control and while other orders are on their way. */
   async hold(name) {
     const machine = mills.seen.machines.find((one) => one.name === name);
     await mills.stopper(name).stop("hold", machine, api.away);
-    tell();
+    notifyListeners();
     again(0);
   },
 };
 
-/** Whether something moves on it, was held, or a program is on it that can go on: what HOLD is for. */
+/** Whether HOLD has a purpose: something moves, is held, or a program is on the mill that can go on. */
 export function isLive(machine) {
   return ["run", "holding", "held", "jog", "homing"].includes(machine.mill?.state) || hasLiveRun(machine);
 }
@@ -65,7 +65,7 @@ export function isHeld(machine) {
   return !api.away && stands(machine);
 }
 
-function tell() {
+function notifyListeners() {
   for (const fn of [...watchers]) fn();
 }
 
@@ -81,5 +81,5 @@ async function turn() {
 }
 
 api.onWho(() => again(0));
-api.onAway((away) => (tell(), !away && again(0)));
+api.onAway((away) => (notifyListeners(), !away && again(0)));
 document.addEventListener("visibilitychange", () => again(0));

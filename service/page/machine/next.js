@@ -1,6 +1,6 @@
 /**
- * The line that says the next step, or what is wrong and the next safe step; always in sight, and always as high, so that
- * nothing below it moves. It has the button of that step, or shows where it is done.
+ * The line with the next step, or with the fault and the next safe step; always in sight and of constant height, so that
+ * nothing below it moves. It has the button of that step, or shows where to do it.
  */
 
 import { h, replace, write } from "../lib/dom.js";
@@ -94,7 +94,7 @@ export function next(link, cards, presses) {
   };
 }
 
-/** Into view, under no bar, with the focus on what can be used there. */
+/** Scroll it into view, under no bar, and focus its first control. */
 function reveal(found) {
   const card = found?.querySelector(".checklist") ?? found; // what is to be ticked
   card?.scrollIntoView({ block: "start" });

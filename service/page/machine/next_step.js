@@ -1,6 +1,6 @@
 /**
  * The one thing to do next: connect, control, home, load, tool over the zero, zero, tick, start; or, before all that,
- * what is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
+ * what is wrong. Pure: it decides, `next.js` shows it, and its button is the only blue one of the page.
  */
 
 import { t } from "../lib/language.js";
@@ -24,7 +24,7 @@ const NAME = 28; // letters of a job's name
 /**
  * {step, kind, words, trouble, act, go, bars}: words of the step; trouble: what is wrong, where something is; act:
  * the order of its button, or `press`: the button of a card that it stands for; other: the other answer where it asks; go: the card that it is done in; bars: why no program may start or go on before it is done,
- * "" where one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom.
+ * "" if one may. load: the `facts` of the card "Load a program", ticked: all of the list, named: by whom.
  */
 export function findNextStep(link, { load = {}, ticked = false, named = true } = {}) {
   const trouble = troubleOf(link);
@@ -44,7 +44,7 @@ function findRunningStep({ machine: { mill, run }, mine }) {
   const resume = mine ? RESUME : t("take control, then Resume; or STOP.");
   if (mill.state === "held") return makeStep("resume", resume, { kind: "warn" });
   if (run.state === "running") return makeStep("run", t("The program runs."), { kind: "busy", whole: true });
-  return makeStep("run", t("wait until it stands."), { kind: "busy" });
+  return makeStep("run", t("wait until it stands still."), { kind: "busy" });
 }
 
 function findControlStep({ machine: { control } }) {
@@ -61,7 +61,7 @@ function findStandingStep(link, trouble, load, given) {
   if (trouble?.step === "home") return makeStep("home", trouble.next, { kind: trouble.kind, act: HOME });
   const first = findRaiseStep(link, trouble) ?? findHomeStep(machine);
   if (first) return first;
-  if (trouble && mill.state === "jog") return makeStep("wait", t("wait until it stands."), { kind: trouble.kind });
+  if (trouble && mill.state === "jog") return makeStep("wait", t("wait until it stands still."), { kind: trouble.kind });
   if (trouble) return makeStep("recover", trouble.next, { kind: trouble.kind, go: "recover" });
   return findSetupStep(link, load, given);
 }
@@ -111,7 +111,7 @@ function findPlaceStep({ machine, run, before, sameBlock }, foreign) {
   const same = { label: t("Same place"), same: true };
   if (sameBlock(run) === false) return { ...findCornerStep(machine, run.setup ?? {}), other: same, bars: t("Set X and Y first.") };
   const name = before.job_name ? cutName(before.job_name) : t("another job");
-  const more = { kind: "warn", act: same, other: { label: t("Set anew"), same: false }, whole: true, bars: t("Say above where X0 Y0 is.") };
+  const more = { kind: "warn", act: same, other: { label: t("Set again"), same: false }, whole: true, bars: t("Say above where X0 Y0 is.") };
   return makeStep("place", t`X0 Y0 was set for ${name}: is the same block clamped in the same place?`, more);
 }
 
@@ -124,7 +124,7 @@ function findOffStep({ mill, profile }) {
   return makeStep("off", t("raise the tool a little, then tick the list."), { act });
 }
 
-/** null where the zero holds, or where nobody can say: a link that tells no position. foreign: axes of another block. */
+/** null if the zero holds, or where nobody can say: a link that tells no position. foreign: axes of another block. */
 function findZeroStep(machine, setup, foreign) {
   if (!isPlaced(machine.mill)) return null;
   if (!isZeroKnown(machine, "XY")) return findCornerStep(machine, setup);
@@ -153,7 +153,7 @@ function findTopStep(machine, before) {
 
 function findLoadStep(run, { ready, jobs, atWork, preset }) {
   const none = ready && !jobs;
-  if (none && atWork) return makeStep("wait", t`wait for the job at work, of which ${atWork} is done; load its program here then. Clamp the block meanwhile.`, { kind: "busy" });
+  if (none && atWork) return makeStep("wait", t`wait for the running job (${atWork} is done), then load its program here. Clamp the block meanwhile.`, { kind: "busy" });
   if (none) return makeStep("make", t("make a lens: its programs are loaded here."), { go: "load" });
   if (preset?.meant) return makeStep("load", loadWords(run, preset), { act: LOAD });
   if (run?.state === "finished" && !run.next) return makeStep("done", doneWords(run), { go: "load" });

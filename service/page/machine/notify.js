@@ -1,6 +1,6 @@
 /**
- * Notifications of the browser, for who looks elsewhere while a mill cuts: it needs a hand, waits for a tool, is done.
- * Asked for at a person's press, and never shown to who looks at this page.
+ * Browser notifications for a person who looks elsewhere while a mill cuts: it needs a hand, waits for a tool, is done.
+ * Permission is asked for at a press, and nothing is shown while this page is visible.
  */
 
 import { api } from "../lib/api.js";
@@ -13,7 +13,7 @@ import { addressOf, needsHand, standingInShop } from "./words.js";
 const KEPT = "causticmill-notify";
 const before = new Map(); // name of a mill -> {run, hand, word} as it was seen last
 
-/** A switch; nothing where this browser, or a page without TLS from elsewhere, has no notifications. */
+/** A switch; nothing if this browser, or a page without TLS from elsewhere, has no notifications. */
 export function notifySwitch() {
   if (!globalThis.Notification) return null;
   const button = h("button", { type: "button", onclick: () => set(!mills.inBackground) });
@@ -37,7 +37,7 @@ export function watchForNotifications() {
   mills.watch(() => api.away || mills.seen.machines.forEach(compare));
   api.onAway((away) => {
     const cutting = mills.seen.machines.find(isLive);
-    if (away && cutting && isWanted()) tell(cutting.name, t("The server does not answer. Look at the mill."));
+    if (away && cutting && isWanted()) notify(cutting.name, t("The server does not answer. Look at the mill."));
   });
 }
 
@@ -51,8 +51,8 @@ async function compare(machine) {
   const now = { run: machine.run?.id, hand: needsHand(machine), word: standingInShop(machine).word };
   before.set(name, now);
   if (!was || !isWanted()) return;
-  if (now.hand && (!was.hand || now.word !== was.word)) tell(name, now.word);
-  else if (was.run && !now.run) tell(name, await endWords(name));
+  if (now.hand && (!was.hand || now.word !== was.word)) notify(name, now.word);
+  else if (was.run && !now.run) notify(name, await endWords(name));
 }
 
 /** What became of the program that was on it. */
@@ -63,7 +63,7 @@ async function endWords(name) {
   return [t`${run.program.name} is done.`, run.next && t`Next: ${run.next.name}.`].filter(Boolean).join(" ");
 }
 
-function tell(name, words) {
+function notify(name, words) {
   if (!words) return;
   const shown = new Notification(name, { body: words, tag: name, icon: at("/page/icon.svg") });
   shown.onclick = () => {

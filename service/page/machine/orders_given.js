@@ -1,4 +1,4 @@
-/** Who told the mill what, and what came of it: the newest first, older ones on demand. Asked for while it is unfolded. */
+/** The orders given to a mill and their results: newest first, older ones on demand. Fetched while it is unfolded. */
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";

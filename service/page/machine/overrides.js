@@ -1,4 +1,4 @@
-/** Faster or slower than the program says, while it runs. */
+/** Overrides: run faster or slower than the program says. */
 
 import { h, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";

@@ -79,7 +79,7 @@ async function pathOf(run, artifacts) {
   return file ? openPath((from, to) => api.bytes(file.url, { from, to: Math.min(to, file.bytes) })) : null;
 }
 
-/** The lens as `PathSketch.take` wants it; null where the run's pass does not make it. */
+/** The lens as `PathSketch.take` wants it; null if the run's pass does not make it. */
 async function lensOf(job, run, artifacts) {
   const number = Number(/pass-(\d+)/.exec(run.program.name)?.[1]), file = artifacts.find((one) => one.name === "surface.bin");
   if (!file || passesOf(job)[number - 1]?.stock_to_leave_mm !== 0) return null;
@@ -99,7 +99,7 @@ function sceneOf({ optics, stock }, run) {
   };
 }
 
-/** Sizes the canvas for the screen; how mm become pixels: {k, x(mm), y(mm)}. null where nothing can be seen. */
+/** Sizes the canvas for the screen; how mm become pixels: {k, x(mm), y(mm)}. null if nothing can be seen. */
 function fitScale(canvas, { block }) {
   const width = canvas.clientWidth;
   const [w, t] = [block.x1 - block.x0, block.y1 - block.y0];

@@ -1,4 +1,4 @@
-/** What the position says: is the work zero known, does the tool stand in the block, how far may it still go. Pure. */
+/** Conclusions from the position: is the work zero known, is the tool in the block, how far may it go. Pure. */
 
 const SMALL_MM = 0.0005; // half a digit of the readout
 const CORNER_MM = 5; // how far homing pulls off, at most
@@ -15,14 +15,14 @@ export function isZeroKnown({ mill }, axes) {
 
 /**
  * Axes whose zero is of a block before this one: set before the last program began, which this one does not go on after.
- * before: the run of that program, null where there is none.
+ * before: the run of that program, null if there is none.
  */
 export function findForeignAxes({ mill }, run, before) {
   const follows = before?.job === run.job && (before.state !== "finished" || before.program.number < run.program.number);
   return before && !follows ? [...AXES].filter((axis) => !mill.zeroed_anew?.includes(axis)).join("") : "";
 }
 
-/** Whether X, Y and Z are set for this program; true where nobody can say. */
+/** Whether X, Y and Z are set for this program; true if nobody can say. */
 export function isZeroSet(machine, run, before) {
   if (!isPlaced(machine.mill)) return true;
   return isZeroKnown(machine, AXES) && !findForeignAxes(machine, run, before);

@@ -8,7 +8,7 @@ const KEPT = "causticmill-corner-plate";
 const ASIDE_MM = 20;
 const BELOW_MM = 1; // and the cutter's radius: a ball touches with its side only above that
 
-/** Touching off Z: down until the plate is felt, which is then as high as it is thick. */
+/** Touch off Z: go down to the plate, whose thickness is then the height. */
 export function probePart(order) {
   const plate = number(0, { min: -100, max: 100, step: "any" });
   const depth = number(10, { min: 0.1, max: 200, step: "any" });
@@ -22,7 +22,7 @@ export function probePart(order) {
   return part(t("Probe Z with a plate"), ask, [field(t("Plate thickness"), plate, "mm"), field(t("Down at most"), depth, "mm"), field(t("Feed"), feed, "mm/min")]);
 }
 
-/** A corner's plate stays as it was measured; cutter and block come from the program, where one is loaded and nobody has said otherwise. */
+/** The measures of a corner plate are kept; cutter and block come from the loaded program, unless a person changes them. */
 export function cornerPart(order, changed) {
   const { plate = "", left = "", front = "" } = JSON.parse(localStorage.getItem(KEPT) ?? "{}");
   const any = { min: 0, max: 100, step: "any" };

@@ -49,7 +49,7 @@ export function readout(link) {
   };
 }
 
-/** A figure with its name; most: of its plot, 0: as it comes; no plot without. */
+/** A figure with its name; most: upper limit of its plot, 0: automatic, undefined: no plot. */
 function item(name, most) {
   const value = h("dd", {});
   const line = most === undefined ? null : sparkline(name, most);

@@ -1,6 +1,6 @@
 /**
- * Going on with an interrupted or stopped program: what happened, what must be done first, what would happen, and a
- * person's word. The plan is asked for anew whenever the mill has changed; asking moves nothing.
+ * Recovers an interrupted or stopped program: shows what happened, what must be done first and what would happen, and
+ * asks a person to confirm. The plan is fetched again when the mill has changed; that moves nothing.
  */
 
 import { api } from "../lib/api.js";
@@ -11,7 +11,7 @@ import { sentence, thousands } from "../lib/words.js";
 import { guardedButton } from "./ask.js";
 import { checklist } from "./checklist.js";
 import { enable, refusalLine } from "./refusal_line.js";
-import { tell } from "./sentences.js";
+import { describe } from "./sentences.js";
 import { coordinate, whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
@@ -39,7 +39,7 @@ export function recover(link) {
     link.changed();
   }
 
-  /** By the plan that is shown; where that is another one by now, it is shown, and ticked anew. */
+  /** Recover by the plan on the screen; if the plan has changed, show the new one and ask for all ticks again. */
   async function goOn(given) {
     try {
       await link.toRun("recover", { ...given, plan: plan.plan });
@@ -60,7 +60,7 @@ export function recover(link) {
     list = plan.ready ? checklist(run, { label: t`Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.run(() => goOn(given)) }) : null;
     replace(
       steps,
-      step(t("What happened"), false, h("p", {}, tell(run).whole || t("The program was stopped.")), h("p", {}, t`Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
+      step(t("What happened"), false, h("p", {}, describe(run).whole || t("The program was stopped.")), h("p", {}, t`Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
       (first = h("li", {})),
       step(t("What will happen"), false, whatHappens(plan)),
       step(t("Confirm and go on"), false, list?.node ?? [h("p", { class: "dim" }, t("When everything above is done.")), words.node]),
@@ -120,7 +120,7 @@ function step(title, done, ...content) {
 /** What must be done before it can go on, each with the button that does it, where there is one. */
 function needs(link, plan, { raise, words }) {
   const codes = plan.needs.map(({ code }) => code);
-  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words, codes)]);
+  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [describe(need).whole, remedy(link, need.code, words, codes)]);
   const refusals = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
   const rows = [...own, ...zeroRow(link, plan, words), ...refusals].sort(([, one], [, other]) => Number(Boolean(other)) - Number(Boolean(one)));
   if (!rows.length) return h("p", {}, t("Nothing: the mill stands still, its position is certain, its work zero is the same."));
@@ -146,7 +146,7 @@ function zeroRow(link, plan, words) {
   const needed = plan.needs.find((need) => need.code === "zero");
   const back = () => words.run(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
   if (plan.zero_back) return [[t("The work zero is not where the program was cut."), h("button", { type: "button", onclick: back }, t("Put the zero back"))]];
-  return needed ? [[tell(needed).whole, null]] : [];
+  return needed ? [[describe(needed).whole, null]] : [];
 }
 
 function whatHappens(plan) {

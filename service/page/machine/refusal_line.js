@@ -1,4 +1,4 @@
-/** A line under a group of controls that says what the last order was refused for. */
+/** A line under a group of controls with the reason why the last order was refused. */
 
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -8,7 +8,7 @@ export function refusalLine() {
   const node = h("div", { class: "said", role: "status" });
   return {
     node,
-    /** Runs an order and shows what it was refused for, in sight, until the next one. True where it was taken. */
+    /** Run an order and show in sight why it was refused, until the next one. True if it was accepted. */
     async run(order) {
       write(node, "");
       node.classList.remove("bad");

@@ -8,7 +8,7 @@ import { checklist } from "./checklist.js";
 import { guardedButton } from "./ask.js";
 import { notifySwitch } from "./notify.js";
 import { refusalLine } from "./refusal_line.js";
-import { RUN_STATES, tell } from "./sentences.js";
+import { RUN_STATES, describe } from "./sentences.js";
 import { isZeroSet } from "./place.js";
 import { leftWords, programWords, runStanding, whyNot } from "./words.js";
 
@@ -94,7 +94,7 @@ function meter() {
 }
 
 function notes(run, zeroed) {
-  const own = ["interrupted", "aborted"].includes(run.state) ? "" : tell(run).whole; // said above, with what to do
+  const own = ["interrupted", "aborted"].includes(run.state) ? "" : describe(run).whole; // said above, with what to do
   const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
   const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
   return [notice, run.state === "parked" || (run.state !== "finished" && run.warnings?.length) ? warningsNode(run, zeroed) : null];

@@ -1,5 +1,5 @@
 /**
- * What server and mill say by a code, in sentences: the one table of the page. Values come in here and nowhere else, so that
+ * The page's only table of sentences for the codes of server and mill. Values are inserted only here, so that
  * another language is another table. A test holds its keys against the codes of the sources (tests/page/test_words.py).
  */
 
@@ -42,7 +42,7 @@ export const RUN_STATES = {
 const mill = (state) => STATES[state]?.[1] ?? state;
 const program = (state) => RUN_STATES[state]?.[1] ?? state;
 
-/** What a mill was told, by the name that server and log have for it. */
+/** Words for an order, by its name in server and log. */
 const ORDERS = {
   reset: t("reset"),
   unlock: t("unlock"),
@@ -66,7 +66,7 @@ const ORDERS = {
 /** The word for an order. */
 export const orderWord = (order) => ORDERS[order] ?? order;
 
-/** Number of an alarm: what has happened, and what to do about it. */
+/** By number of an alarm: what has happened, and what to do about it. */
 const ALARMS = {
   1: [t("hard limit hit"), t("position lost: free the axis, home again")],
   2: [t("move would leave the travel"), t("position kept: unlock, check zero and program")],
@@ -103,7 +103,7 @@ const unansweredWords = ({ seconds }) => (seconds ? t`The computer beside the mi
 
 const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
 
-/** code: a sentence, or how it is made of the values; {brief, whole} where a line has no room for all of it, with `parts`: what is folded. */
+/** By code: a sentence, or a function of the values that makes it; {brief, whole} if a line has no room for all of it, with `parts`: the folded rest. */
 const SENTENCES = {
   // an order that was refused
   grant_missing: t("Not carried out: the mill had not granted this order. Press again."),
@@ -192,19 +192,19 @@ const SENTENCES = {
   abort: t("STOP"),
   "jog-cancel": t("End of a jog"),
   order_taken: ({ order }) => t`${orderWord(order)}: taken`,
-  order_refused: (told) => t`${orderWord(told.order)}: refused. ${tell(told).whole}`,
+  order_refused: (refusal) => t`${orderWord(refusal.order)}: refused. ${describe(refusal).whole}`,
   settings_read: t("Read settings: done"),
   run_parked: ({ name }) => t`${name}: waits for your start`,
   run_left: ({ name, state }) => t`${name}: interrupted (the computer beside the mill stopped while the program was ${program(state)}); nothing goes on by itself`,
   owner_failed: ({ reason }) => t`The computer beside the mill failed: ${reason}`,
 };
 
-/** The codes that are told in words of this table. */
+/** The codes that this table has sentences for. */
 export const CODES = Object.keys(SENTENCES);
 
-/** {brief, whole, parts} of what is told by {code, values, words}. Where no code is known: the words, and nothing brief.
- * @param {{code?: string, values?: any, words?: string}} told */
-export function tell({ code, values, words }) {
+/** Return {brief, whole, parts}, sentences for {code, values, words}. Without a known code: the words as whole, and no brief.
+ * @param {{code?: string, values?: any, words?: string}} code */
+export function describe({ code, values, words }) {
   if (!Object.hasOwn(SENTENCES, code ?? "")) return { brief: "", whole: words ? sentence(words) : "" };
   const made = SENTENCES[code];
   const sentences = typeof made === "function" ? made(values ?? {}) : made;

@@ -1,5 +1,5 @@
 /**
- * A way of its own for HOLD, STOP and the end of a jog: a WebSocket, which takes none of the few connections that a
+ * A separate channel for HOLD, STOP and the end of a jog: a WebSocket, which takes none of the few connections that a
  * browser keeps to one server, and is open before it is needed. It opens again by itself.
  */
 
@@ -34,7 +34,7 @@ export class StopSocket {
     this.drop("The page of this mill was left.");
   }
 
-  /** What the server answers to this stop; an Error where this way is not open, or it was not taken. */
+  /** The server's answer to this stop; an Error if the socket is not open or the stop was not accepted. */
   send(machine, what) {
     if (!this.ready) return Promise.reject(new Error("The way for stops is not open."));
     this.number += 1;

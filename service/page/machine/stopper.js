@@ -1,4 +1,4 @@
-/** Stops of one mill: sent both ways there are, and what is said where one did not arrive. */
+/** Stops of one mill: sends them both ways, and reports one that did not arrive. */
 
 import { api } from "../lib/api.js";
 import { t } from "../lib/language.js";
@@ -15,14 +15,14 @@ export class Stopper {
   constructor(name, socket) {
     this.name = name;
     this.socket = socket;
-    this.words = ""; // what a person is told of a stop that did not arrive
+    this.words = ""; // shown for a stop that did not arrive
     this.lost = false; // whether the mill was out of reach since
     this.run = ""; // that was on the mill then
     this.answered = { count: 0, until: 0 }; // of the last stop, and how long what else is heard may be behind that
     this.aborts = 0; // how often STOP was pressed
   }
 
-  /** hold, abort or jog-cancel. True where it was taken. machine: as it is known; away: nothing is heard of it. */
+  /** hold, abort or jog-cancel. True if it was taken. machine: as it is known; away: nothing is heard of it. */
   async stop(what, machine, away) {
     try {
       await this.send(what);
@@ -44,7 +44,7 @@ export class Stopper {
     else if (this.lost || stands(machine) || (run?.id ?? "") !== this.run) this.words = "";
   }
 
-  /** How often the mill was told to stop; heard: as it was last heard of. */
+  /** The count of stops of the mill; heard: the count it last reported. */
   countFrom(heard) {
     return Date.now() < this.answered.until ? Math.max(heard ?? 0, this.answered.count) : heard;
   }

@@ -1,10 +1,10 @@
 /**
- * HOLD and STOP: always in sight, always in the same place (Resume has one of its own, empty while nothing is held), taken
- * from everybody, without control and whatever else is on its way.
+ * HOLD and STOP: always in sight, always in the same place (Resume has its own place, empty while nothing is held). Everybody
+ * may press them, without control and while other orders are on their way.
  *
- * Keys: while something moves, or a program is held, Space holds wherever the focus is, but in a field one writes in and
- * on Resume itself; Escape stops. Shift and R resume what is held: two keys, so that no elbow does. A mill that stands
- * without a program leaves the keys to the controls. A mill of which nothing is known may move.
+ * Keys: while something moves, or a program is held, Space holds, except in a text field and on Resume itself; Escape
+ * stops. Shift and R resume: two keys, so that an elbow cannot. A mill that stands still without a program leaves the keys
+ * to the controls. A mill in an unknown state is treated as moving.
  */
 
 import { h, write } from "../lib/dom.js";
@@ -39,7 +39,7 @@ export function stops(link) {
   };
 }
 
-/** Why HOLD and STOP may not reach the mill; "" where they do. */
+/** Why HOLD and STOP may not reach the mill; "" if they do. */
 function outageWords({ away, machine }) {
   if (away) return t("The server does not answer. To stop, use the button on the mill itself.");
   return machine && !isConnected(machine) ? t("This page cannot reach the mill. To stop, use the button on the mill itself.") : "";

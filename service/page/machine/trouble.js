@@ -2,10 +2,10 @@
 
 import { t } from "../lib/language.js";
 import { sentence, thousands } from "../lib/words.js";
-import { orderWord, RUN_STATES, tell } from "./sentences.js";
+import { orderWord, RUN_STATES, describe } from "./sentences.js";
 import { millWords, outOfReach } from "./words.js";
 
-/** {kind, wrong, next, more, step} or null where nothing is; more: for who asks. step: what is due, where a button does it. */
+/** {kind, wrong, next, more, step} or null if nothing is; more: details on demand. step: the next step, if a button does it. */
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
   if (gone) return makeTrouble("bad", sentence(gone), t("go back to the list of machines."));
@@ -41,7 +41,7 @@ function troubleOfMill({ mill, run, profile }) {
 function makeLockedTrouble(mill, run, profile) {
   const { brief, whole } = millWords(mill);
   const homes = profile?.homing !== false;
-  const next = homes ? t("see that the tool is free to rise, then home the mill.") : t("see that the tool is free, unlock, set the zero anew.");
+  const next = homes ? t("check that the tool is free to rise, then home the mill.") : t("check that the tool is free, unlock, set the zero again.");
   return makeTrouble(mill.alarm || run ? "bad" : "", brief || t("The mill is locked."), next, t`${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 
@@ -60,6 +60,6 @@ function troubleOfRun(machine, run) {
   if (!run?.required_checks?.includes("position")) return null;
   const [, word] = RUN_STATES[run.state] ?? ["", run.state];
   const line = run.executed_line ? t` at line ${thousands(run.executed_line)}` : "";
-  const more = t`${tell(run).whole} The part is not lost, and nothing moves before you say so.`;
+  const more = t`${describe(run).whole} The part is not lost, and nothing moves before you say so.`;
   return makeTrouble(run.state === "aborted" ? "warn" : "bad", t`The program was ${word}${line}.`, t("go on with it, step by step."), more, "recover");
 }

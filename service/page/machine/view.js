@@ -1,4 +1,4 @@
-/** One machine: where it is, what it does, and everything one tells it. */
+/** One machine: its position, its work, and all orders to it. */
 
 import { h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";

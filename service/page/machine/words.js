@@ -3,7 +3,7 @@
 import { t } from "../lib/language.js";
 import { hours, jobName, sentence } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
-import { RUN_STATES, STATES, tell } from "./sentences.js";
+import { RUN_STATES, STATES, describe } from "./sentences.js";
 
 const MOVING = new Set(["run", "holding", "jog", "homing"]);
 const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
@@ -13,19 +13,19 @@ const UNANSWERED = new Set(["agent_absent", "agent_unreached"]);
 /** An entry of the mill's log in words. */
 export function logWords({ kind, words, code, values }) {
   if (kind === "state") return STATES[words]?.[1] ?? words;
-  return code ? tell({ code, values, words }).whole : words;
+  return code ? describe({ code, values, words }).whole : words;
 }
 
 /** Why nothing is known of the mill, and what brings it back. */
 export function outOfReach({ agent, remote }) {
-  const why = tell(agent).whole;
+  const why = describe(agent).whole;
   if (!UNANSWERED.has(agent.code)) return why;
   return `${why} ${remote ? t("Switch it on, or start causticmill mill on it.") : t("To connect it again, start the server again.")}`;
 }
 
 /** {brief, whole}: what an order was refused for. */
 export function refusalOf({ code, values, effect, detail, message }) {
-  return tell({ code, values: { ...values, effect: effect || detail }, words: (detail ?? message).trim() });
+  return describe({ code, values: { ...values, effect: effect || detail }, words: (detail ?? message).trim() });
 }
 
 /** The same as one text. */
@@ -35,7 +35,7 @@ export function refusal(error) {
 
 /** {brief, whole}: what the mill says of itself. */
 export function millWords({ connected, code, alarm, detail, problem }) {
-  return tell(connected ? { code, values: { alarm }, words: detail } : { words: problem });
+  return describe(connected ? { code, values: { alarm }, words: detail } : { words: problem });
 }
 
 /** How a machine stands: {kind, word, words}; words say more where there is more to say. One only switched on needs nobody. */
@@ -53,7 +53,7 @@ export function programWords(program, job) {
   return job ? t`${program} of ${jobName({ name: job })}` : program;
 }
 
-/** How long a run goes on; "" where nobody knows. */
+/** How long a run goes on; "" if nobody knows. */
 export function leftWords(run, simulated) {
   return Number.isFinite(run.time_left_s) ? t`${hours(run.time_left_s)} left${simulated ? t(" on a real mill") : ""}` : "";
 }
@@ -63,7 +63,7 @@ export function addressOf(name) {
   return `#/machines/${encodeURIComponent(name)}`;
 }
 
-/** How it stands for who does not look at its screen: a program that waits on a mill that is well, too. */
+/** Its state for a person at another screen, including a program that waits on a mill without fault. */
 export function standingInShop(machine) {
   const own = standing(machine);
   if (own.kind !== "good" || !machine.run || hasLiveRun(machine)) return own;
@@ -83,8 +83,8 @@ export function needsHand(machine) {
 }
 
 /**
- * Mill and program in one word. The controller calls itself idle until the first move has come to it, and whenever it
- * waits for the next one: while a program is on it, the program says what is going on.
+ * Mill and program in one word. A controller reports idle until its first move, and while it waits for the next one, so
+ * during a program the state of the program counts.
  */
 function doing(mill, run) {
   const own = STATES[mill.state] ?? ["off", mill.state];
@@ -94,7 +94,7 @@ function doing(mill, run) {
   return mill.state === "run" && PASSING.has(run.state) ? RUN_STATES[run.state] : own;
 }
 
-/** How the run that is shown stands, in the words that its mill has while it is on it. */
+/** The state of the shown run, in the mill's words while it is on the mill. */
 export function runStanding(run, machine) {
   const live = machine?.run?.id === run.id && LIVE.has(run.state) && machine.agent.reachable;
   return live ? doing(machine.mill, machine.run) : (RUN_STATES[run.state] ?? ["off", run.state]);
@@ -105,13 +105,13 @@ export function isConnected(machine) {
   return Boolean(machine?.mill?.connected);
 }
 
-/** Whether something moves, or may: what is not known may. */
+/** Whether something moves or may move; an unknown state counts as moving. */
 export function mayMove(machine) {
   if (!machine?.mill) return true;
   return MOVING.has(machine.mill.state) || hasLiveRun(machine);
 }
 
-/** Whether the mill is known to stand, and to stay where it is: between two lines of a program it only seems to. */
+/** Whether the mill certainly stands still and will stay there; between two lines of a program it only seems to. */
 export function stands({ mill, run }) {
   if (!mill) return false;
   if (["held", "door", "tool", "alarm", "sleep"].includes(mill.state)) return true;
@@ -123,7 +123,7 @@ export function hasLiveRun(machine) {
 }
 
 /**
- * Why an order that moves the mill cannot be given now, in words; "" where it can.
+ * Why an order that moves the mill cannot be given now, in words; "" if it can.
  * states: in which the mill takes it; besideRun: it takes it while a program is on it, too.
  */
 export function whyNot({ machine, away, mine }, states = ["idle"], { besideRun = false } = {}) {

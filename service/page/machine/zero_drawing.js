@@ -1,4 +1,4 @@
-/** Where X0 Y0 is, before a tool stands over it: block and lens from above, of the job on the mill or of any. */
+/** Where X0 Y0 is, before a tool is over it: block and lens from above, of the job on the mill or of an example. */
 
 import { h, replace, svg, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -31,7 +31,7 @@ export function zeroDrawing(link) {
   };
 }
 
-/** What is said of the block in the drawing, and of the corner to who cannot see it. */
+/** Texts of the block in the drawing, and of the corner for people who cannot see it. */
 function sizes({ width_mm, height_mm, margin_mm }) {
   const block = t`block ${figures(width_mm, 3)} × ${figures(height_mm, 3)} mm`;
   return [block, t`${mm(margin_mm)} inside the ${block}`];

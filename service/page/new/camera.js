@@ -1,4 +1,4 @@
-/** A photograph by this computer's camera: what it sees, until a person takes it. */
+/** A photograph by this computer's camera: shows its picture until a person takes it. */
 
 import { open, toast } from "../lib/dialog.js";
 import { h } from "../lib/dom.js";
@@ -11,7 +11,7 @@ const REFUSED = {
   NotReadableError: t("The camera is in use by another program."),
 };
 
-/** The photograph as a File; null where none was taken, for which a sentence has said why. */
+/** The photograph as a File; null if none was taken; a sentence has said why. */
 export async function photograph() {
   let stream = null;
   try {

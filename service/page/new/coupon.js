@@ -12,7 +12,7 @@ const INTRO =
   t("Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: the result says how exact the mill is and how much your finish takes off. The sheet in the archive says how.");
 const WAIT = t("The archive takes about a quarter of a minute the first time.");
 
-/** {element, show(profile)}: of the machine that the job is for. take({what, values}): a person wants the figures. */
+/** {element, show(profile)}: of the machine that the job is for. take({what, values}): called when a person uses the figures. */
 export function couponPart({ take }) {
   let profile = "";
   const address = () => `/v1/profiles/${encodeURIComponent(profile)}/coupon`;

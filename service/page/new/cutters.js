@@ -63,7 +63,7 @@ function cornerWords({ radius_mm, corner_radius_mm = null }) {
   return corner_radius_mm ? ` R ${round(corner_radius_mm)}` : ` ${t("flat")}`;
 }
 
-/** {node, input, read()}: a number above zero, null where it is left empty. */
+/** {node, input, read()}: a number above zero, null if it is left empty. */
 export function numberInput(label, placeholder) {
   const input = h("input", { type: "number", min: 0, step: "any", inputMode: "decimal", placeholder });
   const read = () => (input.value === "" ? null : Number(input.value));

@@ -1,4 +1,4 @@
-/** A job that is not sent yet, and a picture on its way to it: a look at something else loses neither, nor does a reload. */
+/** Keeps an unsent job and the picture for it when a person opens another view or reloads the page. */
 
 const KEY = "draft"; // of what was set, in this tab's own storage
 const PICTURES = "pictures"; // of all tabs, by name; a tab's storage has no room for them
@@ -22,7 +22,7 @@ export function take() {
   return file;
 }
 
-/** Keeps what a person has set at an address, {picture, edits, name, spec}, while they look at something else; null: nothing. */
+/** Keep a person's settings at an address, {picture, edits, name, spec}, while they open another view; null: nothing. */
 export function keepDraft(made, address) {
   kept = made;
   if (!made) return sessionStorage.removeItem(KEY);
@@ -42,7 +42,7 @@ export async function takeDraft() {
   return file ? { ...rest, file: file.file } : { spec: rest.spec };
 }
 
-/** Puts a picture where a reload leaves it, and throws away those that nobody came back for; its name there. */
+/** Store a picture so that a reload keeps it, and delete abandoned ones; return its name in the store. */
 export function putAway(file) {
   if (stored.file === file) return stored.name;
   const [at, old] = [Date.now(), IDBKeyRange.upperBound(String(Date.now() - DAY_MS))];

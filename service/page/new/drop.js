@@ -12,7 +12,7 @@ export function dropPlace({ words, onFile, compact = false }) {
     const file = [...files].find(isPicture);
     if (file) onFile(file);
     else if (files.length)
-      toast(t("This is no picture. Take a PNG, JPEG, TIFF, WebP, BMP or GIF file."), { kind: "bad" });
+      toast(t("This is not a picture. Choose a PNG, JPEG, TIFF, WebP, BMP or GIF file."), { kind: "bad" });
   };
   const chosen = pick({ accept: KINDS }, take);
   const photographed = pick({ accept: "image/*", capture: "environment" }, take);
@@ -46,12 +46,12 @@ export function dropPlace({ words, onFile, compact = false }) {
   return place;
 }
 
-/** What to do here: nothing can be dropped with a finger. */
+/** The instruction; without "drop" on a touch screen. */
 export function invitation(purpose = "") {
   return (isHandheld() ? t("Choose or photograph a picture") : t("Drop a picture here")) + purpose;
 }
 
-/** Takes what is pasted, or dropped anywhere on the page, while the place is shown. */
+/** Accept files pasted, or dropped anywhere on the page, while the place is shown. */
 function receive(place, take) {
   let depth = 0;
   const over = (change) => {
@@ -79,7 +79,7 @@ function pick(props, take) {
   return h("input", { type: "file", hidden: true, onchange: changed, ...props });
 }
 
-/** Phones and tablets have a program of their own for their camera, and a browser without TLS shows no other one. */
+/** Phones and tablets have a camera app, and a browser without TLS offers no other camera. */
 function hasCamera() {
   return isHandheld() || Boolean(navigator.mediaDevices?.getUserMedia);
 }

@@ -1,4 +1,4 @@
-/** What the server expects of a job before it is made: asked whenever something has changed, shown in words. */
+/** The server's estimate of a job: requested after every change, shown in words. */
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
@@ -18,17 +18,17 @@ const ONLY_COARSE = t("A first look: the exact figures could not be worked out."
 const FIRST = t("The first one after an installation or an update takes up to a minute; all others are quick.");
 const TRIES = 3;
 const SLOW_MS = 4000;
-// A newer question of one tab ends its older one, not that of another tab beside it.
+// A newer request of a tab cancels its older one, not that of another tab.
 const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
- * {ask(), stop(), settled}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none"
+ * {ask(), stop(), settled}. make(): the form to send, null if there is nothing to ask yet. onState({kind, ...}): "none"
  * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`first`: a first look, an exact answer
  * follows where nothing is asked meanwhile; `after`: the first look that it replaces), "problems" with `problems`,
  * "fault" with `words`, "absent" no such service. settled: an estimate is known of what was asked last. A first look
  * comes within a second; its hours are about right, its PSNR and detail may be off by some dB.
  */
-export function estimator({ make, tell }) {
+export function estimator({ make, onState }) {
   let timer = 0;
   let asking = new AbortController();
   let absent = false;
@@ -52,17 +52,17 @@ export function estimator({ make, tell }) {
     try {
       const form = await make();
       if (signal.aborted) return;
-      if (!form) return tell({ kind: "none" });
-      tell({ kind: "busy" });
-      slow = setTimeout(() => signal.aborted || tell({ kind: "busy", slow: true }), SLOW_MS);
+      if (!form) return onState({ kind: "none" });
+      onState({ kind: "busy" });
+      slow = setTimeout(() => signal.aborted || onState({ kind: "busy", slow: true }), SLOW_MS);
       const estimate = await api.upload("/v1/estimates", form, { headers: HEADERS, signal, quiet: true });
       if (signal.aborted) return;
       settled = true;
-      tell({ kind: "known", estimate, first: !estimate.exact });
+      onState({ kind: "known", estimate, first: !estimate.exact });
       if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
-      tell(describeError(error));
+      onState(describeError(error));
       if (error.status === 503 && tries > 1) timer = setTimeout(() => run(signal, tries - 1), AGAIN_MS);
     } finally {
       clearTimeout(slow);
@@ -76,7 +76,7 @@ export function estimator({ make, tell }) {
     } catch {
       // the first look is what there is
     }
-    if (!signal.aborted) tell({ kind: "known", estimate, after: coarse });
+    if (!signal.aborted) onState({ kind: "known", estimate, after: coarse });
   }
 
   function describeError(error) {

@@ -24,7 +24,7 @@ export const SPEC = [...rowsOf(SCHEMA)];
 const on = (card) => SPEC.filter((row) => row.card === card).sort((one, other) => Number(Boolean(other.first)) - Number(Boolean(one.first)));
 export const [MAIN, LENS, LIGHT, MILL, PICTURE] = ["main", "lens", "light", "mill", "picture"].map(on);
 
-/** [title, rows] of what is folded away: all that stands on no card. */
+/** [title, rows] of the folded part: all rows without a card. */
 const FOLDED = SPEC.filter(({ card }) => !card);
 export const EXPERT = [...new Set(FOLDED.map(({ table }) => table))].map((title) => [
   title,
@@ -42,10 +42,10 @@ export function usualOf(key) {
 /** Rows of a table and of those in it. Lists of lists and of tables have none: they are other values, as JSON.
  * @param {any} table @param {{before?: string, title?: string}} within */
 function* rowsOf(table, { before = "", title } = {}) {
-  for (const [name, told] of Object.entries(table.properties)) {
-    const inner = target(told), key = before + name;
-    if (inner.properties && !isOptional(told)) yield* rowsOf(inner, { before: `${key}.`, title: title ?? say(told.title) });
-    else if (kindOf(told, inner)) yield { ...rowOf(key, told, inner), table: title ?? t("Job") };
+  for (const [name, schema] of Object.entries(table.properties)) {
+    const inner = target(schema), key = before + name;
+    if (inner.properties && !isOptional(schema)) yield* rowsOf(inner, { before: `${key}.`, title: title ?? say(schema.title) });
+    else if (kindOf(schema, inner)) yield { ...rowOf(key, schema, inner), table: title ?? t("Job") };
   }
 }
 
@@ -54,46 +54,46 @@ function say(words) {
   return words && t(words);
 }
 
-/** What a reference stands for, and of "this or nothing" this. */
-function target(told) {
-  const one = told.anyOf?.find(({ type }) => type !== "null") ?? told;
+/** The target of a reference; of "this or null", this. */
+function target(schema) {
+  const one = schema.anyOf?.find(({ type }) => type !== "null") ?? schema;
   return one.$ref ? SCHEMA.$defs[one.$ref.split("/").at(-1)] : one;
 }
 
-function isOptional(told) {
-  return Boolean(told.anyOf?.some(({ type }) => type === "null"));
+function isOptional(schema) {
+  return Boolean(schema.anyOf?.some(({ type }) => type === "null"));
 }
 
-function kindOf(told, inner) {
-  if (choicesOf(told, inner).length) return "choice";
+function kindOf(schema, inner) {
+  if (choicesOf(schema, inner).length) return "choice";
   if (inner.type === "array") return inner.items.type === "number" && inner.minItems === inner.maxItems ? "numbers" : null;
   return KINDS[inner.type] ?? null;
 }
 
 /** [value, words, sentence]: those with words first, then the others that are allowed; nothing is one where it may be. */
-function choicesOf(told, inner) {
-  const worded = told.form?.choices ?? told.oneOf ?? (inner.type === "boolean" && isOptional(told) ? YES_NO : []);
+function choicesOf(schema, inner) {
+  const worded = schema.form?.choices ?? schema.oneOf ?? (inner.type === "boolean" && isOptional(schema) ? YES_NO : []);
   const others = (inner.enum ?? []).filter((value) => !worded.some((one) => one.const === value));
   const rows = [...worded, ...others.map((value) => ({ const: value }))];
   const choices = rows.map(({ const: value, title, description }) => [value, say(title ?? String(value)), say(description)]);
-  return rows.length && isOptional(told) ? [[null, say(told.form?.usual ?? "usual")], ...choices] : choices;
+  return rows.length && isOptional(schema) ? [[null, say(schema.form?.usual ?? "usual")], ...choices] : choices;
 }
 
-function rowOf(key, told, inner) {
-  const { choices: _, usual, when, ...look } = told.form ?? {};
-  const kind = kindOf(told, inner), standard = told.default ?? null;
+function rowOf(key, schema, inner) {
+  const { choices: _, usual, when, ...look } = schema.form ?? {};
+  const kind = kindOf(schema, inner), standard = schema.default ?? null;
   const names = Array.from({ length: inner.minItems ?? 0 }, (_, at) => String(at + 1));
   return {
     ...look,
     names: (look.names ?? names).map(say),
     key,
-    label: say(told.title),
+    label: say(schema.title),
     kind,
-    hint: say(told.description),
-    unit: told.unit ?? "",
-    limits: limitsOf(inner, told.unit),
+    hint: say(schema.description),
+    unit: schema.unit ?? "",
+    limits: limitsOf(inner, schema.unit),
     usual: standard ?? (["choice", "numbers"].includes(kind) ? null : say(usual ?? "needed")),
-    choices: choicesOf(told, inner),
+    choices: choicesOf(schema, inner),
     when: when && ((spec) => Object.entries(when).every(([other, values]) => [values].flat().includes(valueAt(spec, other) ?? usualOf(other)))),
   };
 }

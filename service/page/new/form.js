@@ -15,7 +15,7 @@ const PLANNED_ONLY = t("Only “Recommended” can keep to a time.");
 /**
  * {main, lens, light, mill, picture, expert: elements; isUsual(group), read(), show(spec), blame(problems)}.
  * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
- * as the server has told them.
+ * as the server describes them.
  */
 export function specForm({ profiles, onChange, planned }) {
   const changed = () => {
@@ -40,7 +40,7 @@ export function specForm({ profiles, onChange, planned }) {
     height.blame("");
   }
 
-  /** Rows are there only where they mean something, or those that everybody chooses greyed; one that appears empty and needs a value gets a start. */
+  /** Show a row only while it has a meaning, or grey it if it is a main choice; give a start value to a row that appears empty and needs one. */
   function reveal() {
     const { spec } = read();
     for (const one of rows.filter(({ field }) => field.when)) {
@@ -51,7 +51,7 @@ export function specForm({ profiles, onChange, planned }) {
     }
   }
 
-  /** {spec: only what is not usual, faults: [{row, words}]}; whether a row is there may be decided by one behind it. */
+  /** {spec: values that differ from the usual, faults: [{row, words}]}; a later row may decide whether a row is shown. */
   function read() {
     let asked = rows, count, faults, spec;
     while (asked.length !== count) {
@@ -72,7 +72,7 @@ export function specForm({ profiles, onChange, planned }) {
     return { spec: list ? { ...spec, passes: list } : spec, faults };
   }
 
-  /** Fills the form; what no row can show stands in the text of other values. */
+  /** Fill the form; values without a row go into the text of other values. */
   function show(spec) {
     const left = structuredClone(spec);
     for (const one of rows) {
@@ -156,7 +156,7 @@ function compareDown(one, other) {
   return one.element.compareDocumentPosition(other.element) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1;
 }
 
-/** Focus on a row, with whatever is folded around it opened. */
+/** Focus on a row and unfold everything around it. */
 export function focusRow(row) {
   for (let fold = row.element.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
   row.focus();

@@ -8,7 +8,7 @@ import { at } from "../lib/root.js";
 
 const PICTURES = [["portrait.jpg", t("Portrait")], ["camera.jpg", t("Camera")], ["logo.png", t("Logo")], ["characters.png", t("Letters")]];
 
-/** An element that calls onFile(File) with the picture that a person takes. */
+/** An element that calls onFile(File) with the picture that a person chooses. */
 export function gallery(onFile) {
   const one = ([name, words]) => {
     const picture = h("img", { src: at(`/page/new/gallery/${name}`), alt: "", width: 88, height: 88 });

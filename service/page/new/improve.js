@@ -1,4 +1,4 @@
-/** Single changes of a job that show more of its picture: what each comes to, and a button that takes it. */
+/** Single changes of a job that show more of its picture: the result of each, and a button that applies it. */
 
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
@@ -8,7 +8,7 @@ import { eyeWords, isHard } from "../job/eye_words.js";
 import { put } from "./spec.js";
 
 const WORTH_DB = 1;
-// Of their own: what is asked here does not end the question about the job itself.
+// A separate estimator: a request here does not cancel the estimate of the job itself.
 const HEADERS = { "Causticmill-Tab": freshKey() };
 const NONE = t("No single change of these settings shows clearly more.");
 
@@ -22,9 +22,9 @@ export function withChange(spec, values) {
 
 /**
  * {element, show(estimate), focus(), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
- * wants it. Each comes with what the wall then shows. A picture that is hard to recognise asks by
- * itself, any other where a person does. First looks at changes are held against the first look at the job itself: what
- * they gain is added to what a more exact one tells.
+ * wants it. Each has a picture of the wall. The changes of a picture that is hard to recognise are estimated at once,
+ * others when a person asks. The first look at a change is compared with the first look at the job itself, and its gain
+ * is added to the job's exact estimate.
  */
 export function improvements({ make, take }) {
   const list = h("ul", { class: "changes" });
@@ -44,7 +44,7 @@ export function improvements({ make, take }) {
     else fold(true);
   }
 
-  /** A person has come for this. */
+  /** Move the focus here: a person asked for it. */
   function focus() {
     if (element.hidden) return;
     if (!button.hidden) ask(now.estimate);
@@ -90,7 +90,7 @@ export function improvements({ make, take }) {
     try {
       return await api.upload("/v1/estimates", await make(change.values), { headers: HEADERS, signal, quiet: true });
     } catch {
-      return null; // a change that cannot be asked for is none
+      return null; // a change whose estimate fails is left out
     }
   }
 

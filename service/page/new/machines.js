@@ -13,7 +13,7 @@ export function withProfiles(field, profiles) {
   return { ...field, choices: [...here.map(choice(HERE)), ...others.map(choice(OTHERS))] };
 }
 
-/** What a job is begun with: the profile of the one mill there is, a real one before a simulated one; else the usual. */
+/** The profile for a new job: that of the only mill, a real one before a simulated one; otherwise the default. */
 export function firstProfile(profiles, usual) {
   const real = profiles.filter(({ mills }) => mills?.some(({ simulated }) => !simulated));
   const here = real.length ? real : profiles.filter(isHere);

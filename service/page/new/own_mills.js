@@ -1,4 +1,4 @@
-/** Mills of the shop that programs can be made for: what each is like, and where it differs. Kept on the server. */
+/** Mills of the shop for which programs can be made: the known mill that each resembles, and the differences. Stored on the server. */
 
 import { api } from "../lib/api.js";
 import { h, write } from "../lib/dom.js";
@@ -24,7 +24,7 @@ export function ownMills({ profiles, onChanged }) {
   const list = h("ul", { class: "row cutters", hidden: !own.length }, own.map(shown));
   showUsual();
 
-  /** What counts where a field is left empty. */
+  /** The value of a field that is left empty. */
   function showUsual() {
     const base = known.find((one) => one.name === like.value);
     if (!base) return;

@@ -23,7 +23,7 @@ export function passes({ onChange, known }) {
       "label",
       { class: "tick" },
       byHand,
-      h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (else they follow from how fine it shall be)"))),
+      h("span", {}, t("Set every pass by hand"), h("small", {}, t(" (otherwise they follow from “How fine”)"))),
     ),
     list,
     add,
@@ -83,7 +83,7 @@ export function passes({ onChange, known }) {
     return read([]) ?? [];
   }
 
-  /** The passes, undefined where they follow from the preset; what cannot be read goes to faults as {row, words}. */
+  /** The passes, undefined if they follow from the preset; what cannot be read goes to faults as {row, words}. */
   function read(faults) {
     if (!byHand.checked) return undefined;
     return cards.map(({ rows }) => {
@@ -104,7 +104,7 @@ export function passes({ onChange, known }) {
   return { element, rows: () => cards.flatMap((one) => [one.whole, ...one.rows]), read, show };
 }
 
-/** What is wrong with a pass as a whole stands at its head, as with a row of the form. */
+/** Show a fault of a whole pass at its head, like that of a row. */
 function wholePass(key, { element, title, fault }) {
   return { key, field: { label: title.textContent }, element, blame: (words) => write(fault, words ?? ""), focus: () => title.focus() };
 }

@@ -94,7 +94,7 @@ function turn(context, quarters, width, height) {
   if (quarters === 3) context.transform(0, -1, 1, 0, 0, height);
 }
 
-/** What is sent: {blob, name}. mostSide: a smaller copy will do. The file itself where nothing was changed. */
+/** The picture to send: {blob, name}; the file itself if nothing was changed. mostSide: a smaller copy is enough. */
 export async function sentPicture(picture, edits, screen, { mostSide = MOST_SIDE } = {}) {
   const { file } = picture;
   if (!picture.shown || (mostSide === MOST_SIDE && isUntouched(edits) && isSendable(picture)))

@@ -1,4 +1,4 @@
-/** The side of the picture: where it is dropped, then what the wall will show of it, and what can be done to it. */
+/** The picture's side of the form: the place to drop it, then its light on the wall, and the tools to change it. */
 
 import { h, replace, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
@@ -29,7 +29,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
   const all = h("div", { class: "stack tight", hidden: true }, tools.element, values, title);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });
-  const told = h("small", { class: "told" }, NOT_YET);
+  const wallNote = h("small", { class: "told" }, NOT_YET);
 
   function readDrawing() {
     return { ...now, screen: screenOf(spec()) };
@@ -72,7 +72,7 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     const words = t`This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
     const figure = (canvas, caption, more) => h("figure", {}, canvas, h("figcaption", {}, h("strong", {}, caption), more));
     const shown = picture.shown
-      ? h("div", { class: "stage" }, figure(seen.picture, t("Picture"), h("small", {}, HOW)), figure(seen.wall, t("On the wall"), told))
+      ? h("div", { class: "stage" }, figure(seen.picture, t("Picture"), h("small", {}, HOW)), figure(seen.wall, t("On the wall"), wallNote))
       : h("p", { class: "notice unseen" }, h("span", {}, words));
     all.hidden = false;
     tools.element.hidden = !picture.shown;
@@ -86,10 +86,10 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
-  /** Something else is set now: the light that is known is not its light. */
+  /** The settings have changed: the last light is not theirs. */
   function forget() {
     Object.assign(now, { estimate: null, light: null });
-    write(told, NOT_YET);
+    write(wallNote, NOT_YET);
     draw();
   }
 
@@ -99,11 +99,11 @@ export function pictureSide({ spec, values, onChange, onOpening }) {
     await light?.decode();
     if (now.estimate !== estimate) return; // something was changed meanwhile
     now.light = light;
-    write(told, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.psnr_db));
+    write(wallNote, !light ? NO_LIGHT : first ? t("A first look: exact figures follow.") : eyeWords(estimate.psnr_db));
     seen.draw();
   }
 
-  /** {blob, name} of what is to be sent; mostSide: a smaller copy will do. */
+  /** {blob, name} of the picture to send; mostSide: a smaller copy is enough. */
   async function sent(options) {
     const { blob, name: fileName } = await sentPicture(now.picture, now.edits, readDrawing().screen, options);
     const ending = /\.[^.]+$/.exec(fileName)?.[0] ?? "";

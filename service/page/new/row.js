@@ -6,7 +6,7 @@ import { numberOf } from "./spec.js";
 
 /**
  * {element, key, field, read(), show(value), blame(words, use), disable(why), focus()}.
- * read() gives the value, undefined where the usual counts; TypeError, with words for the person, where it is none.
+ * read() gives the value, undefined if the usual counts; TypeError, with words for the person, if it is not a value.
  * show(undefined) shows the usual. onChange() is called on every change a person makes.
  */
 export function row(field, { onChange, key = field.key }) {
@@ -40,7 +40,7 @@ export function row(field, { onChange, key = field.key }) {
     for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
   }
 
-  /** why: what it cannot be set for, "" where it can. */
+  /** why: what it cannot be set for, "" if it can. */
   function disable(why) {
     for (const control of input.controls) Object.assign(control, { disabled: why !== "", title: why || field.limits });
   }
@@ -82,7 +82,7 @@ function numberInput(field, { described, onChange }, more) {
   });
 }
 
-/** What is typed takes the place of the number that stands there, also where a press, let go, would set the cursor. */
+/** Typing replaces the number in the field, even after a click that would set the cursor. */
 function selectAll({ target }) {
   target.select();
   target.addEventListener("mouseup", (event) => event.preventDefault(), { once: true });
@@ -179,11 +179,11 @@ function select(field, { described, onChange }) {
     grouped(field.choices.map(([, words, , group], at) => [group, h("option", { value: String(at) }, words)])),
   );
   const more = h("small");
-  const tell = () => write(more, field.choices[Number(input.value)]?.[2] ?? "");
-  input.addEventListener("change", tell);
+  const showWords = () => write(more, field.choices[Number(input.value)]?.[2] ?? "");
+  input.addEventListener("change", showWords);
   const show = (value) => {
     input.value = String(values.indexOf(value ?? field.usual));
-    tell();
+    showWords();
   };
   const read = () => {
     const value = values[Number(input.value)];

@@ -6,7 +6,7 @@ import { valueAt } from "./spec.js";
 /** What counts for a key of a spec, given or left out. */
 export const valueOf = (spec, key) => valueAt(spec, key) ?? usualOf(key);
 
-/** All of a spec that decides what is drawn: {aspect, fit, tone, invert}. */
+/** The values of a spec that decide the drawing: {aspect, fit, tone, invert}. */
 export function screenOf(spec) {
   return {
     aspect: aspectOf(spec),

@@ -1,4 +1,4 @@
-/** Another job as the beginning of a new one: its picture and what was asked for, perhaps with another of its plans. */
+/** Starts a new job from another one: its picture and spec, perhaps with another of its plans. */
 
 import { api } from "../lib/api.js";
 import { t } from "../lib/language.js";

@@ -1,11 +1,11 @@
 /** A job spec as a tree of plain values, reached by dotted keys. */
 
-/** The value at "optics.light.kind"; undefined where there is none. */
+/** The value at "optics.light.kind"; undefined if there is none. */
 export function valueAt(spec, key) {
   return key.split(".").reduce((tree, step) => tree?.[step], spec);
 }
 
-/** Puts a value there, making what is missing on the way; undefined takes it out, and tables it leaves empty. */
+/** Set the value there and make missing tables on the path; undefined deletes it, and tables that become empty. */
 export function put(spec, key, value) {
   const [first, ...rest] = key.split(".");
   if (!rest.length) {
@@ -37,7 +37,7 @@ export function same(one, other) {
   return JSON.stringify(one) === JSON.stringify(other);
 }
 
-/** The text of a number as people type it: "12,5" is 12.5. NaN where it is none. */
+/** The text of a number as people type it: "12,5" is 12.5. NaN if it is none. */
 export function numberOf(text) {
   const plain = text.trim().replace(",", ".");
   return /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i.test(plain) ? Number(plain) : NaN;

@@ -36,7 +36,7 @@ export function sender({ onWait }) {
   return { send };
 }
 
-/** The form that jobs and estimates are asked with. */
+/** The form data of jobs and estimates. */
 export function jobForm(picture, specText, priority = "normal") {
   const form = new FormData();
   form.append("spec", specText);

@@ -6,7 +6,7 @@ import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { t } from "../lib/language.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
-import { foretell } from "../job/foretold.js";
+import { keepPrediction } from "../job/prediction.js";
 import { couponPart } from "./coupon.js";
 import { keepDraft, take, takeDraft } from "./draft.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
@@ -61,7 +61,7 @@ export default async function view(root, params, app) {
   return { leave: () => (removeEventListener("pagehide", hide), page.leave()) };
 }
 
-/** What the job begins with: another job, the picture just dropped, or what was left here. */
+/** The start of the form: another job, the picture just dropped, or the draft that was left here. */
 async function beginning(params) {
   const draft = await takeDraft();
   const isReload = draft?.address === location.hash;
@@ -88,13 +88,13 @@ function lateCard(title, load) {
 
 /** {element, begin({spec, picture, edits, name, file, forMore}), draft(), stop(), keep(), leave()}. forMore: a person comes to see what shows more. */
 function newJob(profiles, app, withMills) {
-  const now = { estimate: null, sent: false, told: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
+  const now = { estimate: null, sent: false, problems: [], refused: [], why: "", look: [], forMore: false }; // problems by estimate, by refusal
   const address = location.hash;
   const form = specForm({ profiles, onChange: changed, planned: () => (now.estimate?.spec.passes?.length ? now.estimate.spec.passes : FIRST) });
   const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: changed, onOpening: (name) => foot.ready(t`Opening ${name}…`) });
   const priority = priorityRow();
   const card = estimateCard();
-  const asks = estimator({ make: estimateForm, tell: showEstimate });
+  const asks = estimator({ make: estimateForm, onState: showEstimate });
   const coupon = couponPart({ take: takeChange });
   const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar(submit);
@@ -129,7 +129,7 @@ function newJob(profiles, app, withMills) {
     ready();
   }
 
-  /** No button for what cannot be made: why not stands beside it. */
+  /** Disable the button for a job that cannot be made; the reason is beside it. */
   function ready() {
     coupon.show(valueAt(form.read().spec, "machine.profile") ?? MACHINE_USUAL);
     foot.ready(!side.has() ? NO_PICTURE : side.fault() || now.why, now.look);
@@ -167,7 +167,7 @@ function newJob(profiles, app, withMills) {
     card.show(state);
     if (state.kind !== "busy") element.classList.remove("stale");
     if (state.kind === "known") now.estimate = state.estimate;
-    if (state.kind !== "busy") now.told = state.problems ?? state.estimate?.refusals ?? [];
+    if (state.kind !== "busy") now.problems = state.problems ?? state.estimate?.refusals ?? [];
     if (state.kind !== "busy" && state.kind !== "none") showProblems();
     if (state.kind !== "known") improve.stop();
     else if (state.after) improve.reconsider(state.estimate);
@@ -178,14 +178,14 @@ function newJob(profiles, app, withMills) {
     if (state.kind !== "busy") now.forMore = false;
   }
 
-  /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
+  /** Show problems beside their fields; those without a field above the button. `focus`: a person waits for it. */
   function showProblems({ focus = false } = {}) {
     const own = form.read().faults.map(({ row, words }) => ({ field: `spec.${row.key}`, detail: words }));
-    const { placed, unplaced } = form.blame([...own, ...bothOf(now.told, now.refused)]);
+    const { placed, unplaced } = form.blame([...own, ...bothOf(now.problems, now.refused)]);
     const ofPicture = unplaced.filter(({ field }) => field === "image");
     side.blame(ofPicture.map(({ detail }) => sentence(detail)).join(" "));
     foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ field, detail }) => sentence(field ? `${field}: ${detail}` : detail)));
-    now.why = now.told.length ? CANNOT : "";
+    now.why = now.problems.length ? CANNOT : "";
     now.look = placed;
     ready();
     if (focus && placed.length) focusRow(placed[0]);
@@ -201,7 +201,7 @@ function newJob(profiles, app, withMills) {
     try {
       const job = await sending.send(await side.sent(), spec, priority.read());
       now.sent = true;
-      if (asks.settled && now.estimate.exact) foretell(job.id, now.estimate.psnr_db);
+      if (asks.settled && now.estimate.exact) keepPrediction(job.id, now.estimate.psnr_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
@@ -220,7 +220,7 @@ function newJob(profiles, app, withMills) {
     improve.stop();
   }
 
-  /** For who comes back, also by a reload. */
+  /** Keep the draft for a return, even by a reload. */
   function keep() {
     keepDraft(now.sent || !side.has() ? null : draft(), address);
   }
@@ -244,7 +244,7 @@ function leaveField({ key, target, isComposing }) {
   if (key === "Enter" && ["text", "number"].includes(target.type) && !isComposing) target.blur();
 }
 
-/** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */
+/** The bar at the foot: the estimate in one line, the button, and the reason if it is disabled. */
 function submitBar(onclick) {
   const line = h("p", { class: "line" });
   const why = h("p", { class: "line why row", id: freshId("why") });
@@ -253,7 +253,7 @@ function submitBar(onclick) {
   const faults = h("div", { class: "stack tight", role: "alert" });
   const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
   const now = { sending: false, why: "", look: [] };
-  let told = [];
+  let listed = [];
   const name = (row) => h("button", { type: "button", class: "quiet", onclick: () => focusRow(row) }, row.field.label);
   function update() {
     button.setAttribute("aria-disabled", String(now.sending));
@@ -262,8 +262,8 @@ function submitBar(onclick) {
     line.hidden = Boolean(now.why || now.look.length);
     why.hidden = !line.hidden;
     const more = now.look.length - MOST_NAMED, said = [now.why, ...now.look];
-    if (said.length === told.length && said.every((one, k) => one === told[k])) return; // what has the focus keeps it
-    told = said;
+    if (said.length === listed.length && said.every((one, k) => one === listed[k])) return; // what has the focus keeps it
+    listed = said;
     const names = now.look.slice(0, MOST_NAMED).map(name);
     replace(why, now.why, names.length > 0 && [" ", t("Look at:"), names, more > 0 && t`+ ${more} more`]);
   }

@@ -77,7 +77,7 @@ export function wall({ state, onEdit }) {
   return { picture: sharp, wall: canvas, draw };
 }
 
-/** Draws on `sharp` the part of the picture, on `canvas` the light on the wall or, not known, what it is to be. */
+/** Draw on `sharp` the part of the picture, on `canvas` the light on the wall or, if it is unknown, its target. */
 function drawWall(canvas, sharp, { picture, edits, screen, light }) {
   const [width, height] = [Math.min(1, screen.aspect), Math.min(1, 1 / screen.aspect)].map((share) => Math.max(1, Math.round(SIDE * share)));
   const [context, shown] = [sharp, canvas].map((one) => {

@@ -1,6 +1,6 @@
-"""One mill's agent over HTTP: where it is, that it is the right one, and what can go wrong on the way to it.
+"""The mills' agents over HTTP: which there are, where each is, that it is the right one, and how it is asked.
 
-Nothing is ever sent twice by itself, except a stop of which no answer came. Answers are bounded in size
+No database. Nothing is ever sent twice by itself, except a stop of which no answer came. Answers are bounded in size
 and in time, and an agent's word that one should look elsewhere is not followed.
 """
 
@@ -8,31 +8,35 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import quote
 
 import httpx
 
-from machines.mill.orders import STOP_S, Stop
+from machines.mill.orders import STOP_S
 from phrases.phrase import Phrase, restore
 from service.errors import InputError
-from service.http.problems import Problem, ServerCode
-from service.milling.agent.auth import read_token
-from service.milling.agent.card import read_card
+from service.http.problems import BY, CONTROL, FROM, GRANT, Problem, ServerCode
+from service.milling.agent.card import read_card, read_token
 from service.server.fleet.agent_feed import AgentFeed
 from service.server.fleet.agent_replies import (
-    MOST_BYTES,
+    AgentAwayError,
     cut_text,
     json_object,
     list_values,
-    make_wrong_problem,
     parse_holder,
     phrases_of,
+    read_lines,
+    read_whole,
     table,
 )
-from service.server.fleet.registry import KnownMachine
+from service.server.fleet.registry import KnownMachine, read_machines
+from service.settings import ServerSettings
 
 ASK_S = 3.0
 TELL_S = 30.0
@@ -45,43 +49,6 @@ _HTTP_ERRORS = (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError)
 
 Json = dict[str, Any]
 T = TypeVar("T")
-
-
-class AgentAwayError(Exception):
-    """The agent did not answer. `code`, `values`: of ServerCode; `sent`: the request may have arrived all the same."""
-
-    def __init__(
-        self, words: str, code: str = "", values: Mapping[str, object] | None = None, *, sent: bool = False
-    ) -> None:
-        super().__init__(words)
-        self.words = words
-        self.code = code
-        self.values = dict(values or {})
-        self.sent = sent
-
-    def problem(self, order: str = "") -> Problem:
-        """Return 503; 504 where this order or stop may have arrived, so that a person has to look."""
-        if not (order and self.sent):
-            headers = {"Retry-After": "2"}
-            return Problem(503, self.words, field="machine", code=self.code, values=self.values, headers=headers)
-        code, advice = ServerCode.ORDER_UNCERTAIN, "it is not sent again"
-        if order in set(Stop):
-            code, advice = ServerCode.STOP_UNCERTAIN, "use its own stop button"
-        words = f"{self.words}; whether the {order} arrived is not known: LOOK AT THE MILL, {advice}"
-        return Problem(504, words, field="machine", code=code, values=self.values | {"order": order})
-
-
-def as_problem(error: AgentAwayError | Problem) -> Problem:
-    """Return why an agent that was only asked how things stand did not say."""
-    return error.problem() if isinstance(error, AgentAwayError) else error
-
-
-async def require_answer(asking: Awaitable[T], order: str = "") -> T:
-    """Return what the agent answered. Problem as `AgentAwayError.problem`."""
-    try:
-        return await asking
-    except AgentAwayError as away:
-        raise away.problem(order) from None
 
 
 class AgentLink:
@@ -143,8 +110,8 @@ class AgentLink:
         try:
             async with self._client().stream("GET", f"{url}/v1/events", headers=headers, timeout=timeout) as answer:
                 if answer.status_code != 200:
-                    raise self._refusal(answer.status_code, await _read_whole(answer, self.machine.name))
-                yield _read_lines(answer, self.machine.name)
+                    raise self._refusal(answer.status_code, await read_whole(answer, self.machine.name))
+                yield read_lines(answer, self.machine.name)
         except _HTTP_ERRORS as error:
             self._address = None
             raise self._make_unreached(error) from None
@@ -239,7 +206,7 @@ class AgentLink:
         timeout = httpx.Timeout(within_s, connect=_CONNECT_S)
         async with asyncio.timeout(None if "content" in more else within_s + _CONNECT_S):
             async with self._client().stream(method, url, headers=own, timeout=timeout, **more) as answer:
-                return answer.status_code, await _read_whole(answer, self.machine.name)
+                return answer.status_code, await read_whole(answer, self.machine.name)
 
     def _refusal(self, status: int, content: bytes) -> Problem:
         """Return the agent's own refusal; what is between it and us only is not the caller's fault."""
@@ -270,21 +237,83 @@ class AgentLink:
         return AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"reason": reason}, sent=sent)
 
 
-async def _read_whole(answer: httpx.Response, machine: str) -> bytes:
-    content = bytearray()
-    async for piece in answer.aiter_raw():
-        content += piece
-        if len(content) > MOST_BYTES:
-            raise make_wrong_problem(machine, f"answered with more than {MOST_BYTES // 1_000_000} MB")
-    return bytes(content)
+AT_THE_SERVER = "somebody at the server's computer"  # a caller there without a token
 
 
-async def _read_lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
-    """Yield lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
-    rest = b""
-    async for piece in answer.aiter_raw():
-        *lines, rest = (rest + piece).split(b"\n")
-        if len(rest) > MOST_BYTES:
-            raise make_wrong_problem(machine, "sends an event without an end")
-        for line in lines:
-            yield line.rstrip(b"\r").decode("utf-8", "replace")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrderContext:
+    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
+
+    name: str
+    origin: str
+    control: str = ""
+    grant: str = ""
+    arrived_s: float = 0.0
+
+    def headers(self) -> dict[str, str]:
+        values = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
+        return {name: value for name, value in values.items() if value}
+
+
+def no_machine(name: str, known: Iterable[str]) -> Problem:
+    words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
+    return Problem(404, Phrase("no machine '{name}'; known: {known}", name=name, known=words), field="machine")
+
+
+class AgentLinks:
+    """For one event loop."""
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self.settings = settings
+        self.links: dict[str, AgentLink] = {}
+        self.stopped_s: dict[str, float] = {}  # when a stop of a machine came by last, by `suspend_aware_clock_s`
+        self._http: httpx.AsyncClient | None = None
+        self._looking = ThreadPoolExecutor(1, thread_name_prefix="profiles")
+
+    async def list_machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        """Return the machines by name, and what is wrong with the list of them."""
+        return await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
+
+    async def find_machine(self, name: str) -> KnownMachine:
+        """Return the machine; Problem 404 where there is none of this name."""
+        known, _ = await self.list_machines()
+        if name not in known:
+            raise no_machine(name, known)
+        return known[name]
+
+    def get_link(self, machine: KnownMachine) -> AgentLink:
+        """Return the link to its agent; a new one where the machine has changed."""
+        found = self.links.get(machine.name)
+        if found is None or found.machine != machine:
+            found = self.links[machine.name] = AgentLink(machine, self.get_http_client)
+        return found
+
+    def known_link(self, machine: str) -> AgentLink | None:
+        """Return the link used before, without a look at any file."""
+        return self.links.get(machine)
+
+    async def renew_link(self, machine: str) -> AgentLink:
+        """Return the link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
+        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
+        if machine not in known:
+            raise no_machine(machine, known)
+        return self.get_link(known[machine])
+
+    async def meet_agents(self) -> None:
+        """Find the address of every mill's agent before the first order or stop. Skip an agent that is away."""
+        known, _ = await self.list_machines()
+        met = (self.get_link(machine).find_address() for machine in known.values())
+        await asyncio.gather(*met, return_exceptions=True)
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.aclose()
+            self._http = None
+        self._looking.shutdown(wait=False, cancel_futures=True)
+
+    def get_http_client(self) -> httpx.AsyncClient:
+        """Return one client for all agents and cameras, made in the loop that uses it. No proxies: all are near."""
+        if self._http is None:
+            limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
+            self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})
+        return self._http

@@ -1,4 +1,5 @@
-"""What an agent says, before anybody believes it: JSON of a bounded size, and of a run what every run has.
+"""What an agent answers, or that it does not, before anybody believes it: JSON of a bounded size, and of a run what
+every run has.
 
 An agent on another computer may be of another version, broken, or not an agent at all. What it says wrong is refused
 here, once, as a problem of its own (502), and is neither written down nor shown.
@@ -7,10 +8,13 @@ here, once, as a problem of its own (502), and is neither written down nor shown
 from __future__ import annotations
 
 import json
+from collections.abc import AsyncIterator, Awaitable, Mapping
 from typing import Any, TypeVar
 
+import httpx
 from pydantic import TypeAdapter, ValidationError
 
+from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
 from service.http.schema import Body, PhraseView
 from service.milling.api import RunReply
@@ -20,9 +24,67 @@ MOST_BYTES = 4_000_000
 _MOST_LETTERS = 2000
 _LATEST_S = 4e9  # year 2096: what is later is no time
 Json = dict[str, Any]
+T = TypeVar("T")
 Reply = TypeVar("Reply", bound=Body)
 
 _PHRASES = TypeAdapter(dict[str, PhraseView])
+
+
+class AgentAwayError(Exception):
+    """The agent did not answer. `code`, `values`: of ServerCode; `sent`: the request may have arrived all the same."""
+
+    def __init__(
+        self, words: str, code: str = "", values: Mapping[str, object] | None = None, *, sent: bool = False
+    ) -> None:
+        super().__init__(words)
+        self.words = words
+        self.code = code
+        self.values = dict(values or {})
+        self.sent = sent
+
+    def problem(self, order: str = "") -> Problem:
+        """Return 503; 504 where this order or stop may have arrived, so that a person has to look."""
+        if not (order and self.sent):
+            headers = {"Retry-After": "2"}
+            return Problem(503, self.words, field="machine", code=self.code, values=self.values, headers=headers)
+        code, advice = ServerCode.ORDER_UNCERTAIN, "it is not sent again"
+        if order in set(Stop):
+            code, advice = ServerCode.STOP_UNCERTAIN, "use its own stop button"
+        words = f"{self.words}; whether the {order} arrived is not known: LOOK AT THE MILL, {advice}"
+        return Problem(504, words, field="machine", code=code, values=self.values | {"order": order})
+
+
+def as_problem(error: AgentAwayError | Problem) -> Problem:
+    """Return why an agent that was only asked how things stand did not say."""
+    return error.problem() if isinstance(error, AgentAwayError) else error
+
+
+async def require_answer(asking: Awaitable[T], order: str = "") -> T:
+    """Return what the agent answered. Problem as `AgentAwayError.problem`."""
+    try:
+        return await asking
+    except AgentAwayError as away:
+        raise away.problem(order) from None
+
+
+async def read_whole(answer: httpx.Response, machine: str) -> bytes:
+    content = bytearray()
+    async for piece in answer.aiter_raw():
+        content += piece
+        if len(content) > MOST_BYTES:
+            raise make_wrong_problem(machine, f"answered with more than {MOST_BYTES // 1_000_000} MB")
+    return bytes(content)
+
+
+async def read_lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
+    """Yield lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
+    rest = b""
+    async for piece in answer.aiter_raw():
+        *lines, rest = (rest + piece).split(b"\n")
+        if len(rest) > MOST_BYTES:
+            raise make_wrong_problem(machine, "sends an event without an end")
+        for line in lines:
+            yield line.rstrip(b"\r").decode("utf-8", "replace")
 
 
 def json_object(content: bytes, machine: str) -> Json:

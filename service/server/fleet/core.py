@@ -16,9 +16,8 @@ from service.http.problems import Problem, ServerCode
 from service.server.database.jobs import JobBook
 from service.server.database.runs import LIVE_WORDS, RunBook, RunRow, UnknownRunError, make_reason, word_state
 from service.server.database.states import FINISHED, LOST
-from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
-from service.server.fleet.agent_links import AgentLinks
-from service.server.fleet.agent_replies import run_view
+from service.server.fleet.agent_client import ASK_S, AgentLink, AgentLinks
+from service.server.fleet.agent_replies import AgentAwayError, run_view
 from service.server.fleet.registry import KnownMachine, read_machines
 from service.settings import ServerSettings
 from service.store.base import Store

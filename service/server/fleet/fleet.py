@@ -19,20 +19,17 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
 from service.server.database.states import PREPARING
-from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
+from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_feed import known_id
-from service.server.fleet.agent_replies import parse_reply
+from service.server.fleet.agent_replies import AgentAwayError, as_problem, parse_reply, require_answer
 from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore
+from service.server.fleet.event_streams import MachineEvents, RunEvents
 from service.server.fleet.handover import Handovers
-from service.server.fleet.machine_commands import ASK_S, Orders
-from service.server.fleet.machine_events import MachineEvents
-from service.server.fleet.order_context import OrderContext
+from service.server.fleet.orders import ASK_S, Controls, Orders, RunOrder
 from service.server.fleet.programs import programs_of
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view
-from service.server.fleet.run_commands import Controls, RunOrder
-from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
 from service.server.schemas.runs import MachineList, MachineView, RunView
 from service.settings import ServerSettings
@@ -105,7 +102,7 @@ class Fleet:
         if not machine.camera:
             raise Problem(
                 404,
-                Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names those that there are", name=name),
+                Phrase("there is no camera beside {name}; CAUSTICMILL_CAMERAS names the cameras", name=name),
             )
         return await self._cameras.take_picture(machine.camera)
 

@@ -15,8 +15,8 @@ from service.http.problems import Problem
 from service.server.database.records import ClientKey, Job, UnknownJobError
 from service.server.database.runs import JobNotReadyError, MachineTakenError, RunRow, make_reason
 from service.server.database.states import PREPARING, REFUSED
-from service.server.fleet.agent_client import AgentAwayError, AgentLink
-from service.server.fleet.agent_replies import run_view
+from service.server.fleet.agent_client import AgentLink
+from service.server.fleet.agent_replies import AgentAwayError, run_view
 from service.server.fleet.core import FleetCore
 from service.server.fleet.programs import Program, programs_of
 from service.server.fleet.registry import KnownMachine

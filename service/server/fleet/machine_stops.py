@@ -14,10 +14,8 @@ from typing import Any, TypeVar
 
 from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
-from service.server.fleet.agent_links import AgentLinks
-from service.server.fleet.agent_replies import make_order_view
-from service.server.fleet.order_context import OrderContext
+from service.server.fleet.agent_client import AgentLink, AgentLinks, Json, OrderContext
+from service.server.fleet.agent_replies import AgentAwayError, make_order_view, require_answer
 from service.server.schemas.runs import OrderView
 
 T = TypeVar("T")

@@ -5,7 +5,6 @@ Read anew each time it is asked: a profile that is mended or added is there at o
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +18,9 @@ from machines.profile import (
     find_own_profiles,
     load_profile,
 )
+from machines.profile_values import UnreadableFileError, read_toml
 from phrases.phrase import Phrase
-from service.errors import InputError, printable, sentence_of_os_error
+from service.errors import InputError, printable
 from service.http.hosts import require_unread
 from service.milling.agent.settings import state_home
 from service.settings import ServerSettings
@@ -121,11 +121,9 @@ def remote_machines(path: Path) -> list[KnownMachine]:
     else is on the network between here and the agent. InputError says what is wrong in it.
     """
     try:
-        rows = tomllib.loads(path.read_text(encoding="utf-8")).get("agents", [])
-    except OSError as error:
-        raise InputError(sentence_of_os_error(error, doing="agents file: cannot read")) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(Phrase("agents file {path}: not TOML: {error}", path=path, error=error)) from None
+        rows = read_toml(path).get("agents", [])
+    except UnreadableFileError as error:
+        raise InputError(Phrase("agents file {path}: {cause}", path=path, cause=error.words)) from None
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError(
             Phrase("agents file {path}: allowed: [[agents]] tables with machine, url and token_file", path=path)

@@ -15,11 +15,10 @@ from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
 from service.server.database.runs import ENDED, RunRow, make_reason, read_reason
 from service.server.database.states import ABORTED, INTERRUPTED, PARKED
-from service.server.fleet.agent_client import AgentLink, Json, require_answer
-from service.server.fleet.agent_replies import run_view
+from service.server.fleet.agent_client import AgentLink, Json, OrderContext
+from service.server.fleet.agent_replies import require_answer, run_view
 from service.server.fleet.core import FleetCore, not_handed_over
 from service.server.fleet.machine_stops import MachineStops, find_refusal
-from service.server.fleet.order_context import OrderContext
 
 T = TypeVar("T")
 _BOOK_S = 0.3  # for the database, after the stop has left

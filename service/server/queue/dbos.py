@@ -1,21 +1,27 @@
 """The job engine on DBOS Transact: the only file that imports it.
 
-A ticket is a workflow whose name is its id. Its attempt is called directly and not as a step of DBOS: it can be called
-any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take the
-result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
+A ticket is a workflow whose name is its id, and its attempt is the whole of that workflow. It is no step of it: steps
+spare a workflow that goes on what it has done before, and an attempt sees that in the tables of jobs. Measured reasons
+for every setting: the trials of the project's first design.
+
+What DBOS has begun it queues again for anybody who asks, whether or not the one who began it is still at it. So those
+who ask first look who owns it, and one of them does so at a time (`_alone`).
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import sqlite3
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
-from dbos._dbos import _get_dbos_instance
 
+from service.server.database.connection import connect
 from service.server.queue.engine import Ticket
 from service.server.queue.ticket_runner import TicketRunner
 from service.settings import ServerSettings
@@ -26,10 +32,12 @@ WORKFLOW = "job"
 # Of what is in the engine's rows, not of the program: another number would leave the jobs of the old one lying.
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
-# A job may be begun so often before it counts as one that kills its workers.
+# A job may be begun so often, at one worker, before it counts as one that kills its workers.
 MAX_RECOVERY_ATTEMPTS = 1000
 POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
 OPEN = ["ENQUEUED", "DELAYED", "PENDING"]
+_LOCK = 0x63617573_71756575  # of `_alone`: "causqueu"
+_MOST_ALONE_S = 10
 
 
 class DbosEngine:
@@ -93,17 +101,19 @@ class DbosEngine:
 
     def take_over(self, executors: list[str]) -> None:
         if executors:
-            DBOS._recover_pending_workflows(executors)
+            with self._alone():
+                self._queue_again([ticket for ticket, owner in self.find_owners().items() if owner in executors])
 
     def pick_up(self) -> None:
-        if self._runner is None:
-            return
-        for ticket in self._runner.list_strays(self.find_owners()):
-            self._clients().resume_workflow(ticket.text, queue_name=QUEUE)
+        if self._runner is not None and self._runner.list_strays(self.find_owners()):
+            with self._alone():
+                self._queue_again(self._runner.list_strays(self.find_owners()))
 
     def give_back(self, ticket: Ticket, executor: str) -> None:
-        """Queue it again, unless somebody else has it by now. As in the recovery of one that was cut short."""
-        _get_dbos_instance()._sys_db.reenqueue_for_recovery(ticket.text, [executor], QUEUE)
+        """Queue it again, unless somebody else has it by now."""
+        with self._alone():
+            if self.owns(ticket, executor):
+                self._queue_again([ticket])
 
     def close(self) -> None:
         if self._serving:
@@ -116,6 +126,30 @@ class DbosEngine:
     def owns(self, ticket: Ticket, executor: str) -> bool:
         """Return whether the engine lets this executor run the ticket."""
         return any(s.status == "PENDING" and s.executor_id == executor for s in self._statuses([ticket]))
+
+    def _queue_again(self, tickets: list[Ticket]) -> None:
+        if tickets:
+            self._clients().resume_workflows([ticket.text for ticket in tickets], queue_name=QUEUE)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep all others out, of this process and of others: nobody queues again what another has just been given.
+        PostgreSQL shuts out who stands still here for long.
+        """
+        if self._path is not None:
+            with self._path.with_suffix(".lock").open("w") as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
+                yield
+            return
+        database = connect(self._url)
+        try:
+            with database.begin() as connection:
+                for name in ("lock_timeout", "idle_in_transaction_session_timeout"):
+                    connection.execute(sa.text(f"SET LOCAL {name} = '{_MOST_ALONE_S}s'"))
+                connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+                yield
+        finally:
+            database.dispose()
 
     def _statuses(self, tickets: list[Ticket]) -> list[WorkflowStatus]:
         if not tickets:

@@ -15,10 +15,16 @@ from phrases.phrase import Phrase
 from service.http.admission import is_stop, note_known
 from service.http.hosts import own_names
 from service.http.problems import Problem, problem_response
-from service.server.api.access.client_address import address_of, is_here
-from service.server.api.access.headers import Headers, read_headers, read_secret, refuse_foreign_page
+from service.server.api.access.headers import (
+    Headers,
+    address_of,
+    is_here,
+    read_headers,
+    read_secret,
+    refuse_foreign_page,
+)
+from service.server.fleet.agent_client import AT_THE_SERVER, OrderContext
 from service.server.fleet.machine_stops import MachineStops
-from service.server.fleet.order_context import AT_THE_SERVER, OrderContext
 from service.server.stop_socket import StopSockets
 from service.server.stoppers import StopperFile
 from service.settings import ServerSettings

@@ -1,4 +1,4 @@
-"""Ball end mills: cusp formula and the largest ball a lens admits; start values of speeds."""
+"""Ball end mills: the largest ball a lens admits; start values of speeds."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ def linked(**link: object) -> MachineProfile:
 @pytest.mark.parametrize(
     ("profile", "url", "words"),
     [
-        (linked(driver="none"), None, "copy the program to its own computer"),
-        (load_profile("linuxcnc", ()), "loop://", "copy the program to its own computer"),
+        (linked(driver="none"), None, "copy the program to the machine's own computer"),
+        (load_profile("linuxcnc", ()), "loop://", "copy the program to the machine's own computer"),
         (linked(driver="grbl"), None, "names no port"),
         (linked(driver="drip", flow="xonxoff"), "loop://", "it obeys DC1 and DC3 itself"),
         (linked(driver="roland-serial"), "loop://", "'rtscts'"),

@@ -178,5 +178,5 @@ def test_a_probe_that_touches_nothing_is_said_with_what_to_do(at_mill: Page) -> 
     at_mill.get_by_role("button", name="Probe Z", exact=True).click()
     at_mill.get_by_role("group", name="Probe Z").get_by_role("button", name="Probe", exact=True).click()
     expect(at_mill.locator(".trouble")).to_contain_text(re.compile("probe", re.IGNORECASE))
-    expect(at_mill.locator(".next")).to_contain_text("Next: see that the tool is free to rise, then home the mill.")
+    expect(at_mill.locator(".next")).to_contain_text("Next: check that the tool is free to rise, then home the mill.")
     homed(at_mill)

@@ -52,7 +52,7 @@ def test_a_file_name_that_leaves_the_folder_is_refused(tmp_path: Path, name: str
     with answering(200, {"artifacts": [item]}) as (url, _):
         done = run("get", "job-1", "-o", str(tmp_path / "out"), server=url)
     assert done.returncode == 1
-    assert "cannot be one" in done.stderr
+    assert "an unusable name" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -60,7 +60,7 @@ def test_another_kind_of_server_is_told_from_ours(tmp_path: Path) -> None:
     with answering(404, b"<h1>nothing here</h1>", "text/html") as (url, _):
         done = run("jobs", server=url)
     assert done.returncode == 2
-    assert done.stderr == f"error: {url} answers (HTTP 404), but is no causticmill job server\n"
+    assert done.stderr == f"error: {url} answers (HTTP 404), but is not a causticmill job server\n"
 
 
 def test_another_version_that_is_not_understood_is_named() -> None:

@@ -27,7 +27,7 @@ def test_a_stop_finds_the_agent_where_there_is_no_server(tmp_path: Path, verb: s
             (folder / "agent.json").write_text(json.dumps(card | {"token_file": str(folder / "token")}))
         own = {"CAUSTICMILL_DATA": str(tmp_path / "data"), "XDG_STATE_HOME": str(tmp_path / "state")}
         done = run("runs", verb, "abc", server=NOBODY, **own)
-        assert done.returncode == 0 and "taken by the agent of shop-mill" in done.stdout, done.stderr
+        assert done.returncode == 0 and "accepted by the agent of shop-mill" in done.stdout, done.stderr
         assert ("POST", f"/v1/runs/abc:{verb}") in agent.asked
         done = run("runs", verb, "unknown", server=NOBODY, **own)
         assert done.returncode == 1 and "use the mill's own stop" in done.stderr

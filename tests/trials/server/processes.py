@@ -14,7 +14,7 @@ MARK = "TRIAL_MARK"
 
 _KINDS = (
     ("service.server.supervisor.supervisor", "host"),
-    ("service.server.worker.process.forkserver", "fork server"),
+    ("service.processes.fork_server", "fork server"),
     ("service.server.worker.main", "worker"),
     ("service.server.api.main", "api"),
     ("service.server.standby.main", "standby"),

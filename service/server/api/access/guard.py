@@ -25,8 +25,14 @@ from phrases.phrase import Phrase
 from service.http.admission import is_stop, note_known
 from service.http.hosts import own_names
 from service.http.problems import Problem, problem_response
-from service.server.api.access.client_address import address_of, is_here
-from service.server.api.access.headers import Headers, read_headers, read_secret, refuse_foreign_page
+from service.server.api.access.headers import (
+    Headers,
+    address_of,
+    is_here,
+    read_headers,
+    read_secret,
+    refuse_foreign_page,
+)
 from service.server.api.access.scopes import (
     ANONYMOUS,
     MACHINE_RUN,

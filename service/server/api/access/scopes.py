@@ -2,6 +2,8 @@
 
 A route without `require` is not open: the guard lets nobody but a known caller pass, except to what OPEN names.
 No scope contains another: `admin` alone moves no mill.
+
+What an order comes with is read here, too: whose it is, from where, since when, and under which control and grant.
 """
 
 from __future__ import annotations
@@ -10,16 +12,20 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Request, Security
+from fastapi import Depends, Header, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from starlette.requests import HTTPConnection
 from starlette.types import Scope
 
 from machines.clock import suspend_aware_clock_s
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.http.hosts import is_loopback, require_unread
-from service.http.problems import Problem
+from service.http.problems import CONTROL, GRANT, Problem
+from service.server.api.access.headers import address_of
+from service.server.api.services import services_of
 from service.server.database.tokens import TokenBook, TokenScope
+from service.server.fleet.agent_client import AT_THE_SERVER, OrderContext
 from service.settings import ServerSettings
 
 JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
@@ -140,3 +146,36 @@ def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
     require_unread(settings.host, where, vouched=settings.behind_proxy, allowed=fix)
     if not tokens.has_live():
         raise InputError(f"{where}; make a token first: causticmill token create NAME --scope jobs:read ...")
+
+
+_Word = {"max_length": 100, "pattern": r"^[!-~]*$"}
+
+Shown = Annotated[str, Header(alias=CONTROL, description="the `control` of who has control of the mill", **_Word)]
+Granted = Annotated[
+    str,
+    Header(
+        alias=GRANT,
+        description="from POST /v1/machines/{machine}/grants, asked for when the person presses; an order without it "
+        "is refused: 428, `code` is `grant_missing`. Stops need none",
+        **_Word,
+    ),
+]
+
+
+def read_order_context(request: Request, control: Shown = "", grant: Granted = "") -> OrderContext:
+    return context_of(request, control=control, grant=grant)
+
+
+def context_of(connection: HTTPConnection, *, control: str = "", grant: str = "", name: str = "") -> OrderContext:
+    principal = principal_of(connection.scope)
+    behind_proxy = services_of(connection).settings.behind_proxy
+    return OrderContext(
+        name=name or (principal.name if principal is not None else AT_THE_SERVER),
+        origin=address_of(connection.scope, behind_proxy=behind_proxy),
+        control=control,
+        grant=grant,
+        arrived_s=arrival_s(connection.scope),
+    )
+
+
+Order = Annotated[OrderContext, Depends(read_order_context)]

@@ -45,10 +45,10 @@ _REFUSALS = {
         ended=Phrase("the process for estimates has ended; try again"),
     ),
     "look": _Refusals(
-        too_many=Phrase("too many looks are asked for; try again"),
-        newer=Phrase("a newer look was asked for"),
-        late=Phrase("the look takes too long"),
-        ended=Phrase("the process for looks has ended; try again"),
+        too_many=Phrase("too many photographs are being measured; try again"),
+        newer=Phrase("a newer photograph was sent"),
+        late=Phrase("measuring the photograph takes too long"),
+        ended=Phrase("the process that measures photographs has ended; try again"),
     ),
 }
 

@@ -12,8 +12,7 @@ from machines.mill.orders import Stop
 from service.http.schema import Json, PassedOn
 from service.http.streaming import EVENT_HEADERS
 from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView
-from service.server.api.access.order_context import Order
-from service.server.api.access.scopes import Operator, Reader, Stopper
+from service.server.api.access.scopes import Operator, Order, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.routes.machines import MachineName
 from service.server.api.services import services_of

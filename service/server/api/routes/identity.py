@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
-from service.server.api.access.client_address import address_of, is_this_computer
+from service.server.api.access.headers import address_of, is_this_computer
 from service.server.api.access.scopes import Admin, Principal, require
 from service.server.api.openapi import answers, example
 from service.server.api.services import services_of

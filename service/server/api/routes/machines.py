@@ -7,8 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 
 from service.milling.api import PastOrders
-from service.server.api.access.order_context import Order
-from service.server.api.access.scopes import Operator, Reader
+from service.server.api.access.scopes import Operator, Order, Reader
 from service.server.api.intake.request import idempotency_key
 from service.server.api.openapi import Responses, answers, example, refusals
 from service.server.api.services import services_of

@@ -12,11 +12,10 @@ from starlette.responses import StreamingResponse
 from machines.mill.orders import Stop
 from service.http.streaming import EVENT_HEADERS
 from service.milling.api import RecoverBody, RecoveryView, StartBody
-from service.server.api.access.order_context import Order
-from service.server.api.access.scopes import Operator, Reader, Stopper
+from service.server.api.access.scopes import Operator, Order, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.services import services_of
-from service.server.fleet.run_commands import RunOrder
+from service.server.fleet.orders import RunOrder
 from service.server.schemas.examples import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
 from service.server.schemas.runs import PLAIN, RunList, RunView
 

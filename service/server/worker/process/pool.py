@@ -16,8 +16,8 @@ from typing import Any
 
 from phrases.phrase import Phrase
 from service.errors import FailedError
+from service.processes.fork_server_client import ForkedChild, ForkServerError, ForkServerLink
 from service.server.worker.lease import SAFE_SHARE
-from service.server.worker.process.forkserver_client import Child, ForkServerError, ForkServerLink
 from service.server.worker.process.supervision import (
     Crashed,
     Done,
@@ -48,7 +48,7 @@ class StageProcesses:
         if sys.platform != "linux":
             raise FailedError("stages run under Linux only: elsewhere a stopped job could leave processes behind")
         self._settings = settings
-        self._link = ForkServerLink(settings, entry)
+        self._link = ForkServerLink(settings.environment(), entry, memory_mb=settings.stage_memory_mb)
 
     def warm(self) -> None:
         """Begin to get ready for a stage; returns at once."""
@@ -75,13 +75,13 @@ class StageProcesses:
         """
         with _Files(order, log) as files:
             child = self._start_child(files, stop)
-            if not isinstance(child, Child):
+            if not isinstance(child, ForkedChild):
                 return child
             files.hand_over()
             task = Task(settings=self._settings, log=StageLog(log), on_progress=on_progress, stop=stop)
-            return Supervision(self._link, child, files.words, task).follow()
+            return Supervision(child, files.words, task).follow()
 
-    def _start_child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:
+    def _start_child(self, files: _Files, stop: Callable[[], str | None]) -> ForkedChild | StageEnd:
         """Start a child; a fork server that is not there yet is waited for."""
         words = ""
         for _ in range(_STARTS):

@@ -8,10 +8,7 @@ what tells why a stage went wrong.
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
-import select
 import signal
 import time
 from collections.abc import Callable
@@ -20,17 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from machines.clock import Timeout
-from phrases.phrase import Phrase, restore
-from service.errors import printable
+from phrases.phrase import Phrase
+from service.errors import InputError, PictureError, ServiceError, SpecError
+from service.processes.child import ChildCrashed, ChildDied, Words, result_of
+from service.processes.fork_server_client import ForkedChild
+from service.processes.forked_child import out_of_memory
 from service.processes.linux import give_back_blocks, list_living_members, signal_group, signal_stage
-from service.server.worker.process.child import out_of_memory
-from service.server.worker.process.forkserver_client import Child, ForkServerLink
 from service.settings import ServerSettings
 
 _TICK_S = 0.1
 _GRACE_S = 1.0  # between SIGTERM and SIGKILL
 _REAP_S = 5.0  # a fork server that has not told of a dead child by then is stuck
-_LINE_BYTES = 64_000_000  # longer words are no words
 _MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
 MOST_LOG_BYTES = 1_000_000
 HALF_LOG = MOST_LOG_BYTES // 2
@@ -116,9 +113,9 @@ class Task:
 class Supervision:
     """Use once: `follow` returns how the stage ended, when nobody of its group is left."""
 
-    def __init__(self, link: ForkServerLink, child: Child, pipe: int, task: Task) -> None:
-        self._link, self._child, self._task = link, child, task
-        self._words = _MessageReader(pipe)
+    def __init__(self, child: ForkedChild, pipe: int, task: Task) -> None:
+        self._child, self._task = child, task
+        self._words = Words(pipe)
         self._time = Timeout(task.settings.stage_time_s)
         self._beaten_at = 0.0
         self._verdict: StageEnd | None = None
@@ -139,9 +136,9 @@ class Supervision:
     def _wait(self) -> None:
         """Wait for a message, the end of the messages, the child's end, or the next beat."""
         tick_s = min(_TICK_S, self._task.settings.lease_s / 20)
-        if self._words.open:
+        if self._words.is_open:
             self._words.read(tick_s)
-            self._closed_at = self._closed_at if self._words.open else time.monotonic()
+            self._closed_at = self._closed_at if self._words.is_open else time.monotonic()
         else:
             self._child.gone.wait(tick_s)
         if (share := self._words.take_share()) is not None and self._verdict is None:
@@ -156,12 +153,12 @@ class Supervision:
                 self._end_with(Failed((_out_of_time(self._time.seconds),)))
             elif now > self._beaten_at + self._task.settings.lease_s / 20:
                 self._beaten_at = now
-                self._link.send_beat(self._child)
+                self._child.send_beat()
         overdue_s = now - _GRACE_S - min(self._term_at, self._closed_at)
         if overdue_s > 0:  # told to end, or without its pipe, and still there
             signal_stage(self._child.pid, signal.SIGKILL)
         if overdue_s > _REAP_S:
-            self._link.give_up(self._child)
+            self._child.give_up()
 
     def _end_with(self, verdict: StageEnd) -> None:
         self._verdict, self._term_at = verdict, time.monotonic()
@@ -174,7 +171,7 @@ class Supervision:
         if not self._child.gone.is_set():
             signal_stage(self._child.pid, signal.SIGKILL)
             if not self._child.gone.wait(_REAP_S):
-                self._link.give_up(self._child)
+                self._child.give_up()
                 self._child.gone.wait()
         if self._child.orphaned:
             while list_living_members(self._child.pid):
@@ -182,16 +179,16 @@ class Supervision:
                 time.sleep(0.01)
 
     def _parse_last(self) -> StageEnd | None:
-        match self._words.last:
-            case {"result": dict() as result}:
-                return Done(result)
-            case {"refused": list() as lines, "field": str() as field}:
-                return Refused(self._restore(lines), field)
-            case {"failed": list() as lines}:
-                return Failed(self._restore(lines))
-            case {"crashed": str() as words}:
-                return Crashed(printable(words))
-        return None
+        try:
+            return Done(result_of(self._words.last))
+        except InputError as error:
+            return Refused(error.lines, _field(error))
+        except ServiceError as error:
+            return Failed(error.lines)
+        except ChildCrashed as error:
+            return Crashed(str(error))
+        except ChildDied:
+            return None
 
     def _explain_unexpected(self) -> StageEnd:
         child = self._child
@@ -211,60 +208,14 @@ class Supervision:
             words = Phrase("{cause}: perhaps this computer is short of memory", cause=words)
         return Crashed(words)
 
-    def _restore(self, lines: list[Any]) -> tuple[str, ...]:
-        phrases = self._words.last.get("phrases", {})
-        return tuple(restore(printable(str(line)), phrases) for line in lines)
 
-
-class _MessageReader:
-    """Reads the child's JSON lines as they come. What is none is passed over; nothing grows without bound."""
-
-    def __init__(self, pipe: int) -> None:
-        self.open = True
-        self.last: dict[str, Any] = {}
-        self._pipe = pipe
-        self._share: float | None = None
-        self._rest = bytearray()
-        self._poll = select.poll()
-        self._poll.register(pipe, select.POLLIN)
-
-    def read(self, timeout_s: float) -> None:
-        if self._poll.poll(timeout_s * 1000):
-            self._take()
-
-    def drain(self) -> None:
-        """Read all that the dead child had still written."""
-        while self.open and self._poll.poll(0):
-            self._take()
-
-    def take_share(self) -> float | None:
-        share, self._share = self._share, None
-        return share
-
-    def _take(self) -> None:
-        with contextlib.suppress(BlockingIOError):
-            data = os.read(self._pipe, 1 << 18)
-            self.open = bool(data)
-            *lines, rest = data.split(b"\n")
-            for line in lines:
-                self._hear(bytes(self._rest) + line)
-                self._rest.clear()
-            self._rest += rest
-            if len(self._rest) > _LINE_BYTES:
-                self._rest.clear()
-
-    def _hear(self, line: bytes) -> None:
-        try:
-            word = json.loads(line)
-        except (ValueError, RecursionError):
-            return
-        if not isinstance(word, dict) or self.last:
-            return
-        share = word.get("share")
-        if share is None:
-            self.last = word if word.keys() & {"result", "refused", "failed", "crashed"} else {}
-        elif isinstance(share, int | float) and share == share:
-            self._share = min(1.0, max(0.0, float(share)))
+def _field(error: InputError) -> str:
+    match error:
+        case PictureError():
+            return "image"
+        case SpecError() if error.problems:
+            return f"spec.{error.problems[0][0]}"
+    return ""
 
 
 def _out_of_time(limit_s: float) -> Phrase:

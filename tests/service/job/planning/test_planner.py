@@ -355,4 +355,4 @@ def test_layers_that_a_light_frame_cannot_stand_are_made_shallower_or_told() -> 
     own = resolve_spec(overrides=(light[0], light[1] % ", step_down_mm=1.5"))
     assert not list(warn_of_removal(chosen, look_up(chosen).machine))
     (words,) = warn_of_removal(own, look_up(own).machine)
-    assert "passes.0 (finish) takes off 2.2 cm3/min in rows; 'grbl-3018' stands about 1 " in words
+    assert "passes.0 (finish) takes off 2.2 cm3/min in rows; 'grbl-3018' can take about 1 " in words

@@ -41,7 +41,7 @@ def optics(**values: Any) -> dict[str, Any]:
 def test_the_sheet_says_what_the_ball_and_the_polish_did() -> None:
     rows = dict(lens_rows(optics(closing=CLOSING, polish=POLISH), {}))
     assert (
-        rows["Valleys filled for a ball R 0.5 (Ø 1 mm)"] == "costs 0.6 dB, light where it is to be dark 1.70 → 1.80 %"
+        rows["Valleys filled for a ball R 0.5 (Ø 1 mm)"] == "costs 0.6 dB, light where it should be dark 1.70 → 1.80 %"
     )
     assert rows["Polish"].startswith("20 steps, +4.8 dB, moves the surface by 1.21 µm rms")
     free = CLOSING | {"psnr_db_with": 36.99, "dark_leak_with": 0.0}
@@ -64,7 +64,7 @@ def test_curvature_and_balls_are_told_for_shares_of_the_area() -> None:
 def test_dark_leak_stands_beside_what_physics_allows() -> None:
     rows = score_rows(optics(psnr_db=33.0, dark_leak=0.018, dark_leak_estimate=0.008, min_radius_mm=0.5))
     what, figure, words = rows[-1]
-    assert (what, figure) == ("Lens itself: light where it is to be dark", "1.80 %")
+    assert (what, figure) == ("Lens itself: light where it should be dark", "1.80 %")
     assert "ball R 0.5 (Ø 1 mm)" in words
     assert "0.80 %" in words
     assert [row[0] for row in score_rows(optics(psnr_db=33.0, dark_leak=0.0))] == [

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from service.job.report.drawing import side_view, top_view
 from service.job.report.holding import BlockSizes
 from service.job.report.setup_sheet import render_report
-from service.wording import duration, number, psnr_in_words, size, whole, word_misplaced
+from service.wording import describe_misplaced, duration, number, psnr_in_words, size, whole
 
 SPEC = {
     "preset": "paper",
@@ -179,7 +179,7 @@ def test_words_for_numbers():
     ]  # fmt: skip
     assert [size(value) for value in (12, 1500, 2.5e6, 3e9, None)] == ["12 B", "1.5 kB", "2.5 MB", "3 GB", "–"]
     assert whole(1234567).split() == ["1", "234", "567"]
-    assert [word_misplaced(share) for share in (0, 1e-11, 0.0029)] == [
+    assert [describe_misplaced(share) for share in (0, 1e-11, 0.0029)] == [
         "all light falls where it should",
         "all light falls where it should",
         "about 1 part in 345 of the light falls where it should not",

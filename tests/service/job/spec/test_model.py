@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from service.errors import SpecError
 from service.job.spec.loading import (
+    default_layer,
     parse_override,
     require_same_lens,
     resolve_for_lens,
     resolve_job,
     resolve_spec,
     validate_spec,
-    wishes_where_untold,
 )
 from service.job.spec.model import JobSpec
 
@@ -77,7 +77,7 @@ BAD_VALUES = [
     ("optics.light.profile=[[1,2],[3,-4]]", "optics.light.profile", ["row 1 holds -4", "none negative"]),
     ("optics.light.profile=[[1,2],[3,'x']]", "optics.light.profile", ["row 1 holds 'x'"]),
     ("optics.light.profile=[[0,0],[0,0]]", "optics.light.profile", ["dark everywhere"]),
-    ("optics.light.profile=3", "optics.light.profile", ["no list of rows"]),
+    ("optics.light.profile=3", "optics.light.profile", ["not a list of rows"]),
     ("optics.light={gaussian_mm=80, profile=[[1,1],[1,1]]}", "optics.light.gaussian_mm", ["80 ", "beside profile"]),
     ("optics.light.gaussian_mm=20", "optics.light", ["gaussian_mm = 20", "at least 50 mm"]),
     ("optics={creases=true, min_radius_mm=1}", "optics.creases", ["min_radius_mm = 1"]),
@@ -245,11 +245,11 @@ def test_who_says_nothing_of_passes_gets_the_best_of_the_mill(
     overrides: list[str], preset: str, process: str, tmp_path: Path
 ) -> None:
     said: dict[str, Any] = {"file": None, "preset": None, "overrides": overrides}
-    spec = resolve_spec(**said, base=wishes_where_untold(**said))
+    spec = resolve_spec(**said, base=default_layer(**said))
     assert (spec.preset, spec.finish.process) == (preset, process)
     (tmp_path / "job.toml").write_text("")
     for told in ({"file": tmp_path / "job.toml"}, {"preset": "draft"}):
-        assert wishes_where_untold(**{**said, **told}) == {}
+        assert default_layer(**{**said, **told}) == {}
 
 
 def test_order_of_precedence_is_file_preset_set(tmp_path: Path) -> None:

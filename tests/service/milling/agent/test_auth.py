@@ -13,7 +13,8 @@ import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from service.errors import InputError
-from service.milling.agent.auth import AgentGuard, make_token, read_token
+from service.milling.agent.card import make_token, read_token
+from service.milling.agent.requests import AgentGuard
 from service.milling.agent.settings import make_agent_settings, mill_folder, port_slug
 
 TOKEN = "a-token-of-some-length"

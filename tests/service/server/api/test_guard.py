@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from service.server.api.access.client_address import is_here
 from service.server.api.access.guard import _MOST_CALLERS, _WRONG_AT_ONCE, Limiter
+from service.server.api.access.headers import is_here
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S
 

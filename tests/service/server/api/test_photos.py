@@ -115,7 +115,7 @@ def test_the_process_that_looks_is_not_the_one_that_estimates(
             server.put_artifact(job_id, name, name.encode())
         files = {"photo": ("dies.png", encoded(Image.new("L", (32, 32), 9)))}
         said = problem(server.client.post(f"/v1/jobs/{job_id}/photos", files=files), 503)
-        assert "the process for looks has ended" in said["detail"]
+        assert "the process that measures photographs has ended" in said["detail"]
         assert server.services.estimates.child_pid is None
 
 

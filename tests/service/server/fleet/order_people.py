@@ -12,10 +12,10 @@ from machines.errors import MachineError
 from machines.mill.orders import Stop
 from service.http.problems import Problem
 from service.milling.api import GrantView
-from service.server.fleet.agent_client import AgentAwayError
-from service.server.fleet.order_context import OrderContext
+from service.server.fleet.agent_client import OrderContext
+from service.server.fleet.agent_replies import AgentAwayError
+from service.server.fleet.orders import RunOrder
 from service.server.fleet.representation import Surroundings
-from service.server.fleet.run_commands import RunOrder
 from service.server.fleet.stops import Stops
 from tests.service.server.fleet.order_network import WEATHER, Weather
 

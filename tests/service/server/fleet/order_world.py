@@ -48,18 +48,16 @@ from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import MemoryPort
 from service.http.event_hub import Hub
-from service.milling.agent.agent import Agent
+from service.milling.agent.agent import Agent, ClientKeys
 from service.milling.agent.app import make_app
-from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings
 from service.server.database.connection import connect
 from service.server.database.tables import metadata, runs
 from service.server.fleet.core import FleetCore
-from service.server.fleet.machine_commands import Orders
+from service.server.fleet.orders import Controls, Orders
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.run_commands import Controls
 from service.server.fleet.stops import Stops
 from service.settings import ServerSettings
 from tests.machines.inline_syncer import InlineSyncer

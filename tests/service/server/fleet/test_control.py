@@ -16,6 +16,7 @@ import pytest
 
 from machines.mill.orders import LEASE_S, Stop
 from service.http.problems import GRANT
+from service.server.fleet.agent_client import AgentLink
 from service.server.fleet.agent_launcher import start_agents
 from tests.service.milling.agent.client import AgentClient
 from tests.service.mills import Bench
@@ -222,15 +223,14 @@ def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, m
 def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
     floor: Shop, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    """Its server waits for a database; its grant has ended with the stop."""
-    core, waits, free = floor.server.services.fleet._core, threading.Event(), threading.Event()
-    do = core.do
+    """It is about to leave its server; its grant has ended with the stop."""
+    waits, free, send = threading.Event(), threading.Event(), AgentLink.send_once
 
-    async def do_late(*arguments: Any, **named: Any) -> Any:
+    async def send_late(*arguments: Any, **named: Any) -> Any:
         waits.set()
         while not free.is_set():
             await asyncio.sleep(0.01)
-        return await do(*arguments, **named)
+        return await send(*arguments, **named)
 
     with (
         people(floor) as (ada, _),
@@ -245,7 +245,7 @@ def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
         }[what]
         granted = ada.http.post(f"/v1/machines/{MACHINE}/grants", headers=ada.headers).json()["grant"]
         with monkeypatch.context() as slow:
-            slow.setattr(core, "do", do_late)
+            slow.setattr(AgentLink, "send_once", send_late)
             order = pool.submit(ada.http.post, path, json=body, headers=ada.headers | {GRANT: granted})
             assert waits.wait(PATIENCE_S)
             stop = f"{second.address}{HERE}/jog-cancel"

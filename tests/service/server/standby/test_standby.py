@@ -18,7 +18,7 @@ import pytest
 from service.http.listener import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
 from service.server import serving
-from service.server.fleet.agent_links import AgentLinks
+from service.server.fleet.agent_client import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
 from service.server.standby.app import StandbyApp
 from service.server.standby.line import ApiWatch

@@ -105,7 +105,7 @@ def test_a_misspelt_setting_is_told(capsys: pytest.CaptureFixture[str], monkeypa
     monkeypatch.setenv("CAUSTICMILL_TOKEN", "of the client")
     assert run(["service", "install", "--print"]) == 0
     warned = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning:")]
-    assert warned == ["warning: CAUSTICMILL_QOUTA_MB is no setting; CAUSTICMILL_QUOTA_MB is one"]
+    assert warned == ["warning: CAUSTICMILL_QOUTA_MB is not a setting; CAUSTICMILL_QUOTA_MB is one"]
 
 
 @pytest.mark.thorough

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ import sqlalchemy as sa
 
 from service.server.database.connection import begin_writing, connect
 from service.server.queue.dbos import DbosEngine
-from service.server.queue.engine import JobEngine, Ticket
+from service.server.queue.engine import Ticket
 from service.settings import ServerSettings
 from tests.waiting import until
 
@@ -28,7 +30,7 @@ class Stand:
         self.settings = settings
         self.folder = folder
         settings.data.mkdir(parents=True, exist_ok=True)
-        self.engine: JobEngine = DbosEngine(settings)
+        self.engine = DbosEngine(settings)
         self.engine.prepare()
         self._processes: list[subprocess.Popen[str]] = []
 
@@ -157,6 +159,25 @@ def test_two_that_take_over_from_a_dead_one_run_its_ticket_once(stand: Stand) ->
     (stand.folder / "release").touch()
     stand.await_end(ticket)
     assert (len(stand.notes()), len(stand.notes("end"))) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    "call", [lambda engine, _: engine.take_over(["a"]), lambda engine, t: engine.give_back(t, "a")]
+)
+def test_what_another_has_been_given_meanwhile_is_not_queued_again(
+    stand: Stand, call: Callable[[DbosEngine, Ticket], None]
+) -> None:
+    """Who queues again what an executor had begun looks whose it is when no other can be at the same."""
+    ticket, other = Ticket("moved", 1), DbosEngine(stand.settings)
+    stand.engine.submit(ticket, priority=1)
+    begin_unheard(stand.settings, ticket, "a")
+    with ThreadPoolExecutor(1) as pool, closing(other):
+        with stand.engine._alone():
+            asking = pool.submit(call, other, ticket)
+            assert not wait([asking], timeout=0.5).done
+            begin_unheard(stand.settings, ticket, "b")
+        asking.result()
+    assert stand.engine.find_owners() == {ticket: "b"}
 
 
 @pytest.mark.thorough

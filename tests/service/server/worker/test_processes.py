@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import os
 import signal
 import sys
 import threading
@@ -17,7 +15,6 @@ import pytest
 
 from phrases.phrase import phrases_in
 from service.processes.linux import own_children
-from service.server.worker.process.child import MessagePipe
 from service.server.worker.process.pool import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
 from service.settings import ServerSettings
 from tests.service.server.worker.stage_bench import Bench, fork_server_pid, lives, pids_in
@@ -122,23 +119,6 @@ def test_a_log_is_cut_in_its_middle(bench: Bench) -> None:
     assert len(text) < 1_000_200
     assert text.startswith("the first line\n") and text.endswith("the last line\n")
     assert "cut here" in text
-
-
-def test_progress_is_dropped_while_the_pipe_is_full_and_the_last_word_waits() -> None:
-    """The child's side alone: a worker that reads nothing for minutes."""
-    pipe, its_end = os.pipe()
-    words = MessagePipe(its_end)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(its_end, b"\n" * 4096)
-    words.send_share(0.5)
-    with ThreadPoolExecutor(1) as pool:
-        last = pool.submit(words.send_last, {"result": "x" * 200_000})
-        with os.fdopen(pipe, "rb") as file:
-            lines = iter(file.readline, b"")
-            assert next(line for line in lines if line != b"\n") == b'{"result": "' + b"x" * 200_000 + b'"}\n'
-        last.result()
-    os.close(its_end)
 
 
 def test_an_error_of_the_worker_leaves_no_process(bench: Bench, tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_a_log_that_cannot_be_written_leaves_no_file_open(bench: Bench, tmp_path
 
 
 def test_an_idle_fork_server_ends_and_comes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.server.worker.process.forkserver_client._IDLE_S", 0.2)
+    monkeypatch.setattr("service.processes.fork_server_client._IDLE_S", 0.2)
     assert isinstance(bench.run("echo"), Done)
     until(lambda: fork_servers() == [])
     assert isinstance(bench.run("echo"), Done)

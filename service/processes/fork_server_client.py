@@ -13,13 +13,13 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from phrases.phrase import Phrase
+from service.processes.fork_server import MESSAGE_BYTES
 from service.processes.source_tree import python_path
-from service.server.worker.process.forkserver import MESSAGE_BYTES
-from service.settings import ServerSettings
 
 _IDLE_S = 60.0
 _ANSWER_S = 10.0
@@ -30,11 +30,11 @@ class ForkServerError(Exception):
 
 
 @dataclass(slots=True, eq=False)
-class Child:
+class ForkedChild:
     """One stage's process as the fork server reports it. `gone`: nobody of its group is left, or the server is dead."""
 
     number: int
-    server: _ForkServer
+    server: ForkServer
     pid: int = 0
     status: int | None = None
     silent: bool = False
@@ -44,27 +44,35 @@ class Child:
     answered: threading.Event = field(default_factory=threading.Event)
     gone: threading.Event = field(default_factory=threading.Event)
 
+    def send_beat(self) -> None:
+        """Tell it that the worker is well, and still owns its job."""
+        self.server.send_beat(self)
 
-class _ForkServer:
+    def give_up(self) -> None:
+        """End the fork server, which does not tell of this child any more."""
+        self.server.kill()
+
+
+class ForkServer:
     """One fork server process, from its start to its end."""
 
-    def __init__(self, settings: ServerSettings, entry: str) -> None:
+    def __init__(self, environment: Mapping[str, str], entry: str) -> None:
         self.ready = threading.Event()
         self.over = threading.Event()
         self.threads = 0  # it had when it had imported everything; 0: it has not
         self.words = ""
         self.idle_since = time.monotonic()
         self.lock = threading.Lock()
-        self._settings, self._entry = settings, entry
+        self._environment, self._entry = environment, entry
         self._process: subprocess.Popen[bytes] | None = None
-        self._children: dict[int, Child] = {}
+        self._children: dict[int, ForkedChild] = {}
         self.closing = False
         self._line, self._its_line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._line.settimeout(1.0)
         self._keeper = threading.Thread(target=self._keep, name="fork server keeper", daemon=True)
         self._keeper.start()
 
-    def add(self, child: Child, message: dict[str, Any], files: list[int]) -> None:
+    def add(self, child: ForkedChild, message: dict[str, Any], files: list[int]) -> None:
         """Order a child. ForkServerError where this fork server takes no more."""
         with self.lock:
             if self.closing or self.over.is_set():
@@ -77,7 +85,7 @@ class _ForkServer:
                 self._children.pop(child.number, None)
             raise ForkServerError(str(error)) from None
 
-    def send_beat(self, child: Child) -> None:
+    def send_beat(self, child: ForkedChild) -> None:
         try:
             self._line.send(json.dumps({"beat": child.number}).encode(), socket.MSG_DONTWAIT)
         except OSError:
@@ -117,7 +125,7 @@ class _ForkServer:
             [
                 sys.executable,
                 "-m",
-                "service.server.worker.process.forkserver",
+                "service.processes.fork_server",
                 str(self._its_line.fileno()),
                 str(os.getpid()),
                 self._entry,
@@ -125,7 +133,7 @@ class _ForkServer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=(self._its_line.fileno(),),
-            env={**self._settings.environment(), **one_thread, "PYTHONPATH": python_path(), "MPLBACKEND": "Agg"},
+            env={**self._environment, **one_thread, "PYTHONPATH": python_path(), "MPLBACKEND": "Agg"},
             start_new_session=True,  # Ctrl-C on the terminal is for the worker to judge
         )
 
@@ -170,7 +178,7 @@ class _ForkServer:
                 child.status, child.silent, child.peak_mb = status, silent, peak_mb
                 child.gone.set()
 
-    def _forget(self, number: int) -> Child:
+    def _forget(self, number: int) -> ForkedChild:
         with self.lock:
             self.idle_since = time.monotonic()
             return self._children.pop(number)
@@ -201,45 +209,40 @@ def _wait_for(process: subprocess.Popen[bytes]) -> int:
 
 
 class ForkServerLink:
-    """The fork server there is, or a new one. Any thread may call."""
+    """The fork server there is, or a new one. Any thread may call.
 
-    def __init__(self, settings: ServerSettings, entry: str) -> None:
-        self._settings, self._entry = settings, entry
+    entry     : `module:function` that its children run
+    memory_mb : that each of them may take
+    """
+
+    def __init__(self, environment: Mapping[str, str], entry: str, *, memory_mb: int) -> None:
+        self._environment, self._entry, self._memory_mb = environment, entry, memory_mb
         self._lock = threading.Lock()
-        self._server: _ForkServer | None = None
+        self._server: ForkServer | None = None
         self._number = 0
         self._closed = False
 
-    def begin(self) -> _ForkServer:
+    def begin(self) -> ForkServer:
         """Start it if there is none; it need not be ready."""
         with self._lock:
             if self._closed:
                 raise ForkServerError("the worker is ending")
             if self._server is None or self._server.over.is_set() or self._server.closing:
-                self._server = _ForkServer(self._settings, self._entry)
+                self._server = ForkServer(self._environment, self._entry)
             return self._server
 
-    def start_child(self, server: _ForkServer, files: list[int], *, silence_s: float) -> Child:
+    def start_child(self, server: ForkServer, files: list[int], *, silence_s: float) -> ForkedChild:
         """Start a child that works on the files' order; ForkServerError where it could not be started."""
         with self._lock:
             self._number += 1
-            child = Child(self._number, server)
-        order = {"start": child.number, "silence_s": silence_s, "memory_mb": self._settings.stage_memory_mb}
-        server.add(child, order, files)
+            child = ForkedChild(self._number, server)
+        server.add(child, {"start": child.number, "silence_s": silence_s, "memory_mb": self._memory_mb}, files)
         if not child.answered.wait(_ANSWER_S):
             server.kill()
             child.answered.wait()
         if child.pid == 0:
             raise ForkServerError(child.refused or server.words)
         return child
-
-    def send_beat(self, child: Child) -> None:
-        """Tell that the worker is well, and still owns the child's job."""
-        child.server.send_beat(child)
-
-    def give_up(self, child: Child) -> None:
-        """End the fork server, which does not tell of this child any more."""
-        child.server.kill()
 
     def close(self) -> None:
         with self._lock:

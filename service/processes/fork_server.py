@@ -25,6 +25,7 @@ import time
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from service.processes.forked_child import ChildOrder, find_entry, run_child
 from service.processes.kernel_cache import use_current_kernels
 from service.processes.linux import (
     adopt_orphans,
@@ -36,7 +37,6 @@ from service.processes.linux import (
     thread_count,
 )
 from service.processes.priority import give_way
-from service.server.worker.process.child import ChildOrder, find_entry, run_child
 
 MESSAGE_BYTES = 65536
 FILES = 3  # that come with an order: the order itself, the pipe of words, the log
