@@ -17,7 +17,7 @@ from cam.around.specs import BESIDE_MM, CutOut, Facing, WitnessCut
 from cam.checking.clamps import Clamps
 from cam.checking.findings import Finding
 from cam.checking.flat_removal import removal_of
-from cam.checking.move_rules import say_spindle_off
+from cam.checking.move_rules import describe_spindle_off
 from cam.cutters import BALL, CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
@@ -254,7 +254,7 @@ class _FlatRun:
                     step_down_mm=spec.step_down_mm,
                 )
             ),
-            "still": Finding(says=say_spindle_off),
+            "still": Finding(says=describe_spindle_off),
             "bottom": Finding(
                 says=lambda v: Phrase(
                     "goes to Z{z_mm:.4f} (allowed: at least Z{least_mm:g})", z_mm=-v, least_mm=lowest_mm

@@ -45,7 +45,7 @@ def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
     return 2 * cusp_mm + 0.05 * spec.step_down_mm
 
 
-def say_spindle_off(depth_mm: float) -> Phrase:
+def describe_spindle_off(depth_mm: float) -> Phrase:
     return Phrase("cuts {depth_mm:.3f} mm with the spindle off (allowed: only after M3)", depth_mm=depth_mm)
 
 
@@ -98,7 +98,7 @@ class MoveRules:
                 safe_z_mm=safe_z_mm,
             )
         )
-        self._still = Finding(says=say_spindle_off)
+        self._still = Finding(says=describe_spindle_off)
         self._bottom = Finding(
             says=lambda v: Phrase(
                 "goes to Z{z_mm:.3f}, below the block (allowed: at least Z{least_mm:g})",

@@ -45,13 +45,10 @@ class ContourLines:
 
     @classmethod
     def join(cls, parts: list[ContourLines]) -> ContourLines:
-        starts = [part.start[:-1] + before for part, before in zip(parts, _before(parts), strict=True)]
+        before = np.cumsum([0, *(len(part.xy_mm) for part in parts)])
+        starts = [part.start[:-1] + count for part, count in zip(parts, before[:-1], strict=True)]
         xy = np.concatenate([part.xy_mm for part in parts])
         return cls(xy_mm=xy, start=np.concatenate([*starts, [len(xy)]]).astype(np.int64))
-
-
-def _before(parts: list[ContourLines]) -> list[int]:
-    return [0, *np.cumsum([len(part.xy_mm) for part in parts])[:-1].tolist()]
 
 
 def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:

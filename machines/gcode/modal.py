@@ -118,22 +118,18 @@ def state_of(vector: Sequence[float]) -> ModalState:
         distance="G90" if vector[language.ABSOLUTE] else "G91",
         feed_mode=f"G{vector[language.FEED_MODE]:g}",
         wcs=f"G{vector[language.WCS]:g}",
-        feed_mm_per_min=_told(vector[language.FEED]),
+        feed_mm_per_min=_or_none(vector[language.FEED]),
         spindle=_SPINDLES[int(vector[language.SPINDLE])],
         spindle_rpm=float(vector[language.SPEED]),
         coolant=_COOLANT[int(vector[language.COOLANT])],
         tool=None if vector[language.TOOL] < 0 else int(vector[language.TOOL]),
         tool_length_mm=float(vector[language.TLO]),
-        position_mm=_position(vector),
+        position_mm=(_or_none(vector[0]), _or_none(vector[1]), _or_none(vector[2])),
         shifted=bool(vector[language.SHIFTED]),
         stated=frozenset(name for name, bit in _STATED if stated & bit),
         ended=bool(int(vector[language.ENDED]) & language.M2_READ),
     )
 
 
-def _told(value: float) -> float | None:
+def _or_none(value: float) -> float | None:
     return float(value) if value == value else None
-
-
-def _position(vector: Sequence[float]) -> Position:
-    return (_told(vector[0]), _told(vector[1]), _told(vector[2]))

@@ -51,7 +51,7 @@ class Handshake:
     def take_banner(self, banner: str, now_s: float) -> None:
         """Begin a new epoch: everything the controller held is gone."""
         link, commands, streamer = self.link, self.commands, self.streamer
-        link.tell_restart()
+        link.report_restart()
         reset, report = self.resets.sequence, link.view.report
         checked_off = reset is None and now_s < commands.banner_due_s
         sure = reset is not None and reset.ours and (report is None or report.state != "Sleep")
@@ -94,7 +94,7 @@ class Handshake:
         link.offers_reset = False
         link.view.take(report)
         link.greeting.recognised = True
-        link.tell_restart()
+        link.report_restart()
         if self.stops.abort_wanted:
             self.stops.abort(now_s)
         elif link.hold_wanted and not stands(report):

@@ -142,7 +142,7 @@ class GrblLink:
         self.urgent.clear()
         self.text.clear()
         self.hold_wanted = self.paused = False
-        self.tell_restart()
+        self.report_restart()
         self.view.lose_position()
         self.enter(Phase.CLOSED, now_s)
         if cause is not None:
@@ -152,7 +152,7 @@ class GrblLink:
         """Put '!' before everything that waits to be written; drop what could start motion again."""
         self.urgent = bytearray(b"!" + self.urgent.translate(None, STARTING))
 
-    def tell_restart(self) -> None:
+    def report_restart(self) -> None:
         """Report a restart, and the end of a stop if it is one, with the verdict on the position."""
         if self.restart is None:
             return

@@ -78,7 +78,7 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
     )
 
 
-def word_at_present_zero(problem: Phrase) -> Phrase:
+def warn_at_present_zero(problem: Phrase) -> Phrase:
     """Return the warning that begins with AT_PRESENT_ZERO."""
     return Phrase("at the present work zero {problem}", problem=problem)
 

@@ -21,7 +21,7 @@ _NOT_THERE = Phrase(
 )
 
 
-def word_refused(refusal: Phrase) -> Phrase:
+def describe_refusal(refusal: Phrase) -> Phrase:
     """Return a refusal among the words of a plan."""
     return Phrase("REFUSED: {refusal}", refusal=refusal)
 
@@ -177,7 +177,7 @@ class RecoveryPlan:
             return self
         if refused and not self.needs:
             refusals = tuple(Phrase("{problem}. {why}", problem=problem, why=_NOT_THERE) for problem in problems)
-            words = tuple(map(word_refused, refusals))
+            words = tuple(map(describe_refusal, refusals))
             return replace(self, refusals=(*self.refusals, *refusals), words=(*self.words, *words))
         words = tuple(
             Phrase("according to the present position, which is not certain: {problem}", problem=problem)

@@ -23,7 +23,7 @@ from machines.preflight.limits import work_zero_mm
 from machines.preflight.preflight import Preflight
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, compare_offsets, find_needs, position_doubt, zero_back
-from machines.recovery.plan_model import Present, RecoveryPlan, Reentry, word_refused
+from machines.recovery.plan_model import Present, RecoveryPlan, Reentry, describe_refusal
 from phrases.phrase import Phrase
 
 GRBL_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.is_grbl)
@@ -207,7 +207,7 @@ def _with_words(
         words.append(Phrase("offsets cannot be compared: the link does not report them at present"))
     if record.get("torn"):
         words.append(Phrase("the end of the journal was torn: {torn}", torn=record["torn"]))
-    words += map(word_refused, plan.refusals)
+    words += map(describe_refusal, plan.refusals)
     words += [Phrase("first: {need}", need=need.words) for need in plan.needs]
     fields = {name: getattr(plan, name) for name in plan.__slots__}
     return RecoveryPlan(**fields | {"words": tuple(words)})

@@ -126,7 +126,8 @@ def _plain_flow(
         )
         verdict = judge_convergence(steps, rms, settings)
         if steps[-1].step in KEPT_STEPS or verdict is not None:
-            snapshots.append(_snapshot(steps[-1].step, difference, mesh, (ny, nx)))
+            field, lens_mm = difference.reshape(ny, nx), mesh.points_mm.reshape(ny, nx, 2)
+            snapshots.append(FlowSnapshot(step=steps[-1].step, difference=field, lens_mm=lens_mm))
         if on_progress is not None:
             on_progress("flow", 1.0 if verdict is not None else min(0.99, len(steps) / settings.max_steps))
     converged, message = verdict
@@ -142,7 +143,3 @@ def _plain_flow(
         snapshots=tuple(snapshots),
         pair=MeshPair(screen=rest, lens=lens),
     )
-
-
-def _snapshot(step: int, difference: Array, mesh: TriangleMesh, shape: tuple[int, int]) -> FlowSnapshot:
-    return FlowSnapshot(step=step, difference=difference.reshape(shape), lens_mm=mesh.points_mm.reshape(*shape, 2))

@@ -41,7 +41,8 @@ class NeumannPoisson:
 
     def stiffness(self, mesh: TriangleMesh) -> sparse.csr_matrix:
         """Return (n, n) integrals of grad(v_i) . grad(v_j) over the mesh [1]."""
-        return self._filled(_stiffness(mesh.points_mm, mesh.triangles, self._slots, self._pattern.nnz))
+        data = _stiffness(mesh.points_mm, mesh.triangles, self._slots, self._pattern.nnz)
+        return sparse.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
 
     def factor(self, mesh: TriangleMesh) -> FactoredPoisson:
         """Return the problem on `mesh`, ready for one or more loads."""
@@ -49,9 +50,6 @@ class NeumannPoisson:
 
     def solve(self, mesh: TriangleMesh, load: Array, *, tolerance: float = 1e-6) -> PoissonSolution:
         return self.factor(mesh).solve(load, tolerance=tolerance)
-
-    def _filled(self, data: Array) -> sparse.csr_matrix:
-        return sparse.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
 
 
 class FactoredPoisson:

@@ -19,7 +19,7 @@ from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import MillLimits, limits_of, placement_problems, word_at_present_zero
+from machines.preflight.limits import MillLimits, limits_of, placement_problems, warn_at_present_zero
 from machines.preflight.preflight import Finding, Preflight
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase
@@ -76,7 +76,7 @@ def run_preflight(
         words = Phrase("{reason}", reason=sentence_of_os_error(error, doing="pre-flight"))
         raise PreflightError(words) from None
     problems = placement_problems(found, settings) if settings else ()
-    placed = (Finding("placement", False, word_at_present_zero(problem)) for problem in problems)
+    placed = (Finding("placement", False, warn_at_present_zero(problem)) for problem in problems)
     return replace(found, findings=(*found.findings, *placed))
 
 

@@ -102,7 +102,7 @@ def test_the_end_of_a_program_resets_modes_but_not_units() -> None:
         ("N10000001", "10000000"),
         ("G2 X2 I1.5", "equally far"),
         ("G0 G92 X1", "claim"),
-        ("G1 X1 (open", "closed"),
+        ("G1 X1 (open", "must close"),
         ("$H", "commands"),
         ("G1 X1 F-1", "above 0"),
         ("G0 X1 F0", "above 0"),
