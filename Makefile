@@ -126,7 +126,7 @@ release: $(READY)
 	@cat $(RELEASE)/SHA256SUMS
 
 # Long trials (hours; `recommended` alone has 90 cases of minutes): the streamer against the simulated mill, the job
-# server under kill -9, programs against what is told of them, simulated light against another renderer,
+# server under kill -9, programs against their figures, simulated light against another renderer,
 # programs in LinuxCNC's interpreter (apt-get install linuxcnc-uspace): out/soak.json, out/soak.md.
 soak: $(READY)
 	$(call INSTALL_LOCK,requirements-soak.lock)

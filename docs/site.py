@@ -77,16 +77,16 @@ def _as_page(text: str) -> str:
 
 def _rest_lines(document: dict[str, Any]) -> Iterator[str]:
     yield "# REST reference"
-    yield "What refuses is `application/problem+json`; bodies and answers as schemas: `GET /openapi.json`."
+    yield "Refusals are `application/problem+json`; `GET /openapi.json` has the schemas of bodies and answers."
     for path, operations in document["paths"].items():
-        for method, told in operations.items():
-            yield f"\n## {method.upper()} {path}\n{told['summary']}. {told.get('description', '')}\n"
-            parameters = [one for one in told.get("parameters", []) if "$ref" not in one]
+        for method, operation in operations.items():
+            yield f"\n## {method.upper()} {path}\n{operation['summary']}. {operation.get('description', '')}\n"
+            parameters = [one for one in operation.get("parameters", []) if "$ref" not in one]
             if parameters:
                 yield "| parameter | in | |\n|---|---|---|"
             for one in parameters:
                 yield f"| `{one['name']}` | {one['in']} | {one.get('description', '')} |"
-            yield "\nAnswers: " + ", ".join(sorted(told["responses"]))
+            yield "\nAnswers: " + ", ".join(sorted(operation["responses"]))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shlex
@@ -26,6 +27,7 @@ GUIDES = ("first-lens", "passes", "light", "mill", "page", "server", "rest", "sp
 """Of docs/, in the order in which a person reads them."""
 ALL = README + "".join((TOP / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in GUIDES)
 ARCHITECTURE = (TOP / "ARCHITECTURE.md").read_text(encoding="utf-8")
+RIDDLE = re.compile(r"\b(?:whoever|whatever|whence|foretold|foretell|told|aslant|anew)\b", re.IGNORECASE)
 SMALL = ["image.pixels=32", "optics.width_mm=5", "optics.height_mm=5"]
 
 
@@ -97,6 +99,15 @@ def test_the_toml_of_the_guides_is_accepted(tmp_path: Path) -> None:
     assert profile.travel_mm == (400, 400, 90)
     assert profile.dialect == "grbl"
     assert profile.spindle.on_hold == "turns"
+
+
+def test_guides_and_messages_use_plain_words() -> None:
+    """No sentence for people has a word that nobody says to a colleague; a message is the key of its translation."""
+    tables = [*(TOP / "service/page/languages").rglob("*.json")]
+    messages = {key for table in tables for key in json.loads(table.read_text(encoding="utf-8"))}
+    assert len(messages) > 2000
+    texts = {re.sub(r"\{\w+\}", "", text) for text in (*messages, *(ALL + ARCHITECTURE).splitlines())}
+    assert sorted(filter(RIDDLE.search, texts)) == []
 
 
 @pytest.mark.parametrize("file", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in GUIDES)])

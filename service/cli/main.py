@@ -109,9 +109,9 @@ class _Signals:
 def _raise_interrupts() -> Iterator[_Signals]:
     """End a command on SIGTERM and a lost terminal as Ctrl-C does. A signal that is ignored (nohup) stays so.
 
-    More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
-    interrupt, so an alarm raises it again until the command has ended. The compiler is let finish first: its callbacks
-    swallow an interrupt and give it an empty kernel instead, which is then called.
+    Further signals change nothing, so that clean-up is not cut short. An import or a callback may swallow the
+    interrupt, so an alarm raises it again until the command has ended. The compiler may finish first: its callbacks
+    swallow an interrupt and return an empty kernel instead, which is then called.
     """
     signals = _Signals()
 

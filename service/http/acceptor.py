@@ -31,7 +31,7 @@ class Acceptor:
     """Accepts the connections of one listener. For one event loop.
 
     begin   : sets a connection up
-    silent  : most connections that have sent nothing yet; the oldest makes room
+    silent  : most connections that have sent nothing yet; beyond that the oldest is closed
     wait_s  : for the first byte
     """
 

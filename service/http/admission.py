@@ -28,7 +28,7 @@ class Admission:
     """The places of one server. For one event loop.
 
     most      : connections in all
-    strangers : of which so many may belong to strangers who have still to send something
+    strangers : at most this many for strangers whose request is incomplete
     wait_s    : for a stranger's whole request, or first message; and for the next head of anybody's connection
     """
 

@@ -9,7 +9,7 @@ from urllib.parse import quote
 def name_download(kind: Literal["inline", "attachment"], name: str) -> str:
     """Return the value of Content-Disposition (RFC 6266).
 
-    A name that is not plain ASCII goes as RFC 8187 spells it, beside one in ASCII for clients that do not read that.
+    A name that is not plain ASCII is encoded by RFC 8187, beside an ASCII one for clients that cannot read that.
     """
     plain = "".join(c if c.isascii() and c.isprintable() and c not in '"\\%' else "_" for c in name)
     shown = f'{kind}; filename="{plain}"'

@@ -27,7 +27,7 @@ def is_loopback(host: str) -> bool:
 def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
     """Raise InputError if others could read traffic with an address on its way, and nobody vouches that they cannot.
 
-    vouched : somebody has said that there is TLS, or no way on which others are; allowed: how that can be
+    vouched : a person states that there is TLS, or nobody else on the network; allowed: how to arrange that
     """
     if not (vouched or is_loopback(host)):
         raise InputError(

@@ -128,7 +128,7 @@ _KINDS = {
 class Problem(Exception):
     """A refusal: HTTP status, one line, and the field of the request at fault (empty if none).
 
-    kind : where several reasons share a status. code, values : what programs tell it by, of `ServerCode` or a mill's.
+    kind : if several reasons share a status. code, values : for programs, of `ServerCode` or a mill's codes.
     headers : of the answer. more : further members of the problem.
     """
 

@@ -33,7 +33,7 @@ class Store(Protocol):
     def put_file(self, path: Path) -> StoredObject:
         """Store a file's content. The file may be linked or moved into the store: do not write to it afterwards.
 
-        FailedError, one line, where the disk or the network refuses.
+        FailedError, one line, if the disk or the network refuses.
         """
 
     def head(self, sha256: str) -> StoredObject:

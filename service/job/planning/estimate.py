@@ -1,8 +1,9 @@
 """Estimates a job before it runs: relief, hours and blur, from a quick lens and its passes.
 
-In a second from a coarse picture: heights are set by the large forms of a picture, so relief and hours of a coarse lens
-are nearly those of the job; its slopes miss what only fine detail makes steeper, and its light the creases that black
-asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine as the picture, planned as a job's is.
+The quick estimate takes a second and uses a coarse picture: the large forms of a picture determine the heights, so
+relief and hours of a coarse lens are nearly those of the job. Its slopes lack the steepness of fine detail, and its
+light lacks the creases for black, which a finish rounds. The exact estimate takes half a minute and uses a lens as fine
+as the picture, planned like a job's.
 """
 
 from __future__ import annotations
@@ -85,12 +86,13 @@ _TUBES, _BEAMS = 2, 7
 class QuickLens:
     """A quick lens of a job, from a coarse picture.
 
-    job      : with its passes, planned where they were not given
-    planned  : they were planned; seconds: of each, where the plan knows them; see: returns what the wall will show,
-               where the plan knows that
+    job      : with its passes, planned if they were not given
+    planned  : whether they were planned
+    seconds  : of each pass, if the plan knows them
+    see      : returns the predicted picture, if the plan knows it
     settings : of the job's own lens
     aim      : (ny, nx) coarse target
-    missed   : (ny, nx) its light less that
+    missed   : (ny, nx) its light minus the aim
     """
 
     job: ResolvedJob
@@ -210,9 +212,9 @@ def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
 
 
 def quick_lens(job: ResolvedJob, target: Array, whole: Array | None, plans: KeptPlans = NO_PLANS) -> QuickLens:
-    """Return the lens for a target (ny, nx), work frame, mean 1, by the default method whatever the job says.
+    """Return the lens for a target (ny, nx), work frame, mean 1, always by the default method.
 
-    whole : the same with more pixels, by which finishes are compared; None: the plan is the job's, one of `plans`
+    whole : the same target with more pixels, for comparing finishes; None: the plan is the job's, one of `plans`
     """
     seconds: tuple[float, ...] = ()
     see: Callable[[], PredictedPicture] | None = None

@@ -43,8 +43,8 @@ def predict_picture(
 ) -> PredictedPicture:
     """Predict what the milled lens shows of a target (ny, nx), mean 1.
 
-    missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
-    by_hand : what is done after milling, of lenses by that design, as fine as the picture or coarse
+    missed  : light of the lens minus its aim, at any size. aims : the lens is sharpened for those rows
+    by_hand : the finish after milling and the function that designs lenses for it, fine or coarse
     """
     light = PictureLight(target, bench, aims=aims)
     light.add(marks.radius_mm, form, missed)

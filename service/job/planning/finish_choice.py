@@ -100,8 +100,8 @@ def plan_finish(
     """Return the best plan of all finishes whose tool reaches the rims, or of all finishes if none does. For one of the
     best of each process, a lens corrects the first guesses.
 
-    exactly    : and the best by a lens as fine as the picture
-    candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
+    exactly    : also simulate the best with a lens as fine as the picture
+    candidates : plans of milling, whose time and marks are reused; those with a rest pass are skipped
     margin_mm  : of the block around the lens
     """
     rows, best_of = _quickest_alike(candidates), find_best if exactly else _find_best_by_merit
@@ -141,7 +141,7 @@ def share_calibration(calibrated: FinishedPlan, ways: Iterable[tuple[Finishing, 
 
 
 def _quickest_alike(candidates: list[Candidate]) -> list[Candidate]:
-    """Return the quickest of the finishes without a rest pass that leave the same marks, whatever their strategy;
+    """Return the quickest of the finishes without a rest pass that leave the same marks, regardless of strategy;
     sorted.
     """
     found: dict[tuple[object, ...], Candidate] = {}

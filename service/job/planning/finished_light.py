@@ -1,10 +1,10 @@
 """Predicts what a lens shows after milling and finishing, before a program is written.
 
-A finish levels what rows leave (the height errors of rows, high in frequency) and the finest of what carries the
-picture; the lens foresees it. So the picture lacks waves that hardly anything is left of, and has stripes by what is
-left of the rows: the change of light is the way to the wall times the change of curvature. A first guess adds both as
-squares, wave by wave; for the plan chosen a coarse lens is designed for the finish, its rows are levelled and light is
-shone through it, which tells by how much both guesses are off.
+A finish levels the marks of rows (height errors, high in frequency) and the finest detail of the surface; the lens
+compensates for that. So the picture lacks the waves that the finish removes, and has stripes from the remaining marks:
+the change of light is the distance to the wall times the change of curvature. The first guess adds the squares of both
+errors, wave by wave. For the chosen plan a coarse lens is designed for the finish, its rows are levelled and its light
+is simulated, which corrects both guesses.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class FinishedLight(PictureLight):
     """The light of milled lenses after a finish, made from the light model of milled lenses. It predicts rows only, no
     rest pass.
 
-    spectra : of the milled light, where several finishes are compared
+    spectra : of the milled light, if several finishes are compared
     """
 
     def __init__(self, milled: PictureLight, finish: Finish, spectra: Spectra | None = None) -> None:
@@ -191,7 +191,7 @@ class FinishedLight(PictureLight):
         """Correct both guesses by a lens that is designed, milled in rows, finished and lit; keep the light of a fine
         one.
 
-        finer_lacks : how many times as much one as fine as the picture misses
+        finer_lacks : error of a lens as fine as the picture over that of this one
         """
         seen = self._shine(marks, design, fine=fine)
         if fine:

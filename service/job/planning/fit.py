@@ -1,6 +1,6 @@
 """Checks before the first block is written whether the ball fits the lens and the programs fit the disk.
 
-All of this is asked before the first block is written.
+All checks run before the first block is written.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _describe_fits(facts: LensFacts) -> Phrase:
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
     """Raise SpecError if flutes are shorter than one bite, or if the lens itself would touch the shank.
 
-    Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
+    Only stated dimensions of a cutter are checked; the check of each program covers stock that is still there.
     """
     for number, spec in enumerate(passes):
         flutes_mm, key = spec.flute_length_mm, f"passes.{number}.flute_length_mm"
@@ -109,7 +109,7 @@ def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
 def check_disk_space(folder: Path, disk: Phrase, stock: Stock, passes: tuple[PassSpec, ...]) -> Phrase | None:
     """Return a warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
 
-    disk : what the disk of the folder is called
+    disk : name of the folder's disk for the message
     """
     wanted_mb = sum(estimate_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6

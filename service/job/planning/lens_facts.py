@@ -21,7 +21,7 @@ class LensFacts:
     min_concave_radius_mm                  : largest ball that fits everywhere; inf if nothing is concave
     radius_for_99_mm, radius_for_999_mm    : largest ball for 99 % and 99.9 % of the aperture
     curvature                              : (n,) greatest principal curvature, positive in a hollow [1/mm]
-    curvature_per_mm                       : percentiles of it over the area; negative where all of it bulges out
+    curvature_per_mm                       : percentiles of it over the area; negative for a bulge
     """
 
     relief_mm: float

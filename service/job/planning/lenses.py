@@ -1,6 +1,6 @@
 """Lenses for the planner: for each ball of the shop one designed for it, or one as the ball leaves it, and their light.
 
-Lenses are designed on a coarser picture: what they miss of it is taken over, fine detail as the target has it.
+Lenses are designed on a coarser picture; their error is applied to the full picture, whose fine detail is the target's.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def predict_designs(
 ) -> PictureLight:
     """Design a lens for each ball, largest first; if nothing has to be filled, smaller balls share the lens.
 
-    as_given : the settings alone shape the lens, and each ball leaves of it what it can
-    aims     : each lens is to be made sharper by what milling will blur
+    as_given : only the settings shape the lens, and each ball leaves it as well as it can
+    aims     : each lens is to be sharpened by the blur of its milling
     """
     coarse = _coarser(target)
     quick = simplify(settings)
@@ -153,7 +153,7 @@ def compute_passes(
 ) -> Corrected:
     """Return the passes for a target (ny, nx). Small lenses are cached, because people try one value after another.
 
-    first : the target's own solution, or one like it, where that is not to be found here
+    first : the target's own solution, or a similar one, to start from
     """
     if target.size > _SMALL:
         return correct_lens(target, settings, first=first and first())

@@ -63,7 +63,7 @@ def plan_for_picture(
     """Plan passes for a picture, together with the ball for which the lens will be shaped.
 
     target : (ny, nx) work frame, mean 1
-    whole  : the same with more pixels, where finishes are to be compared by that
+    whole  : the same target with more pixels, if finishes are compared by it
     """
     require_contrast(job.spec, target)
     spec, shop = job.spec, shop_of(job)

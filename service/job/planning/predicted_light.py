@@ -1,12 +1,12 @@
 """The planner's light model: predicts what milled lenses show, before a program is written.
 
-Facets of a milled surface are much smaller than a pixel: each patch sends its light over all their slopes, and the
-picture is that of the perfect lens convolved with where they send it, darker at its edges, with the stripes of rows
-that are off in height. A groove of width w under a ball R spreads its light over w (1 + reach / R). Where a small ball
-makes the valleys that a big one leaves filled, light through them is spread as the small one's rows do.
+Facets of a milled surface are much smaller than a pixel, so each patch spreads its light over all their slopes. The
+picture is that of the perfect lens convolved with this spread, darker at its edges, with stripes from the height errors
+of rows. A groove of width w under a ball R spreads its light over w (1 + reach / R). Valleys that a small ball cuts
+after a big one spread light like the rows of the small one.
 
-A first guess of PSNR takes no picture at all: the errors of a picture's waves add up as squares, and rows keep of each
-wave a part for X times a part for Y. Lenses of the best are then designed once more, sharpened for their own rows.
+The first guess of PSNR needs no picture: the squared errors of a picture's waves add up, and rows keep of each wave a
+part for X times a part for Y. The best candidates' lenses are then designed again, sharpened for their own rows.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class PictureLight:
     """Pictures and scores of milled lenses; `cam.planning.planner.Light`.
 
     aims     : a lens can still be made sharper for the blur of its milling
-    redesign : the lenses of those marks that aim at a picture of the target's size; what it returns puts them in
-               place of the first ones
-    goal     : the target's waves, where they are known
+    redesign : designs lenses for those marks and a target; the function that it returns puts them in place of the
+               first ones
+    goal     : the target's waves, if they are known
     """
 
     contact_share: float | None = None

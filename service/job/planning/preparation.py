@@ -30,7 +30,7 @@ class AimedPicture:
     """The target of a lens, in the work frame, mean 1, (ny, nx).
 
     original  : the picture as it is, in the same units; None if the target is that
-    detail_mm : smallest detail on the screen that it was prepared for; None: it was not to be prepared
+    detail_mm : smallest detail on the screen for which it was prepared; None: no preparation was asked for
     black     : light of its darkest pixels as a share of the mean
     """
 
@@ -67,7 +67,7 @@ def aim_at_picture(spec: JobSpec, linear: Array) -> AimedPicture:
 def detail_to_prepare_for_mm(spec: JobSpec, *, columns: int) -> float:
     """Return the smallest detail on the screen for which a picture of that many pixels across is prepared.
 
-    As the person says; else what usual marks bend light by and the size of the source, two pixels at the least.
+    The person's value; otherwise the blur of usual marks and of the source, at least two pixels.
     """
     if spec.image.prepare_detail_mm is not None:
         return spec.image.prepare_detail_mm

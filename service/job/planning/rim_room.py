@@ -8,8 +8,8 @@ the wall and the distance w from the rim: it has room while x + sqrt(r^2 - (r - 
 So tools are limited by (a^2 + d^2) / 2d, a = w - x, where a > d, else by a; beside a low wall any tool has room. Beyond
 the floor, x > R, it stands on the flank, and none has.
 
-It is worth a ball: `camera`, 100 mm, 200 mm to the wall, 85 minutes of felt, rows off by 1.2 um: 21.1 dB; with the
-outermost 1 / 2 / 4 mm left as milled 19.1 / 18.7 / 18.6.
+The gain may justify another ball: `camera`, 100 mm, 200 mm to the wall, 85 minutes of felt, rows off by 1.2 um: 21.1
+dB; with the outermost 1 / 2 / 4 mm left as milled 19.1 / 18.7 / 18.6.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class RimRoom:
                  ends before it
     beyond_mm  : how far beyond the rim the finish has to go
     pad_mm     : size of the usual tool
-    largest_mm : of round tools that get there everywhere; inf if any does
+    largest_mm : largest round tool that reaches all rims; inf if any tool does
     """
 
     depth_mm: tuple[float, float]

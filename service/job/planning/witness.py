@@ -1,7 +1,7 @@
 """Places the witness marks of a job, a strip in the block's margin cut after the last pass, and chooses their cutter.
 
-The strip lies where no pass, no cut-out and no clamp that the spec names comes, beside the lens or at one of its other
-sides. It is as deep as the lens's highest point, so that it is cut wherever the block's top is.
+The strip lies clear of all passes, the cut-out and the clamps of the spec, at one side of the lens. It is as deep as
+the lens's highest point, so that it is cut even if the block's top is low.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The table `[finish]` of the job spec: how the lens is finished by hand after milling, and its transfer function.
 
-A process of the library fills in what is left out; figures of one's own, as the coupon measures them, come before it.
+A process of the library fills in missing values; a person's own figures, measured with the coupon, take precedence.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class FinishSpec(Section):
     """process: "none", a name of the finish library, or "best": the planner of preset "recommended" chooses.
 
     k0_rad_per_mm, order : what is left of a wave of k rad/mm is exp(-(k / k0)^order)
-    depth_um             : what comes off on average; where it is more than 0 and there is a tool, that tool works by
-                           contact and takes nothing off where it does not reach; else all is levelled, as by a film
-    minutes              : of work on the whole lens; the planner of "recommended" chooses them where they are left out
-    pad_mm               : size of the tool, which follows longer waves; more than 500 mm: there is none
-    witness              : marks beside the lens show when to stop, where a pad does the work and the margin has room
+    depth_um             : mean depth that comes off; if more than 0 and there is a tool, the tool works by contact and
+                           takes nothing off where it does not reach; otherwise all is levelled, as by a film
+    minutes              : of work on the whole lens; the planner of "recommended" chooses them if they are left out
+    pad_mm               : size of the tool, which follows longer waves; more than 500 mm: no tool
+    witness              : marks beside the lens that show when to stop, if a pad does the work and the margin has room
     """
 
     process: Annotated[

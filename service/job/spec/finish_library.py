@@ -35,13 +35,13 @@ AREA_MM2 = 10_000.0  # area for the minutes of a process that goes over the lens
 class Process:
     """A process for finishing a lens: of a wave of k rad/mm it leaves H(k) = exp(-(k/k0)^order).
 
-    offered         : words under which the page offers it, and "best" tries it: a maker can repeat it, and it leaves
-                      no stress in the block; empty: only by its name
+    offered         : the page's words for it; "best" tries only processes with such words, which a maker can repeat and
+                      which leave no stress in the block; empty: available only by its name
     order           : 1, 2 or 4, by the physics (`law`)
-    depth_um        : what comes off in `default_minutes`; negative where a layer is added
+    depth_um        : depth that comes off in `default_minutes`; negative if a layer is added
     pad_mm          : size of the tool that follows the form; longer waves are not levelled; inf: no tool touches it,
                       the process levels as a film, everywhere
-    default_minutes : per 100 cm2 where `by_area`, else for a lens of any size; so is `minutes_range`
+    default_minutes : per 100 cm2 if `by_area`, otherwise for a lens of any size; likewise `minutes_range`
     default_k0_rad_per_mm, k0_exponent : k0 after the default minutes, and the power of the minutes it falls with
     """
 
@@ -109,8 +109,7 @@ def instruct_finishing(
 ) -> dict[str, Any] | None:
     """Return the instructions for a job's finish as plain values; None if the job has none.
 
-    finish    : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
-               given
+    finish    : table `finish` of the spec: process, and, if given, k0_rad_per_mm, order, depth_um, minutes, pad_mm
     processes : by name
     area_mm2  : of the lens
     returns   : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
@@ -173,8 +172,8 @@ def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
 def load_processes(own: Path | None = None) -> dict[str, Process]:
     """Return all processes by name: the built-in ones, and those of a person's own file.
 
-    own : that file; left out: the one in the person's configuration folder, where there is one. A process of a built-in
-          one's name is offered as that one is
+    own : that file; left out: the one in the person's configuration folder, if there is one. A process with the name of
+          a built-in one is offered in the same way
     InputError names file, process, key, value and what is allowed.
     """
     found = dict(built_in_processes())

@@ -175,7 +175,7 @@ def warn_of_reflection(share: float) -> Phrase:
 def require_contrast(spec: JobSpec, target: Array) -> None:
     """Raise PictureError for a target (ny, nx) of one tone if the light is even without a lens.
 
-    An even screen of another size or place, or from a lamp, is a task for a lens.
+    An even screen of another size or place, or lit by a lamp, is a proper task for a lens.
     """
     optics, light = spec.optics, spec.optics.light
     straight = light.distance_mm is None and light.even and optics.outline_mm is None

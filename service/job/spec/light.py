@@ -41,8 +41,8 @@ class LightWords:
     """Figures and texts of a kind of source; its optics are in `optics.light.LIGHT_KINDS`.
 
     label, hint : in the form
-    figures     : that are its own
-    spectrum    : its own, one of SPECTRA, where the job says none
+    figures     : keys of this kind only
+    spectrum    : the default, one of SPECTRA
     describe    : sentence of the set-up sheet, of the light as plain data and whether it falls on a mirror
     """
 
@@ -157,7 +157,7 @@ class LightSpec(Section):
     distance_mm : of the lamp from the flat face (of a mirror: from the stock top), on the axis through the aperture
     size_mm     : diameter of the lamp
     profile     : rows of relative strength on the aperture from rim to rim, top row first, as the picture is seen
-    spectrum    : a key of SPECTRA, or {centre_nm, width_nm} of a coloured LED; left out: of the sun its own, else white
+    spectrum    : a key of SPECTRA, or {centre_nm, width_nm} of a coloured LED; left out: the sun's own, otherwise white
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 

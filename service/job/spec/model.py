@@ -53,8 +53,8 @@ _WHEN_PLANNED = {"preset": "recommended"}
 class ImageSpec(Section):
     """How the picture is read. pixels counts along the screen's width.
 
-    prepare           : "detail": contrast and tones are put where they will show on the wall; "none": it stays as it is
-    prepare_detail_mm : the smallest detail that will show, on the screen; left out: by the throw and the light
+    prepare           : "detail": contrast and tones are moved to where the wall shows them; "none": unchanged
+    prepare_detail_mm : the smallest detail that will show, on the screen; left out: from throw and light
     """
 
     pixels: Annotated[

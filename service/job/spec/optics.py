@@ -1,7 +1,7 @@
 """The lens and the screen of a job; the outline of a lens within its aperture, as corners in work-frame mm, seen from
 above as it lies on the mill.
 
-Plain Python: the spec is checked where there are no arrays.
+Plain Python, because the spec is checked in processes without numpy.
 """
 
 from __future__ import annotations
@@ -106,9 +106,9 @@ class OpticsSpec(Section):
     screen_shift_x_mm, .._y_mm : from the aperture's centre to the screen's, work frame
     min_radius_mm : valleys tighter than this ball are filled; 0: none are; left out: the ball of the finish pass
     branch        : "inverted": rays cross before the screen, so that black parts become ridges; "auto" chooses
-    creases       : leave valleys as sharp as the picture wants them, on a finer grid
-    foreseen_blur_mm : what the tool's marks will blur the picture by, standard deviations in X and Y on the screen: the
-                    lens is made sharper by as much; [0, 0]: it is made for a perfect surface
+    creases       : keep valleys as sharp as the picture requires, on a finer grid
+    foreseen_blur_mm : predicted blur of the tool's marks, standard deviations in X and Y on the screen, by which the
+                    lens is sharpened; [0, 0]: it is made for a perfect surface
     outline       : "rectangle", "ellipse", or corners [x_mm, y_mm] as seen from above on the mill
     """
 

@@ -62,7 +62,7 @@ def save_profile(name: str, values: Mapping[str, Any]) -> MachineProfile:
     """Write a profile, whole or not at all, and return it.
 
     values : by PROFILE_KEYS; `extends` is a built-in profile
-    InputError says which value cannot be, or that the name is not free: a built-in's, or a file's written by hand.
+    InputError names the unusable value, or says that the name belongs to a built-in profile or a file written by hand.
     """
     file = _require_free(name)
     if values.get("extends") not in (built_in := profile_names(())):

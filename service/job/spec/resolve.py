@@ -32,7 +32,7 @@ _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "
 def preset_rows(preset: str) -> list[dict[str, Any]]:
     """Return a preset's passes as plain data, without speeds. A pass that leaves stock is named rough, others finish.
 
-    Those of "recommended" are none: they are planned once the picture is known.
+    "recommended" has none: its passes are planned once the picture is known.
     """
     rows = []
     for spec in PRESETS.get(preset, ()):
@@ -45,8 +45,8 @@ def complete_job(job: ResolvedJob) -> ResolvedJob:
     """Return the job with every speed, feed and step-down filled in from the material's start values, with its index of
     refraction, and with the ball for which the lens is shaped.
 
-    What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
-    spindle taking the feed down with it.
+    The person's values must suit the mill (SpecError); filled-in values are kept within the mill's limits, and a slower
+    spindle reduces the feed in proportion.
     """
     spec, machine = job.spec, job.machine
     rows, problems = [], []

@@ -36,8 +36,8 @@ class Figures:
     """Contents of the files that a spec names.
 
     profile   : of the mill
-    tools     : of the shop, where the passes are planned; else none
-    processes : of finishing, by name, that the job may come to use
+    tools     : of the shop, if the passes are planned; otherwise none
+    processes : finishing processes that the job may use, by name
     """
 
     profile: MachineProfile
@@ -98,7 +98,7 @@ def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
     """Return the job of a spec with the present figures of this computer's files.
 
     load : reads a mill's profile
-    SpecError names what the spec names and is not there; InputError what is wrong in a file of tools or processes.
+    SpecError: the spec names something that does not exist. InputError: a file of tools or processes has a fault.
     """
     try:
         profile = load(spec.machine.profile)

@@ -1,7 +1,7 @@
 """Common parts of all tables of the job spec, lengths in mm, and the look of their keys in the form of a new job.
 
-The words for the form go into the JSON schema, from which the page makes its rows (`service/page/new/fields.js`). A key
-has a row as soon as it is in the spec; `shown` says it.
+The words for the form go into the JSON schema, from which the page makes its rows (`service/page/new/fields.js`). Every
+key of the spec has a row; `shown` describes it.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _UNITS = (
 class FieldLook(TypedDict, total=False):
     """How a row looks, if it differs from the others.
 
-    card   : the card that it stands on, "main" for what everybody chooses; left out: in the part for experts, under the
-             title of its table
+    card   : its card, "main" for the choices that everybody makes; left out: the part for experts, under the title of
+             its table
     first  : before the others of its card
-    usual  : in words, what counts where the key is left out and has no default
-    filled : the default stands in the field
-    start  : what the field holds when the row appears
-    when   : the row is there only while each of these keys has this value, or one of these
+    usual  : in words, the value of a missing key without a default
+    filled : the field shows the default
+    start  : value of the field when the row appears
+    when   : the row is shown only while each of these keys has this value, or one of these values
     names  : of the numbers of a list
-    wide   : it has a line of its own
-    look   : choices with words about each
+    wide   : the row takes a whole line
+    look   : choices with a description of each
     """
 
     card: Literal["main", "lens", "light", "mill", "picture"]
@@ -59,7 +59,7 @@ def shown(
 ) -> Any:
     """Return the metadata of a key: its label, a hint below it, and words for its values or for some of them.
 
-    choices : by value, a word or two, or those and a sentence
+    choices : by value: a word or two, or these and a sentence
     """
     form: dict[str, Any] = {**look}
     if choices is not None:
@@ -119,8 +119,8 @@ class Section(BaseModel):
 class OneOf:
     """A text that is a key of a table, as a `Literal` of the keys would be: `Annotated[str, OneOf(...)]`.
 
-    choices : what each key is to a person, in keywords of JSON schema (title, description, or others); where it is
-              empty, the schema says no more than the key
+    choices : a description of each key in keywords of JSON schema (title, description, or others); if it is empty, the
+              schema has only the key
     """
 
     choices: Mapping[str, Mapping[str, Any]]

@@ -40,7 +40,7 @@ FRAME_MM = 1.0
 class FaceSpec(Section):
     """The raw top taken down to Z0 before the first pass. Pitch, speeds and feeds left out follow from `cam.cutters`.
 
-    above_mm        : the most that the raw top stands above Z0
+    above_mm        : greatest height of the raw top above Z0
     shank_radius_mm : of what the collet holds; left out: as thick as the cutter
     """
 
@@ -100,11 +100,11 @@ class ClampSpec(Section):
 class StockSpec(Section):
     """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies.
 
-    face, cut_out : what is milled beside the lens; left out: nothing
-    haze_percent  : of the light that the block scatters more than 2.5 degrees; left out: as of its material
-    back_flatness_mm, back_period_mm : of the face that light enters by, between two planes that hold its waves, and how
-                    long these are; left out: not known, and taken as flat
-    clamps        : where they stand, if the check is to know; where they may stand is on the setup sheet
+    face, cut_out : programs beside the lens; left out: none
+    haze_percent  : share of the light that the block scatters by more than 2.5 degrees; left out: that of its material
+    back_flatness_mm, back_period_mm : distance of the two planes that hold the waves of the face that light enters by,
+                    and the length of these waves; left out: taken as flat
+    clamps        : their places, for the check; the setup sheet shows where clamps may stand
     """
 
     thickness_mm: Annotated[float, Field(ge=0.5, le=500), shown("Thickness")] = 40.0

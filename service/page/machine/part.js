@@ -129,7 +129,7 @@ function drawTool(canvas, { k, dense, x, y }, { radius }, mill) {
   ink.moveTo(at[0], at[1] - 1.5 * r);
   ink.lineTo(at[0], at[1] + 1.5 * r);
   const stroke = (name, width) => Object.assign(ink, { strokeStyle: colour(canvas, name), lineWidth: width * dense }).stroke();
-  stroke("--paper", 6); // around it, on whatever it lies
+  stroke("--paper", 6); // around it, on any background
   stroke(mill.position_trusted ? "--ink" : "--bad", 2.5);
 }
 

@@ -97,7 +97,7 @@ def test_a_program_of_another_size_is_not_started(shop: Shop) -> None:
 
 def test_modes_a_program_takes_for_granted_are_demanded(shop: Shop) -> None:
     shop.bench.command_done(SendBlock("G55"))
-    with pytest.raises(NotAllowedError, match="takes G54 for granted"):
+    with pytest.raises(NotAllowedError, match="assumes G54"):
         shop.mill.start(shop.id, YES)
     shop.bench.command_done(SendBlock("G54"))
     shop.mill.start(shop.id, YES)
@@ -125,7 +125,7 @@ def test_a_program_never_begins_in_the_modes_of_a_probe_that_failed(shop: Shop, 
 def test_a_start_in_the_modes_of_a_probe_is_refused(shop: Shop) -> None:
     """One that was typed, or of another program before us."""
     shop.bench.sim.firmware.interpreter.modal["motion"] = "G38.2"
-    with pytest.raises(NotAllowedError, match="takes G0 for granted"):
+    with pytest.raises(NotAllowedError, match="assumes G0"):
         shop.mill.start(shop.id, YES)
     shop.bench.command_done(SendBlock("G0"))
     shop.mill.start(shop.id, YES)

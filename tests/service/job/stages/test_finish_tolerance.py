@@ -48,7 +48,10 @@ def test_minutes_lead_to_k0_as_the_process_has_it(values: tuple[str, ...], order
 
 def test_the_minutes_come_first_and_then_what_too_little_and_too_much_show() -> None:
     first, second, third, fourth = list_finish_tolerance({"finish_tolerance": FOUND, "finishing": TOLD})
-    assert "Finish for 1 h 40 min; up to 15 min less or 10 min more" in first and "about 1 dB of the 26.3 dB" in first
+    assert (
+        "Finish for 1 h 40 min; up to 15 min less or 10 min more" in first
+        and "about 1 dB of the predicted 26.3 dB" in first
+    )
     assert "1 h 20 min: 24.5 dB" in second and "2 h 5 min: 22.3 dB" in second
     assert "Too little is safer" in third and "10 mm" in fourth
 

@@ -85,7 +85,7 @@ def test_a_plain_jpeg_is_taken_as_it_is() -> None:
 
 BAD = {
     "status 401": (b"HTTP/1.1 401 No\r\nContent-Length: 0\r\n\r\n", 502),
-    "no JPEG": (b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\n\r\n<html>", 502),
+    "does not send a JPEG": (b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\n\r\n<html>", 502),
     "no whole picture": (b"HTTP/1.1 200 OK\r\n" + MULTIPART % b"x" + b"\r\n--x\r\nContent-Length: 99\r\n\r\n\xff", 502),
     "does not answer": (b"nonsense\r\n\r\n", 502),
     "status 302": (b"HTTP/1.1 302 Away\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n", 502),

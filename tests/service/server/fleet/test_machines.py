@@ -176,7 +176,7 @@ def test_nothing_goes_to_an_agent_elsewhere_in_the_clear(tmp_path: Path, url: st
     if taken:
         assert [machine.url for machine in remote_machines(listing)] == [url]
         return
-    with pytest.raises(InputError, match=r"in the clear; allowed: https://.*private_network"):
+    with pytest.raises(InputError, match=r"unencrypted; allowed: https://.*private_network"):
         remote_machines(listing)
 
 
