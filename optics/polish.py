@@ -46,7 +46,7 @@ _LOST = 0.03  # H^2 of a wave that is not worth its height
 _HALVED_FROM = 256  # pixels along the shorter side
 _ROUND = 16  # steps from one touch to the next: 8 have less error and show less, SSIM 0.795 in place of 0.837
 _SHARES = (1.0, 0.5, 0.25)  # of a round's way that are tried
-_RIM = 0.5  # times the reach of a finish: so near a rim the lens changes no more sharply than the finish leaves it
+_RIM = 2.0  # times the reach of a finish: within it heights move less and less, at the rim not at all
 _BESIDE = 0.8  # times 1 / k0: where a pad hangs and so near, heights are left alone
 
 
@@ -115,9 +115,6 @@ class _Point:
 class _Preconditioner:
     """The first inverse Hessian: P g = A^-1 / (I^2 + delta) A^-T g, I as at the heights that the error saw last.
 
-    Behind a finish P becomes S P S^T: S smooths a change near the rims as the finish does. What is sharper bends the
-    run-out, which the error does not see before the next touch.
-
     free : 0 where heights are left alone, 1 elsewhere; (ny, nx), or one for all
     """
 
@@ -135,12 +132,9 @@ class _Preconditioner:
         power = 2.0 if bench.mirror else bench.refractive_index - 1
         square = (power * bench.throw_mm) ** 2 * (laplacian**2 + beta * laplacian) * (seen + _UNSEEN)
         square[0, 0] = np.inf  # a common lift
-        self.kept: Array | None = None
-        if (finish := error.outcomes[0].finish) is not None:
-            self.kept = finish.multipliers((ny, nx), (lens.dy_mm, lens.dx_mm))
-            square *= self.kept**2 + _LOST
-            rising = (_rise(axis, _RIM * finish.reach_mm) for axis in (lens.y_mm, lens.x_mm))
-            self.inside = np.outer(*rising)
+        finish = error.outcomes[0].finish
+        if finish is not None:
+            square *= finish.multipliers((ny, nx), (lens.dy_mm, lens.dx_mm)) ** 2 + _LOST
         self.symbol = np.sqrt(per_pixel_x * per_pixel_y / square)
         self.nodes = weigh_nodes((ny, nx))
         dark = float((target < 0.1).mean())
@@ -148,21 +142,8 @@ class _Preconditioner:
         self.weight = 1.0 / (irradiance**2 + _LEAST_LIGHT + 0.8 * min(1.0, 2 * dark))
 
     def __call__(self, gradient: Array) -> Array:
-        inner = self._level_transposed(self._smooth_rims_transposed(self.free * gradient), self.symbol)
-        return self.free * self._smooth_rims(level(self.weight * inner, self.symbol))
-
-    def _level_transposed(self, gain: Array, multipliers: Array) -> Array:
-        return self.nodes * level(gain / self.nodes, multipliers)
-
-    def _smooth_rims(self, change: Array) -> Array:
-        if self.kept is None:
-            return change
-        return self.inside * change + (1.0 - self.inside) * level(change, self.kept)
-
-    def _smooth_rims_transposed(self, gain: Array) -> Array:
-        if self.kept is None:
-            return gain
-        return self.inside * gain + self._level_transposed((1.0 - self.inside) * gain, self.kept)
+        inner = self.weight * self.nodes * level(self.free * gradient / self.nodes, self.symbol)
+        return self.free * level(inner, self.symbol)
 
 
 def _rise(at_mm: Array, over_mm: float) -> Array:
@@ -291,8 +272,9 @@ def _descend(
     if finish is None:
         return _take_steps(error, point, _Preconditioner(lens, error.target, bench, error, 1.0), steps, on_step).z
     beside = _BESIDE / finish.k0_rad_per_mm / min(lens.dx_mm, lens.dy_mm)
+    inside = np.outer(*(_rise(axis, _RIM * finish.reach_mm) for axis in (lens.y_mm, lens.x_mm)))
     for begun in range(0, steps, _ROUND):
-        inverse = _Preconditioner(lens, error.target, bench, error, _mark_free(hangs, beside))
+        inverse = _Preconditioner(lens, error.target, bench, error, inside * _mark_free(hangs, beside))
         way = _take_steps(error, point, inverse, min(steps - begun, _ROUND), on_step).z - point.z
         for share in _SHARES:
             z = point.z + share * way
