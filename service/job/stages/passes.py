@@ -23,7 +23,7 @@ def choose_passes(context: StageContext) -> None:
         context.desk[TARGET] = target  # the lens is made from it as well
     with context.watch.stage("plan") as on_progress:
         plan = KeptPlans(context.plans).make(context.job, target, on_progress=on_progress)
-        _report_plan(context, plan)
+        report_plan(context, plan)
 
 
 def plan_passes_for_lens(context: StageContext) -> None:
@@ -31,10 +31,10 @@ def plan_passes_for_lens(context: StageContext) -> None:
     lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
     with context.watch.stage("plan") as on_progress:
         planned = plan_for_lens(context.job, lens, target, on_progress=on_progress)
-        _report_plan(context, describe_plan(planned, viewed_from=context.spec.optics.viewed_from))
+        report_plan(context, describe_plan(planned, viewed_from=context.spec.optics.viewed_from))
 
 
-def _report_plan(context: StageContext, plan: MadePlan) -> None:
+def report_plan(context: StageContext, plan: MadePlan) -> None:
     """Report `plan`, with the light that its scores hold under, and draw plan.png."""
     context.report["plan"] = {**plan.figures, "light": facts_of_light(context.spec)}
     for sentence in plan.notes:

@@ -36,7 +36,8 @@ from service.job.spec.model import JobSpec, PlanSpec
 from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
 from service.job.spec.resolved import look_up
 from service.job.stages.context import StageContext
-from service.job.stages.passes import tell_of_plan
+from service.job.stages.kept_plans import describe_plan
+from service.job.stages.passes import report_plan
 from service.job.stages.table import plan, shares, stage_key
 from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
@@ -132,7 +133,7 @@ def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, pl
 
 def test_a_plan_says_under_which_light_it_holds(spec: JobSpec, planned: Planned) -> None:
     context = SimpleNamespace(report={}, spec=spec, note=lambda *_: None, draw=lambda *_: None)
-    tell_of_plan(cast(StageContext, context), planned)
+    report_plan(cast(StageContext, context), describe_plan(planned, viewed_from=spec.optics.viewed_from))
     assert context.report["plan"]["light"] == facts_of_light(spec)
     assert without_light(context.report) == []
 
