@@ -38,6 +38,7 @@ from service.job.planning.lenses import design_for_finishes, design_whole, predi
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
+from service.job.spec.finish import BEST
 from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
 from service.job.spec.resolve import most_removal_mm3_per_min
@@ -161,7 +162,7 @@ def _choose_plan(
     whole: Array | None = None,
     own_lens: OwnLens | None = None,
 ) -> Planned:
-    goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
+    goal, is_free = Goal(**job.spec.plan.model_dump()), job.spec.finish.process == BEST
     finishings, quickly = list_finishings(job), whole is not None
     finished: FinishedPlan | None = None
     margin_mm = job.spec.stock.margin_mm
@@ -187,7 +188,7 @@ def _choose_plan(
                 finished = finish_among(light, design, goal, exactly=True)
             milled = plan = choose_milled()
     finishing = None
-    if finished is not None and (given or is_worth_it(finished.plan, milled, goal)):
+    if finished is not None and (not is_free or is_worth_it(finished.plan, milled, goal)):
         plan, light, finishing = finished.plan, finished.light, finished.finishing
     elif own_lens is not None:  # before a finish, whose heights are shaped, the coarse lens is nearer: 1 %, not 4
         coarse = light.forms[plan.chosen.finish.radius_mm]

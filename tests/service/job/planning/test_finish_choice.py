@@ -68,6 +68,13 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     assert plan.finish_table() == {"process": "none"}
 
 
+@pytest.mark.thorough
+def test_a_process_that_is_asked_for_is_planned_even_where_it_makes_the_picture_worse() -> None:
+    plan = planned("finish.process=felt", *FINE)
+    assert plan.finishing is not None
+    assert plan.finishing.process == "felt"
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_of_finishes_alike_the_one_that_looks_most_like_the_picture_is_taken(
     best_on_a_rough_mill: Planned, first: int
