@@ -100,7 +100,7 @@ def test_nothing_of_a_changed_piece_is_handed_out(tmp_path: Path, how: str) -> N
         path.write_bytes(program[: entry.offset] + b" " + program[entry.offset :])
     else:
         path.unlink()
-        with pytest.raises(ProgramChangedError, match=r"p\.nc: cannot be read"):
+        with pytest.raises(ProgramChangedError, match=r"p\.nc: can no longer be read"):
             next(reader.lines())
         return
     got = []

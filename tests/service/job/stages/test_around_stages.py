@@ -227,9 +227,9 @@ def test_an_estimate_counts_them(tmp_path: Path) -> None:
 
 
 def test_a_faulty_program_fails_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cam.around import facing
+    from cam.around import specs
 
-    monkeypatch.setattr(facing.Facing, "levels_mm", property(lambda self: (-0.02,)))
+    monkeypatch.setattr(specs.Facing, "levels_mm", property(lambda self: (-0.02,)))
     job = staged_job(tmp_path, FACE)
     with pytest.raises(ServiceError, match=r"pass-0-face\.nc: .*Z-0\.02"):
         job.run("pass-face")

@@ -301,7 +301,7 @@ def test_the_command_prints_a_code_that_works(own: ApiServer) -> None:
     """On a terminal; into a pipe it prints nothing, and makes none."""
     arguments = ("token", "pair", "--data", str(own.services.settings.data))
     refused = subprocess.run([sys.executable, "-m", "service.cli.main", *arguments], capture_output=True, text=True)
-    assert (refused.returncode, refused.stdout) == (2, "") and "terminals only" in refused.stderr
+    assert (refused.returncode, refused.stdout) == (2, "") and "only on a terminal" in refused.stderr
     with begin_reading(own.services.database) as connection:
         assert connection.execute(sa.select(pairings)).all() == []
     with Terminal(*arguments) as person:
