@@ -61,10 +61,11 @@ class FinishedHeights:
         self._kept = [None if one is None else one.multipliers(shape, spacing) for one in finishes]
         self._left: list[Array | float] = [0.0] * len(finishes)  # by run-out and contact, over the linear law
         self._nodes = weigh_nodes(shape)
+        self._is_unfinished = all(kept is None for kept in self._kept)
 
     def of(self, z_mm: Array) -> list[Array]:
         """Return (ny, nx) heights after each finish."""
-        if all(kept is None for kept in self._kept):
+        if self._is_unfinished:
             return [z_mm] * len(self._kept)
         waves = transform(z_mm)
         return [
@@ -92,6 +93,8 @@ class FinishedHeights:
                 by_heights += gain
             else:
                 waves += kept * transform(gain / self._nodes)
+        if self._is_unfinished:
+            return by_heights
         return np.asarray(by_heights + self._nodes * transform_back(waves, waves.shape))
 
 
