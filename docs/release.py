@@ -53,7 +53,7 @@ def _components(lock: str) -> Iterator[dict[str, Any]]:
             found = {"type": "library", "name": name, "version": version, "purl": f"pkg:pypi/{name}@{version}"}
             found |= {"properties": where, "externalReferences": []}
         elif digest := _HASH.search(line):
-            file = {"type": "distribution", "url": f"https://pypi.org/project/{name}/{version}/"}
+            file = {"type": "distribution", "url": found["purl"]}
             found["externalReferences"].append(file | {"hashes": [{"alg": "SHA-256", "content": digest[1]}]})
     if found:
         yield found
