@@ -101,9 +101,9 @@ def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_p
             diameter_mm=2 * radius_mm,
             percent=100 * leak,
         )
-        found.append(Advice(_word_black(target, bench, radius_mm), figures))
+        found.append(Advice(_describe_black(target, bench, radius_mm), figures))
     if fine >= _FINE_WORTH_A_WORD:
-        found.append(Advice(_word_fine(fine, vertices_per_pixel)))
+        found.append(Advice(_describe_fine(fine, vertices_per_pixel)))
     if peak >= _PEAK_WORTH_A_WORD:
         found.append(
             Advice(
@@ -127,7 +127,7 @@ def find_advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_p
     return tuple(found)
 
 
-def _word_black(target: Array, bench: Bench, radius_mm: float) -> Phrase:
+def _describe_black(target: Array, bench: Bench, radius_mm: float) -> Phrase:
     if choose_branch(target, bench, radius_mm) == bench.branch:
         return Phrase(
             "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light in it"
@@ -138,7 +138,7 @@ def _word_black(target: Array, bench: Bench, radius_mm: float) -> Phrase:
     )
 
 
-def _word_fine(fine: float, vertices_per_pixel: int) -> Phrase:
+def _describe_fine(fine: float, vertices_per_pixel: int) -> Phrase:
     percent, beside_percent = 100 * fine, 100 * _MISPLACED_PER_FINE * fine
     if vertices_per_pixel < 4:
         return Phrase(

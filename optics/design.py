@@ -113,7 +113,7 @@ def _design_by_transport(
 
 
 def _message(seen: Pass) -> Phrase:
-    way = _word_way(seen.path)
+    way = _describe_way(seen.path)
     if seen.converged:
         return Phrase("converged: {way}", way=way)
     if seen.loses_light and seen.path.bench.light.extended:
@@ -137,7 +137,7 @@ def _message(seen: Pass) -> Phrase:
     )
 
 
-def _word_way(path: OpticalPath) -> Phrase:
+def _describe_way(path: OpticalPath) -> Phrase:
     last = path.levels[-1]
     way = Phrase(
         "rms {rms:.1e} of the mean irradiance after {count} steps at full size", rms=last.rms, count=last.iterations

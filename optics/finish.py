@@ -163,6 +163,6 @@ def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
 
 
 def quick_margin(count: int, least: int) -> int:
-    """Return a margin of at least that many on either side for which the transform is fast."""
+    """Return the margin on either side, at least `least`, for which the transform is fast."""
     periods = ((margin, 2 * (count + 2 * margin - 1)) for margin in itertools.count(least))
     return next(margin for margin, period in periods if fft.next_fast_len(period, real=True) == period)

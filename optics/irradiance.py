@@ -44,5 +44,5 @@ def target_irradiance(linear: Array, *, viewed_from: ViewedFrom) -> Array:
 
 
 def picture_from_irradiance(irradiance: Array, *, viewed_from: ViewedFrom) -> Array:
-    """Return the picture that the viewer sees, row 0 on top, from an irradiance in the work frame."""
+    """Return an irradiance in the work frame as the viewer sees it, row 0 on top."""
     return flip_between_picture_and_work_frame(irradiance, viewed_from)

@@ -95,7 +95,7 @@ def _smooth_between_edges(lightness: Array, size: int) -> Array:
 
 
 def _stretch_tones(base: Array, weight: Array) -> Array:
-    """Return the base with more range for tones where there is structure; keep the order of tones, black and white."""
+    """Return the base with more contrast where it has structure. The order of tones, black and white stay."""
     counts, edges = np.histogram(base, _TONES, (0.0, 1.0), weights=weight)
     slope = gaussian_filter1d(counts, _TONE_BLUR, mode="reflect")
     if not slope.mean() > 0:

@@ -80,7 +80,7 @@ class Roughing:
         return min(ways, key=lambda way: self._count_s(way, finish), default=None)
 
     def _count_s(self, way: Before, finish: PassSpec) -> float:
-        """Return the seconds by which ways are compared: a flat cutter does not finish, so it is one tool more."""
+        """Return the seconds that a way costs. A flat cutter cannot finish, so the change to one more tool counts."""
         change_s = 0.0 if way.passes[0].is_ball else _CHANGE_S
         return sum(way.seconds) + way.layers_s(self.form, finish, self.shop) + change_s
 

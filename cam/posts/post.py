@@ -185,7 +185,7 @@ class ProgramSetup:
     top_z_mm: float | None = None
 
     def without_warm_up(self) -> ProgramSetup:
-        """Return the same for a program that another one has gone before."""
+        """Return this set-up for a program that follows another one."""
         return replace(self, warm_up_s=0.0)
 
     def spindle_steps(self, rpm: float, *, dwell_s: float) -> tuple[tuple[float, float], ...]:

@@ -90,7 +90,7 @@ class ProgramWriter:
         return b"".join(
             [
                 self._write_templates(post.tape, values),
-                *(post.remark(remark) for remark in (*remarks, zero, _word_beginning(setup, safe_z_mm)) if remark),
+                *(post.remark(remark) for remark in (*remarks, zero, _describe_beginning(setup, safe_z_mm)) if remark),
                 self._write_templates((*post.start, self._way_up(setup)), begin),
                 *(piece for path in trace for piece in self.write(path)),
                 self._write_templates(post.spin, begin),
@@ -175,7 +175,7 @@ class ProgramWriter:
         return self.post.feed + number(units / scale, self.post.least_decimals if self.post.feed_decimals else 0)
 
 
-def _word_beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
+def _describe_beginning(setup: ProgramSetup, safe_z_mm: float) -> str:
     """Return in words where the tool may stand when the program begins."""
     if setup.top_z_mm is None:
         return f"start: with the tool over the block, or not above Z{safe_z_mm:g}, where it goes first"

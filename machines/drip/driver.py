@@ -140,9 +140,9 @@ class DripDriver(OneWayDriver):
     def _may_send(self) -> bool:
         return self._open
 
-    def _word_running(self) -> Phrase:
+    def _describe_running(self) -> Phrase:
         if self._ever_open:
-            return super()._word_running()
+            return super()._describe_running()
         return Phrase("waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control")
 
     def _receive(self, data: bytes, now_s: float) -> None:
@@ -161,7 +161,7 @@ class DripDriver(OneWayDriver):
         first = not self._ever_open
         self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
         if first and self._feed is not None and not self._held:
-            self._channel.enter(MillState.RUN, self._word_running())
+            self._channel.enter(MillState.RUN, self._describe_running())
             self._channel.events.append(Notice(Phrase("the control has asked for the program (DC1)")))
 
     def _stop(self, now_s: float) -> None:

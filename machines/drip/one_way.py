@@ -76,10 +76,10 @@ class OneWayDriver:
     def _abort_bytes(self) -> bytes:
         return b""
 
-    def _word_running(self) -> Phrase:
+    def _describe_running(self) -> Phrase:
         return Phrase("sending; this link does not show what the machine does with the bytes")
 
-    def _word_held(self) -> Phrase:
+    def _describe_held(self) -> Phrase:
         """Return how much the machine may still execute, in words."""
         known = self._buffer_bytes
         if known is None:
@@ -147,7 +147,7 @@ class OneWayDriver:
         self._held = True
         words = Phrase(
             "sending has stopped; the machine still executes {held}: press feed hold at the machine",
-            held=self._word_held(),
+            held=self._describe_held(),
         )
         self._channel.enter(MillState.HOLDING, words)
         self._channel.events.append(Notice(words))
@@ -175,7 +175,7 @@ class OneWayDriver:
             feed.put_back(piece)
             raise
         self._held = False
-        self._channel.enter(MillState.RUN, self._word_running())
+        self._channel.enter(MillState.RUN, self._describe_running())
         try:
             self._write_piece(piece, now_s)
         except PortError as error:
@@ -198,7 +198,8 @@ class OneWayDriver:
             return
         self._end_stream()
         words = Phrase(
-            "sending has ended; the machine may still execute {held}: reset it at its own panel", held=self._word_held()
+            "sending has ended; the machine may still execute {held}: reset it at its own panel",
+            held=self._describe_held(),
         )
         self._channel.events += [Notice(words), Stopped(position_kept=False)]
         self._channel.update(position_trusted=False)
@@ -265,7 +266,7 @@ class OneWayDriver:
         self._end_stream()
         words = Phrase(
             "every byte has left; the machine may still be cutting {held}: wait for its own end signal",
-            held=self._word_held(),
+            held=self._describe_held(),
         )
         self._channel.events += [Notice(words), ProgramDone()]
         self._channel.enter(MillState.IDLE, words)
@@ -305,5 +306,5 @@ class OneWayDriver:
         self._channel.update(position_trusted=False, epoch=self.status.epoch + 1)
         self._channel.enter(MillState.DISCONNECTED, words)
         if streaming:
-            words = Phrase("{words}; the machine still executes {held}", words=words, held=self._word_held())
+            words = Phrase("{words}; the machine still executes {held}", words=words, held=self._describe_held())
         self._channel.events.append(Faulted(FaultCause.PORT_LOST, words, line, now_s))

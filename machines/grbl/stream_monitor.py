@@ -261,7 +261,7 @@ class StreamMonitor:
         )
         if allowed_s is None or waited_s <= allowed_s + late_s:
             return
-        words = _word_stall(first, waited_s, allowed_s, standing)
+        words = _describe_stall(first, waited_s, allowed_s, standing)
         if standing and first is not None:
             words = Phrase(
                 "{words} after {line} (if a line, it was not cut: look at the part from there on)",
@@ -277,7 +277,7 @@ class StreamMonitor:
         return stream
 
 
-def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> Phrase:
+def _describe_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> Phrase:
     if first is None:
         return Phrase(
             "every line is answered, but for {waited_s:.1f} s the mill has neither moved nor come to rest",

@@ -97,7 +97,7 @@ class RealDisk:
             os.close(descriptor)
 
 
-def _word_stall(waited_s: float) -> str:
+def _describe_stall(waited_s: float) -> str:
     return f"the disk has not finished an fsync for {waited_s:.0f} s"
 
 
@@ -131,7 +131,7 @@ class ThreadSyncer:
         if self._failure:
             return self._failure
         waiting = self._waiting
-        return _word_stall(waiting.waited_s) if waiting is not None and waiting.is_over else ""
+        return _describe_stall(waiting.waited_s) if waiting is not None and waiting.is_over else ""
 
     def _begin_wait(self) -> Timeout:
         return Timeout(self._timeout_s, clock=self._clock)
@@ -160,7 +160,7 @@ class ThreadSyncer:
             timeout = self._begin_wait()
             while self._safe < wanted and not self._failure:
                 if timeout.is_over:
-                    self._failure = _word_stall(timeout.waited_s)
+                    self._failure = _describe_stall(timeout.waited_s)
                 self._lock.wait(min(LOOK_S, self._timeout_s) / 2.0)
             assert file is self._file  # one thread writes and syncs; only the waiting is shared
 

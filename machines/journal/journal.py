@@ -46,7 +46,7 @@ def encode(record: Mapping[str, Any]) -> bytes:
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-def _word_failure(place: Path, reason: str) -> Phrase:
+def _describe_failure(place: Path, reason: str) -> Phrase:
     return Phrase("journal {path}: {reason}", path=place, reason=reason)
 
 
@@ -134,7 +134,7 @@ class Journal:
             self._disk.make_folder(folder)
             found = read_journal(folder)
         except OSError as error:
-            raise JournalError(_word_failure(folder, os_words(error))) from error
+            raise JournalError(_describe_failure(folder, os_words(error))) from error
         self.torn = found.torn if found else ""
         self.state: dict[str, Any] = dict(found.state) if found else {}
         self._sequence = found.sequence if found else 0
@@ -143,7 +143,7 @@ class Journal:
     def failure(self) -> Phrase | None:
         """Why nothing can be written at present; None if nothing is wrong."""
         if self._failure is None and (words := self._syncer.failure):
-            self._failure = _word_failure(self.folder, words)
+            self._failure = _describe_failure(self.folder, words)
         return self._failure
 
     def append(self, kind: str, **fields: Any) -> None:
@@ -201,7 +201,7 @@ class Journal:
         except OSError as error:
             if file is not None:
                 file.close()
-            self._failure = _word_failure(path, os_words(error))
+            self._failure = _describe_failure(path, os_words(error))
             raise JournalError(self._failure) from error
         self._sequence += 1
         self._file, self._written, self._failure = file, len(data), None
@@ -211,7 +211,7 @@ class Journal:
         try:
             file.write(data)
         except OSError as error:
-            self._failure = _word_failure(self.folder, os_words(error))
+            self._failure = _describe_failure(self.folder, os_words(error))
             raise JournalError(self._failure) from error
         self._written += len(data)
         self._syncer.note_written()

@@ -162,10 +162,10 @@ def _find_axes_zeroed(command: Command) -> str:
 def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> Phrase:
     """Return a line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
     outcome = done.failure or _came_of_it(done, from_mm, at_mm)
-    return Phrase("{command}: {outcome}", command=_word_question(done.command), outcome=outcome)
+    return Phrase("{command}: {outcome}", command=_describe_question(done.command), outcome=outcome)
 
 
-def _word_question(command: Command) -> Phrase:
+def _describe_question(command: Command) -> Phrase:
     match command:
         case Jog():
             return Phrase("Jog {way}", way=_way(command.by_mm))

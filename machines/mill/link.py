@@ -159,6 +159,6 @@ class MillLink:
 
 
 def get_settings(driver: Driver | None) -> ControllerSettings | None:
-    """Return the settings that the controller has reported; None where the link reports none."""
+    """Return the settings that the controller has reported; None if the link cannot report them."""
     settings = getattr(driver, "settings", None)
     return settings if isinstance(settings, ControllerSettings) else None

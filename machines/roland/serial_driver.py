@@ -130,6 +130,6 @@ class RolandSerialDriver(OneWayDriver):
         line = self.progress.sent_line if self._feed is not None else 0
         self._end_stream()
         self._channel.enter(
-            MillState.ALARM, Phrase("{words}; the mill still executes {held}", words=words, held=self._word_held())
+            MillState.ALARM, Phrase("{words}; the mill still executes {held}", words=words, held=self._describe_held())
         )
         self._channel.events.append(Faulted(FaultCause.DEVICE, words, line, now_s))

@@ -57,7 +57,7 @@ def run_system_command(fw: Controller, line: str) -> Task:
     else:
         if fw.state not in ("Idle", "Alarm"):
             raise GcodeError(8)
-        yield from _run_standing(fw, line)
+        yield from _run_at_standstill(fw, line)
 
 
 def _toggle_check_mode(fw: Controller) -> None:
@@ -71,7 +71,7 @@ def _toggle_check_mode(fw: Controller) -> None:
         raise GcodeError(8)
 
 
-def _run_standing(fw: Controller, line: str) -> Task:
+def _run_at_standstill(fw: Controller, line: str) -> Task:
     if line == "$#":
         for text in reports.offsets_lines(fw):
             fw.say(text)

@@ -11,7 +11,7 @@ PROBING = (4, 5)
 
 
 def raise_alarm(fw: Controller, code: int) -> None:
-    """Say it and stand still for half a second: whatever is asked for meanwhile is only noted.
+    """Report it and stand still for half a second; requests that come meanwhile are only noted.
 
     A probe's alarm leaves the spindle on; all others have come with a reset of the firmware's own, which stops it.
     """

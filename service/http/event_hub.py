@@ -79,7 +79,7 @@ class Hub(Generic[AReader]):
         return self._closed or len(self.readers) >= self._most
 
     def add(self, reader: AReader, last_id: str = "") -> list[Message]:
-        """Add a reader, and return what it is to be sent first. Problem 503 where there are too many."""
+        """Add a reader, and return the messages that it gets first. Problem 503 if there are too many readers."""
         if self.full:
             raise Problem(
                 503,

@@ -92,19 +92,19 @@ def _compute(
         if refused := answer.get("refused"):
             raise ProgramRefusedError(**refused)
         if reason := answer.get("failed"):
-            raise _failed(path, reason)
+            raise _make_error(path, reason)
         text = staging.read_text(encoding="utf-8")
         found = Preflight.from_json(text)
         staging.replace(folder / f"{held_against}-{found.bytes}-{found.sha256}.json")
         return found
     except ChildError as error:
-        raise _failed(path, f"the reading process ended early ({error})") from None
+        raise _make_error(path, f"the reading process ended early ({error})") from None
     finally:
         child.end()
         staging.unlink(missing_ok=True)
 
 
-def _failed(path: Path, reason: str) -> PreflightError:
+def _make_error(path: Path, reason: str) -> PreflightError:
     return PreflightError(Phrase("pre-flight of {path}: {reason}", path=path, reason=reason))
 
 

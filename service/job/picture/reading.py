@@ -128,11 +128,11 @@ def _with_warnings(picture: Picture, settings: Reading) -> Picture:
         notes.append(Phrase("is one tone all over: the light will be even, with nothing to see in it"))
     if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
         ny, nx = picture.linear.shape
-        notes.append(_word_enlarged((picture.width, picture.height), (nx, ny)))
+        notes.append(_describe_enlarged((picture.width, picture.height), (nx, ny)))
     return replace(picture, warnings=tuple(notes))
 
 
-def _word_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
+def _describe_enlarged(size: tuple[int, int], to: tuple[int, int]) -> Phrase:
     """Return a warning without its subject, the picture; sizes as columns and rows."""
     (width, height), (columns, rows) = size, to
     return Phrase(

@@ -86,9 +86,9 @@ def plan_holding(
         sentences = (Phrase("outside the area that the cutters sweep."),)
     else:
         sentences = (
-            _word_sweep(block.swept_mm),
-            *_word_witness(block.witness_mm),
-            *_word_holding(block, lows, highest_mm, faced),
+            _describe_sweep(block.swept_mm),
+            *_describe_witness(block.witness_mm),
+            *_describe_holding(block, lows, highest_mm, faced),
         )
     highest = Phrase("{highest_mm} mm above the stock top", highest_mm=number(highest_mm))
     if faced:
@@ -96,7 +96,7 @@ def plan_holding(
     return Holding(sentences=sentences, clearance_mm=clearance_mm, highest=highest)
 
 
-def _word_sweep(swept_mm: tuple[float, float, float, float]) -> Phrase:
+def _describe_sweep(swept_mm: tuple[float, float, float, float]) -> Phrase:
     left, right, front, back = (number(one, 1) for one in swept_mm)
     return Phrase(
         "the cutters sweep X {left_mm} to {right_mm}, Y {front_mm} to {back_mm} mm, flanks included (dashed in the "
@@ -108,7 +108,7 @@ def _word_sweep(swept_mm: tuple[float, float, float, float]) -> Phrase:
     )
 
 
-def _word_witness(witness_mm: tuple[float, float, float, float] | None) -> Iterator[Phrase]:
+def _describe_witness(witness_mm: tuple[float, float, float, float] | None) -> Iterator[Phrase]:
     if witness_mm is None:
         return
     left, right, front, back = (number(one, 1) for one in witness_mm)
@@ -123,7 +123,7 @@ def _word_witness(witness_mm: tuple[float, float, float, float] | None) -> Itera
     )
 
 
-def _word_holding(
+def _describe_holding(
     block: BlockSizes, lows: Sequence[tuple[float, float]], highest_mm: float, faced: bool
 ) -> Iterator[Phrase]:
     if block.clamps_mm:

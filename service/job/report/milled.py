@@ -39,7 +39,7 @@ def sentences_as_milled(milled: Mapping[str, Any]) -> list[Phrase]:
     """Return sentences from report `as_milled`; nothing where there is none."""
     if milled.get("psnr_db") is None:
         return []
-    return [_word_expectation(milled), *_main_cause(milled), _blur(milled)]
+    return [_describe_expectation(milled), *_main_cause(milled), _blur(milled)]
 
 
 def _main_cause(milled: Mapping[str, Any]) -> list[Phrase]:
@@ -107,7 +107,7 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> Phrase |
     )
 
 
-def _word_expectation(milled: Mapping[str, Any]) -> Phrase:
+def _describe_expectation(milled: Mapping[str, Any]) -> Phrase:
     designed_db, seen_db = milled.get("psnr_db_designed"), milled["psnr_db"]
     given_db = (milled.get("against_original") or {}).get("psnr_db", seen_db)  # a person compares with the one given
     told = Phrase(

@@ -27,6 +27,7 @@ from service.server.schemas.runs import LiveRun, MachineView
 
 _TICK_S = 0.5  # which run is open is looked at so often
 _BEAT_S = 15.0
+_LOOK_S = 1.0  # what the database says of a run is looked at so often
 
 
 class MachineEvents:
@@ -152,9 +153,6 @@ def _is_about(view: Json, run: RunRow) -> bool:
 def _number(entry: Json, name: str) -> float:
     value = entry.get(name)
     return float(value) if isinstance(value, int | float) else 0.0
-
-
-_LOOK_S = 1.0
 
 
 class RunEvents:

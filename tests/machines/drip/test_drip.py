@@ -52,7 +52,7 @@ def run(driver: DripDriver, most_s: float = 900.0) -> list[Event]:
     raise AssertionError(f"not done after {most_s} s: {driver.status}")
 
 
-def connected(control: SimulatedControl, link: LinkSettings, **options: float) -> DripDriver:
+def connect(control: SimulatedControl, link: LinkSettings, **options: float) -> DripDriver:
     driver = DripDriver(control, link, options=DripOptions(**options))  # type: ignore[arg-type]
     driver.connect()
     driver.poll(0.0)
@@ -100,7 +100,7 @@ def test_no_overrun_and_every_byte_once_in_order_for_any_line_and_any_buffer(
         ready_at_s=ready_at_s,
     )
     lines = program(count)
-    driver = connected(control, link)
+    driver = connect(control, link)
     driver.start(iter(lines))
     events = run(driver)
     control.run_dry()
@@ -122,7 +122,7 @@ def slow_control(**traits: object) -> SimulatedControl:
 def test_an_adapter_that_queues_deeply_would_overrun() -> None:
     """The law above is not vacuous: with 512 bytes under way the same control loses bytes."""
     control = slow_control()
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver._pace = Pace(1e9, 512)
     driver.start(iter(program(200)))
     for _ in range(200):
@@ -134,7 +134,7 @@ def test_an_adapter_that_queues_deeply_would_overrun() -> None:
 def test_the_line_is_kept_busy_when_the_control_takes_all() -> None:
     """97 % of the wire while the control never says stop but at the tape marks."""
     control = slow_control(buffer_bytes=1 << 20, stop_every=0, line_s=0.0, ready_at_s=0.0, resend_s=0.0)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     lines = program(600)
     driver.start(iter(lines))
     run(driver)
@@ -144,7 +144,7 @@ def test_the_line_is_kept_busy_when_the_control_takes_all() -> None:
 
 def test_not_a_byte_before_the_first_dc1() -> None:
     control = slow_control(ready_at_s=130.0)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.start(iter(program(3)))
     events = [event for _ in range(120) for event in driver.poll(1.0)]
     assert not control.received
@@ -158,7 +158,7 @@ def test_not_a_byte_before_the_first_dc1() -> None:
 
 def test_a_stop_is_obeyed_even_if_its_parity_bit_is_read_as_data() -> None:
     control = slow_control(parity_bit=True)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     lines = program(80)
     driver.start(iter(lines))
     events = run(driver)
@@ -206,7 +206,7 @@ def test_a_line_is_answered_with_its_last_byte_and_not_before(pieces: list[int],
 
 def test_with_an_unknown_buffer_nothing_is_called_executed() -> None:
     control = slow_control()
-    driver = connected(control, LinkSettings(driver="drip", baud=9600, bytesize=7, parity="E", stopbits=2))
+    driver = connect(control, LinkSettings(driver="drip", baud=9600, bytesize=7, parity="E", stopbits=2))
     driver.start(iter(program(100)))
     run(driver)
     assert driver.progress.executed_line == 0
@@ -215,7 +215,7 @@ def test_with_an_unknown_buffer_nothing_is_called_executed() -> None:
 
 def test_hold_stops_the_bytes_and_resume_goes_on_where_it_stopped() -> None:
     control = slow_control(line_s=0.0)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     lines = program(100)
     driver.start(iter(lines))
     for _ in range(4):
@@ -233,7 +233,7 @@ def test_hold_stops_the_bytes_and_resume_goes_on_where_it_stopped() -> None:
 
 def test_abort_says_that_the_position_is_not_known() -> None:
     control = slow_control()
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.start(iter(program(100)))
     driver.poll(1.0)
     driver.poll(1.0)
@@ -252,7 +252,7 @@ def test_abort_says_that_the_position_is_not_known() -> None:
 )
 def test_what_a_seven_bit_line_cannot_carry_is_refused_with_its_line(text: bytes, words: str) -> None:
     control = slow_control()
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.start(iter([*program(2), ProgramLine(3, 60, text)]))
     fault = run(driver)[-1]
     assert isinstance(fault, Faulted)
@@ -264,12 +264,12 @@ def test_what_a_seven_bit_line_cannot_carry_is_refused_with_its_line(text: bytes
 
 def test_tape_marks_of_the_file_are_not_doubled_and_nothing_follows_the_last() -> None:
     control = slow_control(line_s=0.0)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     body = program(3)
     driver.start(iter([ProgramLine(0, 0, b"%"), *body, ProgramLine(4, 90, b"%")]))
     run(driver)
     assert bytes(control.received) == on_wire(body)
-    behind = connected(slow_control(), LINK)
+    behind = connect(slow_control(), LINK)
     behind.start(iter([*body, ProgramLine(4, 90, b"%"), ProgramLine(5, 92, b"G00Z5.")]))
     assert isinstance(run(behind)[-1], Faulted)
 
@@ -278,7 +278,7 @@ def test_tape_marks_of_the_file_are_not_doubled_and_nothing_follows_the_last() -
 def test_the_control_may_stop_listening_behind_the_last_tape_mark(nulls: int) -> None:
     """It says DC3 at `%` and never DC1 again: blank tape behind it must not keep the program from ending."""
     control = slow_control()
-    driver = connected(control, LINK, leader_nulls=nulls, trailer_nulls=nulls)
+    driver = connect(control, LINK, leader_nulls=nulls, trailer_nulls=nulls)
     lines = program(10)
     driver.start(iter(lines))
     assert ProgramDone() in run(driver)
@@ -289,7 +289,7 @@ def test_the_control_may_stop_listening_behind_the_last_tape_mark(nulls: int) ->
 
 def test_a_pulled_cable_is_a_fault_and_not_an_exception() -> None:
     control = slow_control()
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.start(iter(program(100)))
     driver.poll(1.0)
     driver.poll(1.0)
@@ -307,7 +307,7 @@ def test_a_program_that_changes_under_the_feed_stops_it() -> None:
         yield from program(5)
         raise OSError("disk gone")
 
-    driver = connected(slow_control(), LINK)
+    driver = connect(slow_control(), LINK)
     driver.start(changing())
     fault = run(driver)[-1]
     assert isinstance(fault, Faulted)
@@ -316,7 +316,7 @@ def test_a_program_that_changes_under_the_feed_stops_it() -> None:
 
 def test_what_this_link_cannot_do_is_refused_and_a_lost_dc1_can_be_vouched_for() -> None:
     control = slow_control(ready_at_s=1e9)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     with pytest.raises(NotAllowedError, match="at the machine's panel"):
         driver.command(Home())
     with pytest.raises(NotAllowedError, match="nothing to resume"):
@@ -336,7 +336,7 @@ def test_what_this_link_cannot_do_is_refused_and_a_lost_dc1_can_be_vouched_for()
 
 def test_an_unlock_that_came_too_late_when_its_bytes_were_ready_opens_nothing() -> None:
     control = slow_control(ready_at_s=1e9)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.start(iter(program(1)))
     driver.poll(5.0)
     looks = iter([False, True])
@@ -357,7 +357,7 @@ def test_an_unlock_that_came_too_late_when_its_bytes_were_ready_opens_nothing() 
 
 def test_wake_ends_a_waiting_poll() -> None:
     control = slow_control(ready_at_s=1e9)
-    driver = connected(control, LINK)
+    driver = connect(control, LINK)
     driver.wake()
     assert driver.poll(1000.0) == ()
     assert control.now_s < 1.0

@@ -56,7 +56,7 @@ def library_device(mill: SimulatedMdx40a) -> RollingmillDevice:
     )
 
 
-def connected(mill: SimulatedMdx40a, dialect: str = "roland-nc") -> RolandUsbDriver:
+def connect(mill: SimulatedMdx40a, dialect: str = "roland-nc") -> RolandUsbDriver:
     driver = RolandUsbDriver(library_device(mill), dialect=dialect)
     driver.connect()
     driver.poll(0.5)
@@ -80,7 +80,7 @@ def fault_of(events: list[Event]) -> Faulted:
 
 def test_a_program_is_cut_whole_in_order_and_the_bracket_is_closed_behind_it() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     lines = listing(*square(3))
     driver.start(iter(lines))
     assert ProgramDone() in run(driver, mill)
@@ -105,7 +105,7 @@ def test_a_line_called_executed_is_cut_and_the_counter_alone_would_lie(
 ) -> None:
     """At any moment what the driver calls executed is executed; what the counter calls taken is not yet."""
     mill = SimulatedMdx40a(blocks=blocks, transfer_s=transfer_s)
-    driver = connected(mill)
+    driver = connect(mill)
     lines = listing(*square(turns))
     driver.start(iter(lines))
     ahead = 0
@@ -119,7 +119,7 @@ def test_a_line_called_executed_is_cut_and_the_counter_alone_would_lie(
 
 def test_executed_follows_the_mill_closely() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(5))))
     worst = 0
     while ProgramDone() not in driver.poll(0.2):
@@ -135,7 +135,7 @@ def test_rows_of_the_finest_pitch_are_told_apart() -> None:
         xs = ("0.0", "5.0", "10.0") if far else ("10.0", "5.0", "0.0")
         cuts += [f"G01 X{x} Y{y if x != '5.0' else y[:-1] + '7'} F1200.0".encode() for x in xs]
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*cuts)))
     lags = []
     while ProgramDone() not in driver.poll(0.2):
@@ -146,7 +146,7 @@ def test_rows_of_the_finest_pitch_are_told_apart() -> None:
 
 def test_hold_lets_the_mill_finish_what_it_has_and_resume_skips_nothing() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     lines = listing(*square(4))
     driver.start(iter(lines))
     for _ in range(8):
@@ -166,7 +166,7 @@ def test_hold_lets_the_mill_finish_what_it_has_and_resume_skips_nothing() -> Non
 
 def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(4))))
     for _ in range(6):
         driver.poll(0.5)
@@ -181,7 +181,7 @@ def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
 
 def test_the_cover_is_an_emergency_stop_named_in_words() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(4))))
     for _ in range(6):
         driver.poll(0.5)
@@ -202,7 +202,7 @@ def test_the_cover_is_an_emergency_stop_named_in_words() -> None:
 def test_a_block_the_mill_refuses_stops_the_stream_at_that_line(block: bytes) -> None:
     """If pre-flight let such a block pass, counter and error bit of the mill (or our own reader) show it."""
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     lines = listing(b"G01 Z-1.0 F300.0", block, b"G01 X5.0")
     driver.start(iter(lines))
     fault = fault_of(run(driver, mill))
@@ -216,7 +216,7 @@ def test_a_block_the_mill_refuses_stops_the_stream_at_that_line(block: bytes) ->
 def test_a_wrong_command_set_is_refused_before_the_first_byte() -> None:
     for setting, dialect in ((0, "roland-nc"), (1, "rml-1")):
         mill = SimulatedMdx40a(command_set=setting)
-        driver = connected(mill, dialect=dialect)
+        driver = connect(mill, dialect=dialect)
         with pytest.raises(NotAllowedError, match="selected automatically"):
             driver.start(iter(listing()))
         assert mill.counter == 0
@@ -226,7 +226,7 @@ def test_a_wrong_command_set_is_refused_before_the_first_byte() -> None:
 def test_a_lift_above_the_top_of_the_machine_is_never_sent() -> None:
     """The simulated mill shows why: after it, everything is a rapid at Z0."""
     mill = SimulatedMdx40a(origins_mm={3: (50.0, 50.0, -2.0)})
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(1))))
     fault = fault_of(run(driver, mill))
     assert "machine Z 3.000 mm, above the top" in fault.words
@@ -241,7 +241,7 @@ def test_a_lift_above_the_top_of_the_machine_is_never_sent() -> None:
 
 def test_abort_stops_the_mill_and_says_so_when_it_stands() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(4))))
     for _ in range(6):
         driver.poll(0.5)
@@ -258,7 +258,7 @@ def test_abort_stops_the_mill_and_says_so_when_it_stands() -> None:
 
 def test_a_program_read_from_the_middle_gets_its_opening_marks() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     lines = [ProgramLine(0, 0, b"G90 G21 G54"), ProgramLine(0, 0, b"S12000 M03"), *listing()[7:]]
     driver.start(iter(lines))
     assert ProgramDone() in run(driver, mill)
@@ -267,7 +267,7 @@ def test_a_program_read_from_the_middle_gets_its_opening_marks() -> None:
 
 def test_rml_follows_the_user_origin() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill, dialect="rml-1")
+    driver = connect(mill, dialect="rml-1")
     texts = [b";;^DF;", b"!MC0;V50.0;", b"!RC15;!MC1;", b"Z0,0,500;", b"V10;Z0,0,-50;", b"Z3000,0,-50;", b"!MC0;"]
     driver.start(ProgramLine(n, 0, text) for n, text in enumerate(texts, 1))
     assert ProgramDone() in run(driver, mill)
@@ -277,7 +277,7 @@ def test_rml_follows_the_user_origin() -> None:
 
 def test_a_pulled_cable_is_a_fault_in_words() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(4))))
     for _ in range(6):
         driver.poll(0.5)
@@ -293,7 +293,7 @@ def test_a_pulled_cable_is_a_fault_in_words() -> None:
 
 def test_a_mill_that_neither_counts_nor_moves_is_a_stall() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     mill.wait(1.0)
     driver.start(iter(listing(*square(1))))
     mill.bracket = False  # as if the bracket had been lost: it ignores every byte
@@ -304,7 +304,7 @@ def test_a_mill_that_neither_counts_nor_moves_is_a_stall() -> None:
 
 def test_a_long_slow_move_is_no_stall() -> None:
     mill = SimulatedMdx40a(blocks=1)
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(b"G01 Z-1.0 F300.0", b"G01 X20.0 F7.0", b"G01 X0.0", b"G01 X1.0", b"G01 X2.0")))
     assert ProgramDone() in run(driver, mill)
 
@@ -312,7 +312,7 @@ def test_a_long_slow_move_is_no_stall() -> None:
 def test_a_mill_that_pauses_between_its_moves_is_not_done_before_the_last() -> None:
     """Idle for a moment with blocks still in its buffer: done means standing still for longer than that."""
     mill = SimulatedMdx40a(gap_s=0.45)
-    driver = connected(mill)
+    driver = connect(mill)
     lines = listing(*square(2))
     driver.start(iter(lines))
     while ProgramDone() not in driver.poll(0.05):
@@ -322,7 +322,7 @@ def test_a_mill_that_pauses_between_its_moves_is_not_done_before_the_last() -> N
 
 def test_a_counter_that_jumps_is_a_fault_and_the_mill_is_stopped() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(4))))
     for _ in range(4):
         driver.poll(0.5)
@@ -335,7 +335,7 @@ def test_a_counter_that_jumps_is_a_fault_and_the_mill_is_stopped() -> None:
 
 def test_the_counter_may_wrap() -> None:
     mill = SimulatedMdx40a(counter=(1 << 32) - 20)
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(*square(1))))
     assert ProgramDone() in run(driver, mill)
     assert mill.counter < 1000
@@ -343,7 +343,7 @@ def test_the_counter_may_wrap() -> None:
 
 def test_a_changed_frame_is_said_and_stops_the_following() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.start(iter(listing(b"G55", *square(1))))
     events = run(driver, mill)
     assert any(isinstance(event, Notice) and "changes the work frame" in event.words for event in events)
@@ -352,7 +352,7 @@ def test_a_changed_frame_is_said_and_stops_the_following() -> None:
 
 def test_overrides_reach_the_mill_and_what_it_does_not_offer_is_refused() -> None:
     mill = SimulatedMdx40a()
-    driver = connected(mill)
+    driver = connect(mill)
     driver.command(Override("feed", 80))
     driver.command(Override("spindle", 110))
     assert mill.sets[-2:] == [(0x0307, bytes([80])), (0x3008, bytes([110]))]
@@ -371,7 +371,7 @@ def test_large_writes_hang_the_simulated_mill_and_the_driver_never_makes_one() -
     with pytest.raises(SimulatedUsbError):
         mill.bulk_write(b"%\r\n")
     fresh = SimulatedMdx40a()
-    driver = connected(fresh)
+    driver = connect(fresh)
     driver.start(iter([*listing(), ProgramLine(99, 0, b"(" + b"x" * 600 + b")")]))
     assert "at most 512" in fault_of(run(driver, fresh)).words
 
