@@ -57,6 +57,21 @@ def copy_sqlite(source: Path, target: Path) -> None:
         raise FailedError(f"cannot copy the database {source}: {error}") from None
 
 
+def use_wal(connection: sqlite3.Connection) -> None:
+    """Let readers and a writer of a database work side by side; the file keeps this.
+
+    SQLite does not wait for two that change the mode at once: each holds what the other asks for, and one fails.
+    """
+    give_up = time.monotonic() + BUSY_TIMEOUT_S
+    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > give_up:
+                raise
+            time.sleep(LOCK_POLL_S)
+
+
 def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
     return bind.dialect.name == "sqlite"
 
@@ -108,8 +123,7 @@ def _prepare_sqlite(connection: Any, _record: object) -> None:
     connection.isolation_level = None
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_S * 1000}")
-    if cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
-        cursor.execute("PRAGMA journal_mode = WAL")
+    use_wal(connection)
     cursor.execute("PRAGMA synchronous = FULL")
     cursor.execute("PRAGMA foreign_keys = ON")
     cursor.close()

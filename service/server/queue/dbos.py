@@ -21,7 +21,7 @@ from typing import Any
 import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
 
-from service.server.database.connection import connect
+from service.server.database.connection import connect, use_wal
 from service.server.queue.engine import Ticket
 from service.server.queue.ticket_runner import TicketRunner
 from service.settings import ServerSettings
@@ -55,7 +55,7 @@ class DbosEngine:
     def prepare(self) -> None:
         if self._path is not None:
             connection = sqlite3.connect(self._path, timeout=30)
-            connection.execute("PRAGMA journal_mode = WAL")
+            use_wal(connection)
             connection.close()
         DBOS.migrate(self._url)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -77,6 +79,20 @@ def test_workers_that_start_together_upgrade_once(empty_farm: ServerSettings) ->
     await_schema(databases[0], 0)
     for one in databases:
         one.dispose()
+
+
+def test_a_new_database_that_another_process_writes_to_is_awaited(tmp_path: Path) -> None:
+    """SQLite itself waits for readers here, and refuses at once where another has begun to write."""
+    path = tmp_path / "new.sqlite"
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        release = threading.Timer(0.2, other.execute, ["COMMIT"])
+        release.start()
+        database = connect(f"sqlite:///{path}")
+        with begin_reading(database) as connection:
+            assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
+        database.dispose()
+        release.join()
 
 
 @pytest.fixture
