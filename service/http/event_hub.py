@@ -1,18 +1,22 @@
-"""Events for any number of readers, none of whom can hold up the publisher or another reader.
+"""Server-sent events: their format, and their way to any number of readers, none of whom can hold up the publisher or
+another reader.
 
-Theory of operation: every reader has a queue of its own, with room for so many. One whose queue is full is ended: it is
-sent what its queue holds, in order and without a gap, and then the end, so that its client comes back with
-Last-Event-ID and goes on where it was. Of statuses only the latest counts, so a late reader is spared some. A hub with
-a ring gives its messages ids `<life>-<number>`, `life` being new with each hub, and repeats to one that comes back what
-it missed as far as the ring reaches, and a `gap` event where it does not.
+Theory of operation: an answer is held open for events, and closed when the other side is gone or stops reading. Every
+reader has a queue of its own, with room for so many. One whose queue is full is ended: it is sent what its queue holds,
+in order and without a gap, and then the end, so that its client comes back with Last-Event-ID and goes on where it was.
+Of statuses only the latest counts, so a late reader is spared some. A hub with a ring gives its messages ids
+`<life>-<number>`, `life` being new with each hub, and repeats to one that comes back what it missed as far as the ring
+reaches, and a `gap` event where it does not.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import secrets
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Generic, TypeVar
@@ -22,15 +26,58 @@ from starlette.types import Receive, Scope, Send
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem, problem_response
-from service.http.streaming import (
-    HEARTBEAT_S,
-    PING,
-    begin_events,
-    compact_json,
-    event_bytes,
-    send_piece,
-    write_while_connected,
-)
+
+EVENT_HEADERS = {
+    "Content-Type": "text/event-stream; charset=utf-8",
+    "Cache-Control": "no-store",
+    "X-Accel-Buffering": "no",
+}
+FIRST = b"retry: 1000\n\n"
+PING = b": still here\n\n"
+HEARTBEAT_S = 15.0  # longest silence of a stream; page/lib/sse.js reconnects after three of them
+_SEND_WAIT_S = 20.0
+
+
+def event_bytes(kind: str, data: str, event_id: str = "") -> bytes:
+    """Return an event. data: JSON in one line; event_id: sent back by a reader that reconnects, empty for an event that
+    is not repeated.
+    """
+    number = f"id: {event_id}\n" if event_id else ""
+    return f"{number}event: {kind}\ndata: {data}\n\n".encode()
+
+
+def compact_json(data: object) -> str:
+    return json.dumps(data, separators=(",", ":"))
+
+
+async def begin_events(send: Send, first: bytes = b"") -> None:
+    """Send the headers, and the bytes that precede the first event."""
+    headers = [(name.lower().encode(), value.encode()) for name, value in EVENT_HEADERS.items()]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    await send_piece(send, FIRST + first)
+
+
+async def send_piece(send: Send, body: bytes, *, more: bool = True) -> None:
+    """Send a piece; TimeoutError if the other side has not read for long."""
+    await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
+
+
+async def write_while_connected(receive: Receive, writing: Coroutine[None, None, None]) -> None:
+    """Write until all is written or the other side is gone; both tasks have ended when this returns."""
+    tasks = (asyncio.ensure_future(_await_disconnect(receive)), asyncio.ensure_future(writing))
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, TimeoutError, OSError):
+                await task
+
+
+async def _await_disconnect(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
 
 MOST_WAITING = 256
 _MOST_AT_ONCE = 64

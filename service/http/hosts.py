@@ -1,18 +1,21 @@
-"""Decides which addresses are this computer, and which Host headers may be served.
+"""The addresses of a server: which are this computer, which Host headers are served, and the socket itself.
 
 A page in a browser on the same machine could be served from a name that is re-pointed to 127.0.0.1 (DNS rebinding) and
-talk to us; a name cannot be re-pointed when only addresses and known names are accepted.
+talk to us; a name cannot be re-pointed when only addresses and known names are accepted. The supervisor binds the
+socket once, so that callers wait while the API is restarted.
 """
 
 from __future__ import annotations
 
+import errno
 import ipaddress
+import json
 import re
 import socket
 from collections.abc import Iterable
 
 from phrases.phrase import Phrase
-from service.errors import InputError
+from service.errors import InputError, printable
 
 
 def is_loopback(host: str) -> bool:
@@ -58,3 +61,66 @@ def is_own_host(header: str, names: frozenset[str]) -> bool:
         return ipaddress.ip_address(parts["name"] or parts["v6"]).version == (4 if parts["name"] else 6)
     except ValueError:
         return False
+
+
+def bind_address(host: str, port: int) -> socket.socket:
+    """Bind an address without listening yet; InputError if that is impossible."""
+    try:
+        family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(f"--host {host}: {(error.strerror or str(error)).lower()}") from None
+    listener = socket.socket(family, kind, proto)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(f"--port {port} on {host} is in use; allowed: a free port, or 0 for any") from None
+        raise InputError(f"--host {host} --port {port}: {(error.strerror or str(error)).lower()}") from None
+    return listener
+
+
+def url_of(listener: socket.socket) -> str:
+    """Return the address at which a person on this computer finds the server."""
+    return f"http://{_authority(*_nearest(listener))}"
+
+
+def is_answering(listener: socket.socket, path: str, *, timeout_s: float) -> bool:
+    """Return whether GET of the path returns 200. Any other answer, or none in time, is False."""
+    return _fetch(listener, path, timeout_s, most_bytes=64).split(b" ")[1:2] == [b"200"]
+
+
+def read_complaint(listener: socket.socket, path: str, *, timeout_s: float) -> str | None:
+    """Return the problem that /readyz reports, e.g. `disk: 3 MB are free`; None if it reports none."""
+    body = _fetch(listener, path, timeout_s, most_bytes=65536).partition(b"\r\n\r\n")[2]
+    try:
+        checks = json.loads(body)["checks"]
+        return "; ".join(printable(f"{name}: {words}") for name, words in checks.items() if words != "ok") or None
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return None
+
+
+def _fetch(listener: socket.socket, path: str, timeout_s: float, *, most_bytes: int) -> bytes:
+    """Return the beginning of the answer to GET of the path; nothing if none comes in time."""
+    host, port = _nearest(listener)
+    come = b""
+    try:
+        with socket.create_connection((host, port), timeout=timeout_s) as link:
+            link.sendall(
+                f"GET {path} HTTP/1.1\r\nHost: {_authority(host, port)}\r\nConnection: close\r\n\r\n".encode("ascii")
+            )
+            while len(come) < most_bytes and (piece := link.recv(most_bytes)):
+                come += piece
+    except OSError:
+        pass
+    return come
+
+
+def _nearest(listener: socket.socket) -> tuple[str, int]:
+    host, port = listener.getsockname()[:2]
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host), port
+
+
+def _authority(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

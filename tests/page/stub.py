@@ -24,7 +24,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.http.listener import bind_address, url_of
+from service.http.hosts import bind_address, url_of
 from service.http.problems import Problem
 from service.job.spec.tools import BUILT_IN, load_tools
 from service.server.api.errors import install_problems

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from machines.port import stable_name
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.http.event_hub import HEARTBEAT_S
 from service.http.hosts import is_loopback, require_unread
-from service.http.streaming import HEARTBEAT_S
 from service.milling.agent.card import TOKEN_FILE, make_token, read_token
 from service.processes.private import keep_private
 

@@ -24,8 +24,8 @@ from starlette.types import Receive, Scope, Send
 from machines.clock import Timeout
 from service.errors import EXIT_FAILURE, ServiceError
 from service.http.admission import Admission
-from service.http.hosts import own_names
-from service.http.listener import bind_address, url_of
+from service.http.hosts import bind_address, own_names, url_of
+from service.http.serving import make_admission, make_config
 from service.http.uvicorn_protocol import HttpServer, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
@@ -47,7 +47,6 @@ from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
 from service.server.queue.dbos import DbosEngine
-from service.server.serving import make_admission, make_config
 from service.server.standby.line import receive_connections
 from service.server.stop_socket import StopSockets
 from service.server.stoppers import FILE as STOPPERS

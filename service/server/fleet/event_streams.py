@@ -13,9 +13,8 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 
 from phrases.phrase import Phrase
-from service.http.event_hub import Message
+from service.http.event_hub import FIRST, PING, Message, compact_json, event_bytes
 from service.http.problems import Problem, ServerCode
-from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentLink, Json
 from service.server.fleet.agent_feed import AGAIN_S, iterate_until, known_id

@@ -17,12 +17,12 @@ from uvicorn.server import ServerState
 from service.errors import ServiceError
 from service.http.acceptor import Acceptor
 from service.http.admission import is_stop
+from service.http.serving import make_admission, make_config
 from service.http.uvicorn_protocol import ProblemProtocol, allow_open_files, begin_connection
 from service.processes import lifeline
 from service.processes.priority import go_first
 from service.server.fleet.agent_client import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
-from service.server.serving import make_admission, make_config
 from service.server.standby.app import StandbyApp
 from service.server.standby.line import ApiWatch
 from service.server.stoppers import FILE, StopperFile

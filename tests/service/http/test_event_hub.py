@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from starlette.types import Message as AsgiMessage
 
-from service.http import streaming
+from service.http import event_hub
 from service.http.event_hub import MOST_WAITING, Hub, HubStream, Message, Reader
 from service.http.problems import Problem
 
@@ -125,7 +125,7 @@ def test_the_stream_has_ids_heartbeats_and_an_end() -> None:
 
 
 def test_a_connection_that_is_stuck_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "_SEND_WAIT_S", 0.01)
+    monkeypatch.setattr(event_hub, "_SEND_WAIT_S", 0.01)
 
     async def trial() -> None:
         hub: Hub[Reader] = Hub(ring=10, readers=1)

@@ -15,9 +15,8 @@ from collections.abc import Mapping, Sequence
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.http.event_hub import Hub, HubStream, Message, Reader
+from service.http.event_hub import HEARTBEAT_S, Hub, HubStream, Message, Reader, compact_json
 from service.http.schema import iso_time
-from service.http.streaming import HEARTBEAT_S, compact_json
 from service.server.database.job_rows import BATCH, MOST_NEWS
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobEvent, News, Progress, UnknownJobError

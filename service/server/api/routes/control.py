@@ -9,8 +9,8 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.responses import StreamingResponse
 
 from machines.mill.orders import Stop
+from service.http.event_hub import EVENT_HEADERS
 from service.http.schema import Json, PassedOn
-from service.http.streaming import EVENT_HEADERS
 from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView
 from service.server.api.access.scopes import Operator, Order, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 from starlette.responses import StreamingResponse
 
 from machines.mill.orders import Stop
-from service.http.streaming import EVENT_HEADERS
+from service.http.event_hub import EVENT_HEADERS
 from service.milling.api import RecoverBody, RecoveryView, StartBody
 from service.server.api.access.scopes import Operator, Order, Reader, Stopper
 from service.server.api.openapi import Responses, answers, event_stream, example, refusals

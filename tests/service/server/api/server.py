@@ -18,7 +18,7 @@ import uvicorn
 from PIL import Image
 
 from service.http.admission import Admission
-from service.http.listener import bind_address, url_of
+from service.http.hosts import bind_address, url_of
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
 from service.server.database.connection import begin_writing, connect

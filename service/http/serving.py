@@ -7,10 +7,10 @@ from typing import Any
 
 import uvicorn
 from starlette.types import ASGIApp
+from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 
-from service.http.admission import Admission
+from service.http.admission import PLACE, Admission
 from service.http.uvicorn_protocol import HEADER_BYTES, SOCKET_BYTES, VERSION_HEADER
-from service.http.websocket_protocol import PlacedWebSocket
 
 _CONNECTIONS, _STRANGERS = 1000, 200
 
@@ -35,3 +35,11 @@ def make_config(app: ASGIApp, **more: Any) -> uvicorn.Config:
 def make_admission() -> Admission:
     """Return the places of one server."""
     return Admission(most=_CONNECTIONS, strangers=_STRANGERS)
+
+
+class PlacedWebSocket(WSProtocol):
+    """A stranger's place ends by time, or for the next stranger, until the application knows the caller."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self.app_state[PLACE].leave()
