@@ -15,9 +15,9 @@ from typing import Any
 import httpx
 import pytest
 
+from service.http import serving
 from service.http.hosts import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
-from service.http import serving
 from service.server.fleet.agent_client import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
 from service.server.standby.app import StandbyApp
