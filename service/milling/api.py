@@ -133,7 +133,7 @@ class PastOrder(Body):
     words: str
     code: Code | None = None
     values: Values | None = None
-    answer: dict[str, Any] | None = None
+    answer: Annotated[dict[str, Any] | None, Field(description="what a command gave, by name")] = None
     by: str | None = None
     phrases: Phrases
     from_: Annotated[str | None, Field(alias="from")] = None

@@ -18,7 +18,7 @@ from service.server.api.access.guard import Guard
 from service.server.api.errors import install_problems
 from service.server.api.intake.body import BodyLimit, BodyTimeout
 from service.server.api.metrics import MetricsMiddleware
-from service.server.api.openapi import with_problems
+from service.server.api.openapi import ANYWHERE, refusals, with_problems
 from service.server.api.routes import (
     archive,
     artifacts,
@@ -93,7 +93,7 @@ def make_app(services: Services) -> FastAPI:
     app.state.services = services
     install_problems(app)
     for module in _ROUTERS:
-        app.include_router(module.router)
+        app.include_router(module.router, responses=refusals(*ANYWHERE))
     app.openapi = lambda: _document(app)  # type: ignore[method-assign]
     return app
 

@@ -1,13 +1,11 @@
-"""How the OpenAPI document tells what a route answers: its good answers with an example, and every refusal."""
+"""What the OpenAPI document says of refusals and of event streams."""
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from service.server.schemas.jobs import ProblemBody
 
-_SEALED = "example: "
 _PROBLEM_JSON = "application/problem+json"
 _WORDS = {
     400: "the request is malformed",
@@ -32,25 +30,15 @@ _WORDS = {
     507: "the server has no space left",
 }
 _EVENT = {"type": "object", "properties": {name: {"type": "string"} for name in ("id", "event", "data")}}
-# What the guard and the frame answer on every route, whatever it does.
-_ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
+# What the guard and the frame answer on every route.
+ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
 
 Responses = dict[int | str, dict[str, Any]]
 
 
 def refusals(*statuses: int) -> Responses:
-    """Return the problems of every route, and these."""
-    return {status: _refusal(status) for status in sorted({*_ANYWHERE, *statuses})}
-
-
-def answers(good: Responses, *refused: int) -> Responses:
-    """Return what a route answers when all is well, and the refusals."""
-    return good | refusals(*refused)
-
-
-def example(value: object) -> dict[str, Any]:
-    """Return a JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
-    return {"content": {"application/json": {"example": _SEALED + json.dumps(value)}}}
+    """Return the problems of these statuses, for the document."""
+    return {status: _refusal(status) for status in statuses}
 
 
 def event_stream(words: str, example: str) -> Responses:
@@ -76,17 +64,9 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     for item in document["paths"].values():
         for operation in item.values():
             told = operation["responses"]
-            _unseal(told)
             for status in [status for status in told if told[status] == _refusal_or_none(status)]:
                 told[status] = {"$ref": f"#/components/responses/Problem{status}"}
     return document
-
-
-def _unseal(told: dict[str, Any]) -> None:
-    for answer in told.values():
-        content = answer.get("content", {}).get("application/json", {})
-        if str(content.get("example", "")).startswith(_SEALED):
-            content["example"] = json.loads(content["example"].removeprefix(_SEALED))
 
 
 def _refusal_or_none(status: str) -> dict[str, Any] | None:

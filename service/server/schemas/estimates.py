@@ -6,38 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from phrases.phrase import Phrase, phrases_in
 from service.http.schema import Body, Phrases
 from service.server.schemas.jobs import ProblemField
-
-_WALL = (  # 4 x 3 pixels
-    "data:image/png;base64,"
-    "iVBORw0KGgoAAAANSUhEUgAAAAQAAAADCAAAAACRn/EaAAAAF0lEQVR4XmNkCFWUZFwkxM/HeI+bhwsAEdcCY6432NIAAAAASUVORK5CYII="
-)
-_EXAMPLE: dict[str, Any] = {
-    "relief_mm": 9.31,
-    "max_slope_deg": 27.7,
-    "thickness_ok": True,
-    "throw_ok": True,
-    "smallest_detail_mm": 2.5,
-    "passes": [
-        {"name": "rough", "tool": Phrase("ball {size}", size="R 3 (Ø 6 mm)"), "hours": 0.82},
-        {"name": "finish", "tool": Phrase("ball {size}", size="R 3 (Ø 6 mm)"), "hours": 1.4},
-    ],
-    "planned": False,
-    "exact": True,
-    "hours": 2.22,
-    "blur_mm": 1.2,
-    "psnr_db": 24.5,
-    "wall": _WALL,
-    "blur_by": {"light_mm": 0.0, "milling_mm": 1.2},
-    "refusals": [],
-    "warnings": [Phrase("details under {detail_mm:.2g} mm will blur: the tool's marks", detail_mm=2.5)],
-    "changes": [{"what": Phrase("passes as recommended"), "values": {"preset": "recommended"}}],
-    "picture": {"width": 1920, "height": 1920},
-    "spec": {"preset": "draft"},
-}
-ESTIMATE_EXAMPLE = {**_EXAMPLE, "phrases": phrases_in(_EXAMPLE)}
 
 
 class PassEstimate(Body):

@@ -1,4 +1,4 @@
-"""What the routes about jobs answer, with examples."""
+"""What the routes about jobs answer, and what a refusal looks like."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from service.http.schema import Body, Phrases, Sha256, Time, one_of
 from service.server.database.records import PRIORITIES
 from service.server.database.states import JobState, StageState
 
-_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
-_HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
-_JOB = f"/v1/jobs/{_ID}"
+JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+_SPEC = {"preset": "draft", "optics": {"width_mm": 40.0}}
 
 
 class ProblemField(Body):
@@ -109,7 +108,7 @@ class JobView(JobSummary):
     """A whole job."""
 
     report: Annotated[dict[str, Any] | None, Field(description="report.json of the stages that are done")]
-    spec: Annotated[dict[str, Any], Field(description="the resolved spec: every value that counted")]
+    spec: Annotated[dict[str, Any], Field(description="the resolved spec: every value that counted", examples=[_SPEC])]
     stages: list[StageView]
     programs: Annotated[list[ProgramView], Field(description="one per pass, as soon as all have been checked")]
 
@@ -136,7 +135,9 @@ class RequestView(Body):
     """What a job was made from."""
 
     name: str
-    spec: Annotated[dict[str, Any], Field(description="only what must be said; the rest follows from it")]
+    spec: Annotated[
+        dict[str, Any], Field(description="only what must be said; the rest follows from it", examples=[_SPEC])
+    ]
     image: Annotated[str, Field(description="address of the picture")]
 
 
@@ -207,74 +208,3 @@ class Ready(Body):
 
     ready: bool
     checks: dict[str, str]
-
-
-SUMMARY_EXAMPLE: dict[str, Any] = {
-    "id": _ID,
-    "name": "portrait.png",
-    "state": "running",
-    "stage": "map",
-    "progress": 0.21,
-    "queue_position": None,
-    "priority": "normal",
-    "attempt": 1,
-    "cancel_requested": False,
-    "created_at": "2026-11-21T08:00:00.000Z",
-    "started_at": "2026-11-21T08:00:00.180Z",
-    "ended_at": None,
-    "error": None,
-    "image": {"sha256": _HASH, "bytes": 131072},
-    "links": {"self": _JOB, "events": f"{_JOB}/events", "artifacts": f"{_JOB}/artifacts"},
-    "etag": '"1-7-7"',
-}
-JOB_EXAMPLE: dict[str, Any] = SUMMARY_EXAMPLE | {
-    "report": None,
-    "spec": {"preset": "paper", "optics": {"width_mm": 100.0}},
-    "stages": [
-        {
-            "name": "image",
-            "state": "committed",
-            "share": 0.01,
-            "usual_s": 0.2,
-            "seconds": 0.4,
-            "started_at": "2026-11-21T08:00:01.000Z",
-        },
-        {
-            "name": "map",
-            "state": "running",
-            "share": 0.2,
-            "usual_s": 2.7,
-            "seconds": None,
-            "started_at": "2026-11-21T08:00:01.500Z",
-        },
-    ],
-    "programs": [],
-}
-PROFILE_EXAMPLE: dict[str, Any] = {
-    "name": "grbl",
-    "description": "desktop router",
-    "dialect": "grbl",
-    "travel_mm": [300.0, 300.0, 80.0],
-    "max_rate_mm_per_min": [5000.0, 5000.0, 1500.0],
-    "spindle_rpm": [8000.0, 30000.0],
-    "step_mm": 0.004,
-    "z_noise_mm": 0.001,
-    "collet_mm": 6.35,
-    "spindle_w": 500.0,
-    "mills": [{"name": "simulated", "simulated": True}],
-    "built_in": True,
-    "stated": None,
-}
-ARTIFACT_EXAMPLE: dict[str, Any] = {
-    "name": "pass-1-rough.nc",
-    "sha256": _HASH,
-    "bytes": 2_345_678,
-    "stage": "pass-1",
-    "media_type": "text/plain; charset=us-ascii",
-    "url": f"{_JOB}/artifacts/pass-1-rough.nc",
-}
-EVENTS_EXAMPLE = (
-    'id: 1\nevent: queued\ndata: {"attempt":1,"by":"anonymous","at":"2026-11-21T08:00:00.000Z"}\n\n'
-    'event: progress\ndata: {"stage":"map","share":0.5,"progress":0.21}\n\n'
-    'id: 9\nevent: ended\ndata: {"state":"succeeded","attempt":1,"error":null,"at":"2026-11-21T08:01:00.000Z"}\n\n'
-)

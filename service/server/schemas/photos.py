@@ -8,50 +8,6 @@ from pydantic import Field
 
 from service.http.schema import Body, Phrases
 
-LOOK_EXAMPLE: dict[str, Any] = {
-    "photo": {"name": "wall.jpg", "width": 4032, "height": 3024},
-    "foretold": "finished",
-    "place": {
-        "homography": [[5.1, 0.2, 310.0], [-0.1, 4.9, 190.0], [0.0001, 0.0, 1.0]],
-        "photo_width": 1600,
-        "photo_height": 1200,
-        "turned_deg": 0.8,
-        "quarter_turns": 0,
-        "mirrored": False,
-        "correlation": 0.98,
-        "likeness": 0.96,
-        "confidence": 1.0,
-        "overlap": 1.0,
-        "clipped_share": 0.01,
-        "tone": 1.02,
-    },
-    "wall": {
-        "throw_off_mm": 1.9,
-        "throw_deviation_mm": 0.4,
-        "throw_told": True,
-        "tilt_x": {"deg": 0.3, "deviation_deg": 1.1, "told": True},
-        "tilt_y": {"deg": -0.2, "deviation_deg": 1.2, "told": True},
-    },
-    "light": {
-        "aslant_x": {"deg": 0.1, "deviation_deg": 0.6, "told": False},
-        "aslant_y": {"deg": 0.0, "deviation_deg": 0.6, "told": False},
-    },
-    "blur": {"beyond_foretold_mm": 0.1, "foretold_mm": 0.4},
-    "surface": {
-        "peak_to_valley_um": 2.1,
-        "terms": [{"order_x": 2, "order_y": 1, "um": 1.0, "deviation_um": 0.9, "told": True}],
-    },
-    "likeness": {"as_foretold": 0.97, "as_fitted": 0.98},
-    "findings": [
-        {
-            "code": "wall_too_far",
-            "values": {"mm": 1.9, "deviation_mm": 0.4},
-            "text": "the wall stands 1.9 mm (± 0.4 mm) too far: move it nearer to the lens by that much",
-        }
-    ],
-    "picture": "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg==",
-}
-
 
 class PhotoFile(Body):
     name: str
@@ -129,7 +85,7 @@ class LikenessView(Body):
 
 class FindingView(Body):
     code: str
-    values: dict[str, Any]
+    values: Annotated[dict[str, Any], Field(description="what `text` names")]
     text: str
 
 
@@ -145,41 +101,6 @@ class LookView(Body):
     findings: Annotated[list[FindingView], Field(description="in the order in which a person acts")]
     picture: Annotated[str, Field(description="base64 of a PNG: photograph, foretold, difference")]
     phrases: Phrases
-
-
-COUPON_EXAMPLE: dict[str, Any] = {
-    "finish": {
-        "k0_rad_per_mm": 8.1,
-        "k0_range_rad_per_mm": [7.6, 8.7],
-        "order": 1.0,
-        "order_range": [0.9, 1.1],
-        "finished_half": "left",
-        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 0.46, "error": 0.02}],
-    },
-    "mill": {
-        "z_noise_mm": 0.0011,
-        "z_noise_range_mm": [0.0009, None],
-        "amplitude_over_programs": 1.01,
-        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 1.0, "error": 0.01}],
-    },
-    "wall": {"throw_mm": 20.4, "error_mm": 0.1},
-    "photograph": {
-        "blur_mm": 0.05,
-        "pixels_per_mm": 38.0,
-        "straight_light": 0.21,
-        "confidence": 1.0,
-        "mirrored": False,
-        "misfit": 1.1,
-    },
-    "notes": [{"code": "mirrored", "values": {}, "text": "the photograph was taken from the other side"}],
-    "values": {
-        "finish.process": "none",
-        "finish.k0_rad_per_mm": 8.1,
-        "finish.order": 1.0,
-        "machine.z_noise_mm": 0.0011,
-    },
-    "picture": LOOK_EXAMPLE["picture"],
-}
 
 
 class RippleView(Body):

@@ -11,17 +11,63 @@ from machines.runs import RunState
 from service.http.schema import Body, Phrases, Sha256, Time, one_of
 from service.milling.api import Check, Code, Values
 from service.server.database.states import LOST, PREPARING, REFUSED
+from service.server.schemas.jobs import JOB_ID
 
 RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
 
-_JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
+_SETUP = {
+    "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
+    "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
+    "zero": "X0 Y0: front left corner of the lens, 8 mm from the block's left and front edges; Z0: the block's top",
+    "change": {
+        "from_radius_mm": 3.0,
+        "to_radius_mm": 0.5,
+        "words": "change the tool from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm), set Z zero again; X and Y zero stay",
+    },
+}
+_PROFILE = {
+    "description": "the mill by the window",
+    "dialect": "grbl",
+    "travel_mm": [300.0, 180.0, 45.0],
+    "max_rate_mm_per_min": [2000.0, 2000.0, 1000.0],
+    "step_mm": 0.00125,
+    "spindle_rpm": [0.0, 24000.0],
+    "safe_z_mm": 5.0,
+    "homing": True,
+    "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["...", "..."]},
+}
+_MILL = {
+    "state": "idle",
+    "detail": "",
+    "code": "",
+    "alarm": 0,
+    "work_mm": [0.0, 0.0, 5.0],
+    "machine_mm": [-290.0, -170.0, -1.0],
+    "feed_mm_per_min": 0.0,
+    "buffer_share": 0.0,
+    "spindle_rpm": 0.0,
+    "overrides": [100, 100, 100],
+    "position_trusted": True,
+    "spindle_on": False,
+    "pins": "",
+    "controller": "Grbl 1.1h",
+    "connected": True,
+    "problem": "",
+    "needs": [],
+    "latched": "",
+    "zeroed": "XYZ",
+    "zeroed_anew": "Z",
+    "setup": "9a0b4cf07d1e2c33",
+    "phrases": {},
+}
 
 
 class NewRunBody(Body):
     """Which program of which job. Without `program`: the next pass that this mill has not finished."""
 
-    job: Annotated[UUID, Field(description="id of a job whose programs have been checked", examples=[_JOB_ID])]
+    job: Annotated[UUID, Field(description="id of a job whose programs have been checked", examples=[JOB_ID])]
     program: Annotated[
         Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
         Field(description="number of the pass, or the program's file name", examples=[1]),
@@ -67,7 +113,8 @@ class RunView(LiveRun):
     job_name: Annotated[str, Field(description="empty: the job is gone, or was not looked up")]
     program: ProgramOfRun
     setup: Annotated[
-        dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
+        dict[str, Any] | None,
+        Field(description="tool, stock, zero, and the tool change before this pass", examples=[_SETUP]),
     ]
     required_checks: Annotated[list[Check], Field(description="what :start or :recover needs to be confirmed")]
     left_out: Annotated[list[ProgramOfRun], Field(description="earlier passes that this mill has not finished")]
@@ -119,9 +166,11 @@ class MachineView(Body):
     remote: bool
     simulated: Annotated[bool, Field(description="there is no mill, only a model of one")]
     problem: Annotated[str, Field(description="what is wrong with its profile")]
-    profile: dict[str, Any] | None
+    profile: Annotated[dict[str, Any] | None, Field(description="null: it cannot be read", examples=[_PROFILE])]
     agent: AgentView
-    mill: Annotated[dict[str, Any] | None, Field(description="state and position, as its agent has them now")]
+    mill: Annotated[
+        dict[str, Any] | None, Field(description="state and position, as its agent has them now", examples=[_MILL])
+    ]
     run: Annotated[OpenRun | None, Field(description="the run that has this mill")]
     control: Annotated[Holder | None, Field(description="who may give orders to it at present; null: nobody")]
     links: dict[str, str]

@@ -16,7 +16,7 @@ from service.job.files import is_drawing, zip_entry
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.download import iterate_in_threads, matches
 from service.server.api.intake.form import harmless_name
-from service.server.api.openapi import Responses, refusals
+from service.server.api.openapi import Responses
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
@@ -28,7 +28,6 @@ ZIP: dict[str, Any] = {"application/zip": {"schema": {"type": "string", "format"
 _ANSWERS: Responses = {
     200: {"description": "the archive, stored without compression", "content": ZIP},
     304: {"description": "the client has this archive"},
-    **refusals(),
 }
 
 

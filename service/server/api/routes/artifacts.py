@@ -13,11 +13,11 @@ from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.download import Conditions, download
 from service.server.api.answers.job_views import MEDIA_TYPES, make_artifact_view, programs
-from service.server.api.openapi import Responses, example, refusals
+from service.server.api.openapi import Responses, refusals
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
-from service.server.schemas.jobs import ARTIFACT_EXAMPLE, ArtifactList
+from service.server.schemas.jobs import ArtifactList
 
 router = APIRouter(tags=["artifacts"])
 
@@ -65,11 +65,7 @@ def _get_and_head(path: str, **told: Any) -> Any:
     return register
 
 
-@_get_and_head(
-    "/v1/jobs/{id:uuid}/artifacts",
-    summary="List the files of a job",
-    responses={200: example({"artifacts": [ARTIFACT_EXAMPLE]})} | refusals(),
-)
+@_get_and_head("/v1/jobs/{id:uuid}/artifacts", summary="List the files of a job")
 async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
     """Each file is there as soon as its stage is committed; programs once all of them have been checked."""
     files = await asyncio.to_thread(services_of(request).book.list_artifacts, str(job_id))

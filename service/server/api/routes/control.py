@@ -13,21 +13,24 @@ from service.http.event_hub import EVENT_HEADERS
 from service.http.schema import Json, PassedOn
 from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView
 from service.server.api.access.scopes import Operator, Order, Reader, Stopper
-from service.server.api.openapi import Responses, answers, event_stream, example, refusals
+from service.server.api.openapi import Responses, event_stream, refusals
 from service.server.api.routes.machines import MachineName
 from service.server.api.services import services_of
-from service.server.schemas.examples import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
 from service.server.schemas.runs import ControlView, OrderView
 
 router = APIRouter(tags=["machines"])
 
 _GIVEN: Responses = {
-    201: example(CONTROL_EXAMPLE) | {"description": "control is yours"},
-    200: example(CONTROL_EXAMPLE) | {"description": "it was yours, and stays so", "model": ControlView},
+    201: {"description": "control is yours"},
+    200: {"description": "it was yours, and stays so", "model": ControlView},
 }
-_TOLD: Responses = {202: example(ORDER_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
+_TOLD: Responses = {202: {"description": "the mill's agent has taken the order"}}
 _ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
 _STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
+_EVENTS = (
+    'id: 5c1d-87\nevent: status\ndata: {"name":"shop-mill","mill":{"state":"jog"},"run":null,"control":null}\n\n'
+    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"jog -> idle"}\n\n'
+)
 _PATH = "/v1/machines/{machine}/control"
 _WITH_BODY = {
     "jog": (
@@ -94,7 +97,7 @@ async def release(request: Request, _: Operator, machine: MachineName, context: 
     "/v1/machines/{machine}/grants",
     summary="Ask for a grant",
     status_code=201,
-    responses=answers({201: example(GRANT_EXAMPLE)}, 409, 502, 504),
+    responses=refusals(409, 502, 504),
 )
 async def grant(
     request: Request,
@@ -116,7 +119,7 @@ async def grant(
     "/v1/machines/{machine}/events",
     summary="Follow a mill",
     response_class=Response,
-    responses=answers(event_stream("the stream; it has no end", MACHINE_EVENTS_EXAMPLE)),
+    responses=event_stream("the stream; it has no end", _EVENTS),
 )
 async def events(
     request: Request,

@@ -11,10 +11,10 @@ from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import job_request
-from service.server.api.openapi import answers, example
+from service.server.api.openapi import refusals
 from service.server.api.routes.submit import JOB_FORM
 from service.server.api.services import Services, services_of
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE, EstimateView
+from service.server.schemas.estimates import EstimateView
 
 router = APIRouter()
 _LOOK_S = 1.0  # whether somebody still waits
@@ -32,7 +32,7 @@ Exactly = Annotated[bool, Query(description="from a lens as fine as the picture,
     tags=["jobs"],
     summary="Estimate a job",
     response_model=EstimateView,
-    responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
+    responses=refusals(408, 409, 415, 507),
     openapi_extra=JOB_FORM,
 )
 async def post_estimate(

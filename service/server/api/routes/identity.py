@@ -15,16 +15,9 @@ from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.headers import address_of, is_this_computer
 from service.server.api.access.scopes import Admin, Principal, require
-from service.server.api.openapi import answers, example
+from service.server.api.openapi import refusals
 from service.server.api.services import services_of
 from service.server.database.pairing import NoCodeError, TooManyTriesError, WrongCodeError
-from service.server.schemas.examples import (
-    NEW_TOKEN_EXAMPLE,
-    PAIRING_EXAMPLE,
-    TOKEN_EXAMPLE,
-    TOKENS_EXAMPLE,
-    WHOAMI_EXAMPLE,
-)
 from service.server.schemas.identity import (
     NewTokenBody,
     NewTokenView,
@@ -43,23 +36,14 @@ TokenId = Annotated[
 ]
 
 
-@router.get(
-    "/v1/whoami",
-    summary="Who is calling",
-    responses=answers({200: example(WHOAMI_EXAMPLE)}),
-)
+@router.get("/v1/whoami", summary="Who is calling")
 async def whoami(response: Response, principal: Known) -> WhoamiView:
     """Name and scopes of the caller; 401 for one who is nobody here and needs a token or a code."""
     response.headers["Cache-Control"] = "no-store"
     return WhoamiView.model_validate(principal)
 
 
-@router.post(
-    "/v1/pairings",
-    summary="Pair a page",
-    status_code=201,
-    responses=answers({201: example(PAIRING_EXAMPLE)}),
-)
+@router.post("/v1/pairings", summary="Pair a page", status_code=201)
 async def pair(request: Request, response: Response, body: PairingBody) -> PairingView:
     """A token for who knows the code that the server has printed where it runs: jobs, and running mills, for a day.
 
@@ -90,23 +74,14 @@ def _pair(request: Request, body: PairingBody) -> PairingView:
     return PairingView.model_validate(asdict(token) | {"token": secret}, extra="ignore")
 
 
-@router.get(
-    "/v1/tokens",
-    summary="List tokens",
-    responses=answers({200: example(TOKENS_EXAMPLE)}),
-)
+@router.get("/v1/tokens", summary="List tokens")
 async def list_tokens(request: Request, _: Admin) -> TokenList:
     """All that were ever made, oldest first. The tokens themselves are known to nobody."""
     found = await asyncio.to_thread(services_of(request).tokens.list_rows)
     return TokenList(tokens=[TokenView.model_validate(token) for token in found])
 
 
-@router.post(
-    "/v1/tokens",
-    summary="Make a token",
-    status_code=201,
-    responses=answers({201: example(NEW_TOKEN_EXAMPLE)}, 507),
-)
+@router.post("/v1/tokens", summary="Make a token", status_code=201, responses=refusals(507))
 async def create(request: Request, response: Response, principal: Admin, body: NewTokenBody) -> NewTokenView:
     """The answer holds the token, this once."""
     if beyond := sorted(set(body.scopes) - principal.scopes):
@@ -122,11 +97,7 @@ async def create(request: Request, response: Response, principal: Admin, body: N
     return NewTokenView(**dict(TokenView.model_validate(token)), token=secret)
 
 
-@router.delete(
-    "/v1/tokens/{id}",
-    summary="Revoke a token",
-    responses=answers({200: example(TOKEN_EXAMPLE)}),
-)
+@router.delete("/v1/tokens/{id}", summary="Revoke a token")
 async def revoke(request: Request, _: Admin, token_id: TokenId) -> TokenView:
     """It opens nothing any more, at once. It stays in the list."""
     try:

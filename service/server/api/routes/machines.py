@@ -9,44 +9,28 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 from service.milling.api import PastOrders
 from service.server.api.access.scopes import Operator, Order, Reader
 from service.server.api.intake.request import idempotency_key
-from service.server.api.openapi import Responses, answers, example, refusals
+from service.server.api.openapi import Responses, refusals
 from service.server.api.services import services_of
-from service.server.schemas.examples import (
-    MACHINE_EXAMPLE,
-    MACHINES_EXAMPLE,
-    ORDERS_EXAMPLE,
-    PREPARING_EXAMPLE,
-    RUN_EXAMPLE,
-)
 from service.server.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
 
 router = APIRouter(tags=["machines"])
 
 _PARKED: Responses = {
-    201: example(RUN_EXAMPLE) | {"description": "parked: it waits for :start"},
-    202: example(PREPARING_EXAMPLE)
-    | {"description": "still being handed over, ask again: a large program takes its time", "model": RunView},
+    201: {"description": "parked: it waits for :start"},
+    202: {"description": "still being handed over, ask again: a large program takes its time", "model": RunView},
 }
 MachineName = Annotated[
     str, Path(max_length=100, pattern=PLAIN, description="name of a machine", examples=["shop-mill"])
 ]
 
 
-@router.get(
-    "/v1/machines",
-    summary="List the mills",
-    responses=answers({200: example(MACHINES_EXAMPLE)}),
-)
+@router.get("/v1/machines", summary="List the mills")
 async def list_machines(request: Request, _: Reader) -> MachineList:
     """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
     return await services_of(request).fleet.list_machines()
 
 
-@router.get(
-    "/v1/machines/{machine}",
-    summary="Look at a mill",
-    responses=answers({200: example(MACHINE_EXAMPLE)}),
-)
+@router.get("/v1/machines/{machine}", summary="Look at a mill")
 async def look(request: Request, _: Reader, machine: MachineName) -> MachineView:
     return await services_of(request).fleet.get_machine(machine)
 
@@ -55,7 +39,7 @@ async def look(request: Request, _: Reader, machine: MachineName) -> MachineView
     "/v1/machines/{machine}/camera.jpg",
     summary="Look through its camera",
     response_class=Response,
-    responses=answers({200: {"description": "what it sees now", "content": {"image/jpeg": {}}}}, 502, 504),
+    responses={200: {"description": "what it sees now", "content": {"image/jpeg": {}}}} | refusals(502, 504),
 )
 async def look_through_camera(request: Request, _: Reader, machine: MachineName) -> Response:
     """A picture of the camera beside the mill, where the server's settings name one (`links.camera`)."""
@@ -68,7 +52,7 @@ async def look_through_camera(request: Request, _: Reader, machine: MachineName)
     "/v1/machines/{machine}/orders",
     summary="Who ordered what",
     response_model_exclude_unset=True,
-    responses=answers({200: example(ORDERS_EXAMPLE)}, 502, 504),
+    responses=refusals(502, 504),
 )
 async def list_orders(
     request: Request,

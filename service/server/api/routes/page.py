@@ -18,7 +18,6 @@ from service.job.report.pictures import PICTURES
 from service.job.spec.model import JobSpec
 from service.page.files import INDEX, PageFile, PageFiles
 from service.server.api.answers.download import matches
-from service.server.api.openapi import answers, example
 from service.server.schemas.jobs import Root
 
 PREFIX = "/page/"
@@ -52,7 +51,6 @@ _LINKS = {
     "metrics": "/metrics",
 }
 _PAGE_ANSWER: dict[str, Any] = {"text/html": {"schema": {"type": "string"}}}
-_EXAMPLE = example({"name": "causticmill", "version": "1.2.0", "links": _LINKS})
 _ROOT_HEADERS = {"Vary": "Accept", "X-Content-Type-Options": "nosniff"}
 
 router = APIRouter()
@@ -104,7 +102,7 @@ def _takes_gzip(header: str) -> bool:
     tags=["operations"],
     summary="What is here",
     response_model=Root,
-    responses=answers({200: {"content": _EXAMPLE["content"] | _PAGE_ANSWER}}),
+    responses={200: {"content": _PAGE_ANSWER}},
 )
 async def root(request: Request, response: Response) -> Root | Response:
     """Name, version and addresses; the operator page where Accept has text/html."""

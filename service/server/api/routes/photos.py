@@ -26,11 +26,11 @@ from service.job.report.pictures import PREDICTED
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import receive_form
-from service.server.api.openapi import Responses, answers, example, refusals
+from service.server.api.openapi import Responses, refusals
 from service.server.api.routes.archive import ZIP
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import Services, services_of
-from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
+from service.server.schemas.photos import CouponView, LookView
 
 router = APIRouter()
 
@@ -69,7 +69,7 @@ _ZIP_ANSWERS: Responses = {
     tags=["jobs"],
     summary="Look at a photograph of the wall",
     response_model=LookView,
-    responses=answers({200: example(LOOK_EXAMPLE)}, 408, 409, 415, 507),
+    responses=refusals(408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
 async def post_look(request: Request, response: Response, principal: Writer, job_id: JobId) -> dict[str, Any]:
@@ -122,7 +122,7 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
     tags=["machines"],
     summary="Measure a mill and a finish",
     response_model=CouponView,
-    responses=answers({200: example(COUPON_EXAMPLE)}, 408, 409, 415, 507),
+    responses=refusals(408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
 async def measure(request: Request, response: Response, principal: Writer, profile: ProfileName) -> dict[str, Any]:

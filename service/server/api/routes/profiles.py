@@ -16,15 +16,12 @@ from service.http.schema import phrase_views
 from service.job.spec.minimal import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
 from service.server.api.access.scopes import Operator, Reader
-from service.server.api.openapi import answers, example
 from service.server.api.routes.artifacts import Asked, byte_answers, send_artifact
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
 from service.server.fleet.registry import KnownMachine, read_machines
 from service.server.schemas.jobs import (
-    JOB_EXAMPLE,
-    PROFILE_EXAMPLE,
     ProfileBody,
     ProfileList,
     ProfileMill,
@@ -46,20 +43,9 @@ OwnName = Annotated[
 
 _PICTURE = "picture"
 _AS_THEY_ARE = ProfileView.model_fields.keys() - {"mills", "built_in", "stated"}
-_PROFILES = {"profiles": [PROFILE_EXAMPLE]}
-_REQUEST = {
-    "name": "portrait.png",
-    "spec": {"preset": "draft", "optics": {"width_mm": 40.0}},
-    "image": f"/v1/jobs/{JOB_EXAMPLE['id']}/image",
-}
 
 
-@router.get(
-    "/v1/profiles",
-    tags=["machines"],
-    summary="List the machine profiles",
-    responses=answers({200: example(_PROFILES)}),
-)
+@router.get("/v1/profiles", tags=["machines"], summary="List the machine profiles")
 async def profiles(request: Request, _: Reader) -> ProfileList:
     """The values that `machine.profile` of a spec may have, each with the mills of this server that its programs are
     for. A profile that cannot be read is left out.
@@ -67,35 +53,20 @@ async def profiles(request: Request, _: Reader) -> ProfileList:
     return await asyncio.to_thread(_read_profiles, services_of(request).settings)
 
 
-@router.put(
-    "/v1/profiles/{profile}",
-    tags=["machines"],
-    summary="State a mill of the shop",
-    responses=answers({200: example(_PROFILES)}),
-)
+@router.put("/v1/profiles/{profile}", tags=["machines"], summary="State a mill of the shop")
 async def put_profile(request: Request, _: Operator, profile: OwnName, body: ProfileBody) -> ProfileList:
     """New jobs can be made for it; jobs that are there keep their figures. Its link is stated in its file alone."""
     await asyncio.to_thread(save_profile, profile, body.model_dump(exclude_none=True))
     return await asyncio.to_thread(_read_profiles, services_of(request).settings)
 
 
-@router.delete(
-    "/v1/profiles/{profile}",
-    tags=["machines"],
-    summary="Take a mill of the shop away",
-    responses=answers({200: example(_PROFILES)}),
-)
+@router.delete("/v1/profiles/{profile}", tags=["machines"], summary="Take a mill of the shop away")
 async def delete_profile(request: Request, _: Operator, profile: OwnName) -> ProfileList:
     await asyncio.to_thread(forget_profile, profile)
     return await asyncio.to_thread(_read_profiles, services_of(request).settings)
 
 
-@router.get(
-    "/v1/jobs/{id:uuid}/request",
-    tags=["jobs"],
-    summary="What a job was asked for with",
-    responses=answers({200: example(_REQUEST)}),
-)
+@router.get("/v1/jobs/{id:uuid}/request", tags=["jobs"], summary="What a job was asked for with")
 async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView:
     """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))

@@ -13,29 +13,27 @@ from machines.mill.orders import Stop
 from service.http.event_hub import EVENT_HEADERS
 from service.milling.api import RecoverBody, RecoveryView, StartBody
 from service.server.api.access.scopes import Operator, Order, Reader, Stopper
-from service.server.api.openapi import Responses, answers, event_stream, example, refusals
+from service.server.api.openapi import Responses, event_stream, refusals
 from service.server.api.services import services_of
 from service.server.fleet.orders import RunOrder
-from service.server.schemas.examples import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
-from service.server.schemas.runs import PLAIN, RunList, RunView
+from service.server.schemas.runs import PLAIN, RUN_ID, RunList, RunView
 
 router = APIRouter(tags=["runs"])
 
-RunId = Annotated[UUID, Path(alias="id", description="id of a run", examples=[RUN_EXAMPLE["id"]])]
-_RUN: Responses = {200: example(RUN_EXAMPLE)}
-_TOLD: Responses = {202: example(RUN_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
+RunId = Annotated[UUID, Path(alias="id", description="id of a run", examples=[RUN_ID])]
+_TOLD: Responses = {202: {"description": "the mill's agent has taken the order"}}
 _ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
 _STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
-_STREAM: Responses = event_stream("the stream; it ends with the run", RUN_EVENTS_EXAMPLE) | {
+_EVENTS = (
+    f'event: run\ndata: {{"id":"{RUN_ID}","state":"running","share":0.21,"executed_line":8654}}\n\n'
+    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"held"}\n\n'
+)
+_STREAM: Responses = event_stream("the stream; it ends with the run", _EVENTS) | {
     204: {"description": "the run has ended and the client has heard of it: do not come back"},
 }
 
 
-@router.get(
-    "/v1/runs",
-    summary="List runs, newest first",
-    responses=answers({200: example(RUNS_EXAMPLE)}),
-)
+@router.get("/v1/runs", summary="List runs, newest first")
 async def list_runs(
     request: Request,
     _: Reader,
@@ -51,20 +49,14 @@ async def list_runs(
     return RunList(runs=found, next=address if len(found) == limit else None)
 
 
-@router.get(
-    "/v1/runs/{id:uuid}",
-    summary="Look at a run",
-    responses=_RUN | refusals(),
-)
+@router.get("/v1/runs/{id:uuid}", summary="Look at a run")
 async def look(request: Request, response: Response, _: Reader, run_id: RunId) -> RunView:
     """As its agent has it now; with `unreachable`: as it was last known."""
     response.headers["Cache-Control"] = "no-cache"
     return await services_of(request).fleet.get_run(str(run_id))
 
 
-@router.get(
-    "/v1/runs/{id:uuid}/events", summary="Follow a run", response_class=Response, responses=_STREAM | refusals()
-)
+@router.get("/v1/runs/{id:uuid}/events", summary="Follow a run", response_class=Response, responses=_STREAM)
 async def events(
     request: Request,
     _: Reader,
@@ -87,7 +79,7 @@ async def events(
     "/v1/runs/{id:uuid}/recovery",
     summary="How a run would go on",
     response_model_exclude_unset=True,
-    responses=answers({200: example(RECOVERY_EXAMPLE)}, 409, 502, 504),
+    responses=refusals(409, 502, 504),
 )
 async def recovery(request: Request, principal: Operator, run_id: RunId) -> RecoveryView:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""

@@ -15,11 +15,11 @@ from service.server.api.answers.job_views import read_view
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import JobRequest, idempotency_key, job_request
-from service.server.api.openapi import answers, example
+from service.server.api.openapi import refusals
 from service.server.api.services import Services, services_of
 from service.server.database.records import ClientKey, Job, NewJob
 from service.server.queue.engine import Ticket
-from service.server.schemas.jobs import JOB_EXAMPLE, JobView
+from service.server.schemas.jobs import JobView
 
 router = APIRouter()
 _log = structlog.get_logger("api")
@@ -53,7 +53,7 @@ JOB_FORM: dict[str, Any] = {
         },
     }
 }
-_ACCEPTED = example(JOB_EXAMPLE | {"state": "queued", "stage": None, "progress": 0.0, "queue_position": 1}) | {
+_ACCEPTED = {
     "description": "durable: the job will run, whatever happens to the server",
     "headers": {
         "Location": {"description": "address of the job", "schema": {"type": "string"}},
@@ -67,7 +67,7 @@ _ACCEPTED = example(JOB_EXAMPLE | {"state": "queued", "stage": None, "progress":
     tags=["jobs"],
     summary="Submit a picture",
     status_code=202,
-    responses=answers({202: _ACCEPTED}, 408, 415, 507),
+    responses={202: _ACCEPTED} | refusals(408, 415, 507),
     openapi_extra=JOB_FORM,
 )
 async def submit(
