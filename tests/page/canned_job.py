@@ -25,6 +25,10 @@ from tests.page.paths import SIDE_MM, Thinned, write_path
 PIXELS = 64
 # As a server told them of the job of `shop.SMALL_SPEC`; a journey holds them against such a job.
 _TOLD: dict[str, Any] = json.loads(Path(__file__).with_name("job.json").read_text(encoding="utf-8"))
+# Other answers as the API's document allows them.
+_ANSWERS: dict[str, Any] = json.loads(Path(__file__).with_name("canned_answers.json").read_text(encoding="utf-8"))
+ESTIMATE_EXAMPLE, PROFILE_EXAMPLE = _ANSWERS["EstimateView"], _ANSWERS["ProfileView"]
+LOOK_EXAMPLE, COUPON_EXAMPLE, RUN_EXAMPLE = _ANSWERS["LookView"], _ANSWERS["CouponView"], _ANSWERS["RunView"]
 _LEVELS = (Thinned(8, 0.2, 0.4), Thinned(2, 0.1, 0.1), Thinned(1, 0.05, 0.0))
 JOB_ID: str = _TOLD["job"]["id"]
 

@@ -29,11 +29,9 @@ from service.http.problems import Problem
 from service.job.spec.tools import BUILT_IN, load_tools
 from service.server.api.errors import install_problems
 from service.server.api.routes import page
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
-from service.server.schemas.jobs import PROFILE_EXAMPLE
-from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import asked_wrongly, lies_of
+from tests.page.canned_job import COUPON_EXAMPLE, ESTIMATE_EXAMPLE, LOOK_EXAMPLE, PROFILE_EXAMPLE
 from tests.page.machine_states import MACHINE, NAME
 from tests.waiting import PATIENCE_S, until
 

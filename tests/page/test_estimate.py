@@ -17,11 +17,11 @@ from cam.materials import MATERIALS
 from service.job.picture.light_png import picture_png
 from service.job.picture.linear_light import linear_to_srgb
 from service.job.spec.loading import resolve_spec
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page import canned_job
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
+from tests.page.canned_job import ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened, visit
 from tests.page.form import choose, fill, make_it, parts, picture, wall
 from tests.page.test_next_step import after

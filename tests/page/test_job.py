@@ -14,11 +14,11 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from service.job.page_data.header import split_header
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import usual_seconds
-from service.server.schemas.examples import RUN_EXAMPLE
 from service.wording import duration, psnr_in_words
 from tests.levels import mostly_thorough
 from tests.page import canned_job
 from tests.page.browser import SIZES, open_blank
+from tests.page.canned_job import RUN_EXAMPLE
 from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL

@@ -25,10 +25,10 @@ from docs.languages import (
     keys_of_the_server,
 )
 from phrases.phrase import Phrase, phrases_in, restore, say
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
 from tests.page import canned_job, machine_states
 from tests.page.browser import layout_faults, open_blank
+from tests.page.canned_job import ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.test_screens import FAULT, LONG_NAME, SCREENS, SIZES, Screen
 

@@ -16,10 +16,10 @@ from playwright.sync_api import Page, Route, expect
 from service.job.picture.linear_light import invert_tones, linear_to_srgb, srgb_to_linear
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page import canned_job
 from tests.page.browser import Watched, open_blank
+from tests.page.canned_job import ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.form import (
     as_floats,

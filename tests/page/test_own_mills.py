@@ -6,7 +6,7 @@ from typing import Any
 
 from playwright.sync_api import Page, Route, expect
 
-from service.server.schemas.jobs import PROFILE_EXAMPLE
+from tests.page.canned_job import PROFILE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.stub import PROFILES
 

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import FilePayload, Route, expect
 
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
-from service.server.schemas.photos import COUPON_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import problem
+from tests.page.canned_job import COUPON_EXAMPLE, ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.form import choose, parts, picture
 from tests.page.machine_states import NAME

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
 from tests.page import jobs
 from tests.page.browser import NOWHERE, Scheme, layout_faults, open_blank, serious_faults
+from tests.page.canned_job import ESTIMATE_EXAMPLE
 from tests.page.conftest import Opened
 from tests.page.form import refuse_picture, unfold
 from tests.page.listed import answer_with, summary

@@ -15,26 +15,10 @@ from starlette.middleware import Middleware
 
 from service.http.admission import STOPS
 from service.server.api.access.guard import Guard
-from service.server.api.errors import install_problems
+from service.server.api.errors import ANYWHERE, install_problems, refusals, with_problems
 from service.server.api.intake.body import BodyLimit, BodyTimeout
-from service.server.api.metrics import MetricsMiddleware
-from service.server.api.openapi import ANYWHERE, refusals, with_problems
-from service.server.api.routes import (
-    archive,
-    artifacts,
-    control,
-    estimates,
-    health,
-    identity,
-    jobs,
-    machines,
-    page,
-    photos,
-    profiles,
-    runs,
-    submit,
-    tools,
-)
+from service.server.api.monitoring import MetricsMiddleware
+from service.server.api.routes import files, health, identity, jobs, machines, page, photos, profiles, runs, submit
 from service.server.api.services import Services
 from service.server.fleet.notifications import Delivery, list_ways_out, watch_mills
 
@@ -54,15 +38,11 @@ _TAGS = [
 ]
 _ROUTERS = (
     submit,
-    estimates,
     photos,
     jobs,
-    artifacts,
+    files,
     profiles,
-    tools,
-    archive,
     machines,
-    control,
     runs,
     health,
     identity,

@@ -33,13 +33,11 @@ from service.processes.private import keep_private
 from service.server.api.access.scopes import refuse_foreign_bind
 from service.server.api.access.stop_access import StopAccess
 from service.server.api.access.terminal_code import CodeOnTerminal
-from service.server.api.answers.event_feed import Feed
 from service.server.api.app import make_app
-from service.server.api.intake.estimator import LOOKING, Estimator
+from service.server.api.event_feed import Feed
+from service.server.api.intake.child_requests import LOOKING, Estimator, PictureChecker
 from service.server.api.intake.form import sweep_uploads
-from service.server.api.intake.picture_check import PictureChecker
-from service.server.api.metrics import Metrics
-from service.server.api.readiness import Readiness
+from service.server.api.monitoring import Metrics, Readiness
 from service.server.api.services import Services
 from service.server.database.jobs import JobBook
 from service.server.database.pairing import PairingBook

@@ -12,11 +12,9 @@ if TYPE_CHECKING:
 
     from service.server.api.access.stop_access import StopAccess
     from service.server.api.access.terminal_code import CodeOnTerminal
-    from service.server.api.answers.event_feed import Feed
-    from service.server.api.intake.estimator import Estimator
-    from service.server.api.intake.picture_check import PictureChecker
-    from service.server.api.metrics import Metrics
-    from service.server.api.readiness import Readiness
+    from service.server.api.event_feed import Feed
+    from service.server.api.intake.child_requests import Estimator, PictureChecker
+    from service.server.api.monitoring import Metrics, Readiness
     from service.server.database.jobs import JobBook
     from service.server.database.pairing import PairingBook
     from service.server.database.tokens import TokenBook

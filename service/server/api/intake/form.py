@@ -2,7 +2,8 @@
 
 Every limit counts while the bytes arrive, so what is too large is refused before it has filled anything. The file
 lives in `uploads` in the data folder, locked while its request lasts: whatever nobody holds a lock on was left by a
-server that was killed, and the next one removes it.
+server that was killed, and the next one removes it. The space on its disk is asked for before the form is taken, while
+its picture comes, and for the programs that the job would make.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import fcntl
 import hashlib
 import re
 import secrets
+import shutil
 import unicodedata
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
@@ -26,8 +28,10 @@ from starlette.requests import Request
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
+from service.job.planning.program_size import SURE, job_bytes
+from service.job.spec.model import JobSpec
 from service.server.api.intake.body import RequestBody
-from service.server.api.intake.disk_space import Space
+from service.settings import ServerSettings
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
@@ -272,3 +276,44 @@ def harmless_name(given: bytes | str, *, default: str) -> str:
         kept = f"{dot}{ending}" if 0 < len(ending) <= _KEPT_ENDING else ""
         text = (stem if kept else text)[: _LONGEST - len(kept)] + kept
     return text or default
+
+
+_RETRY = {"Retry-After": "60"}
+
+
+def too_little_space(free_mb: float, needed_mb: int) -> Phrase:
+    return Phrase("{free_mb:.0f} MB are free; new jobs need {needed_mb} MB", free_mb=free_mb, needed_mb=needed_mb)
+
+
+class Space:
+    """The disk of the data folder."""
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self._folder = settings.data
+        self._floor_mb = settings.free_disk_mb
+        self._makes_programs = settings.embedded and settings.store_url is None
+
+    def require(self, coming_bytes: int = 0) -> None:
+        """Raise Problem 507 where less is free, or would be after so much more, than the settings want to stay free."""
+        free_mb = self._free_mb()
+        if free_mb - coming_bytes / 1e6 < self._floor_mb:
+            raise Problem(507, too_little_space(free_mb, self._floor_mb), headers=_RETRY)
+
+    def require_for_programs(self, spec: dict[str, Any]) -> None:
+        """Raise Problem 507 for a job whose programs this disk cannot hold; of other computers' disks nothing is
+        known.
+        """
+        if not self._makes_programs:
+            return
+        wanted_mb, free_mb = job_bytes(JobSpec.model_validate(spec)) / 1e6, self._free_mb()
+        if free_mb < wanted_mb / SURE:
+            words = Phrase(
+                "the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free",
+                wanted_mb=wanted_mb,
+                disk=Phrase("the server's disk"),
+                free_mb=free_mb,
+            )
+            raise Problem(507, words, field="spec.passes")
+
+    def _free_mb(self) -> float:
+        return shutil.disk_usage(self._folder).free / 1e6

@@ -10,7 +10,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from phrases.phrase import Phrase, join
 from service.http.problems import Kind, Problem
 from service.server.api.access.scopes import ADMIN, is_open_here, require
-from service.server.api.openapi import Responses
+from service.server.api.errors import Responses
 from service.server.api.services import services_of
 from service.server.schemas.jobs import Alive, Ready
 

@@ -13,9 +13,8 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader, Writer
-from service.server.api.answers.download import matches
-from service.server.api.answers.job_views import read_summaries, read_view
-from service.server.api.openapi import Responses, event_stream, refusals
+from service.server.api.errors import Responses, event_stream, refusals
+from service.server.api.job_views import read_summaries, read_view
 from service.server.api.routes.submit import hand_to_engine
 from service.server.api.services import Services, services_of
 from service.server.database.records import Job, UnknownJobError
@@ -201,3 +200,11 @@ def _is_over(services: Services, job_id: str, after: int | None) -> bool:
     """Return whether a client that comes back has nothing to wait for. UnknownJobError."""
     ended = services.book.get(job_id).ended
     return ended and after is not None and not services.book.list_events(job_id, after, 1)
+
+
+def matches(if_none_match: str | None, etag: str) -> bool:
+    """Return whether the client has this version already (weak comparison)."""
+    if if_none_match is None:
+        return False
+    given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
+    return "*" in given or etag in given

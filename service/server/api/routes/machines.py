@@ -1,17 +1,24 @@
-"""Machines: which there are, what they do, and a program handed to one of them, where it waits for a person."""
+"""Mills: which there are, what they do, a program handed to one of them, where it waits for a person; and control of a
+mill beside its runs: who has it, and what they order. Anybody may stop a mill.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response
+from starlette.responses import StreamingResponse
 
-from service.milling.api import PastOrders
-from service.server.api.access.scopes import Operator, Order, Reader
+from machines.mill.orders import Stop
+from service.http.event_hub import EVENT_HEADERS
+from service.http.schema import Json, PassedOn
+from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView, PastOrders
+from service.server.api.access.scopes import Operator, Order, Reader, Stopper
+from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.intake.request import idempotency_key
-from service.server.api.openapi import Responses, refusals
 from service.server.api.services import services_of
-from service.server.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
+from service.server.schemas.runs import PLAIN, ControlView, MachineList, MachineView, NewRunBody, OrderView, RunView
 
 router = APIRouter(tags=["machines"])
 
@@ -95,3 +102,150 @@ async def park(
         response.status_code = 202
         response.headers["Retry-After"] = "1"
     return run
+
+
+_GIVEN: Responses = {
+    201: {"description": "control is yours"},
+    200: {"description": "it was yours, and stays so", "model": ControlView},
+}
+_TOLD: Responses = {202: {"description": "the mill's agent has taken the order"}}
+_ORDER: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 428, 502, 504, 507)}
+_STOP: dict[str, Any] = {"status_code": 202, "responses": _TOLD | refusals(409, 502, 504, 507)}
+_EVENTS = (
+    'id: 5c1d-87\nevent: status\ndata: {"name":"shop-mill","mill":{"state":"jog"},"run":null,"control":null}\n\n'
+    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"jog -> idle"}\n\n'
+)
+_CONTROL = "/v1/machines/{machine}/control"
+_WITH_BODY = {
+    "jog": (
+        "Jog a mill",
+        "THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events.",
+    ),
+    "probe": ("Probe Z", "THE MILL MOVES down until it touches; work Z is set there, and it moves up again."),
+    "probe-corner": (
+        "Probe a block's corner",
+        "THE MILL MOVES down, aside, down and back, to the left and to the front of where it stands. Where a touch is\n"
+        "missing, or anything stops it, no zero is changed.",
+    ),
+    "zero": ("Set the work zero", "From now on the tool stands at zero of these axes."),
+    "override": ("Override feed, rapids or spindle", "At once, in the middle of a run too."),
+    "check": ("Switch check mode", "In check mode ($C) the controller reads everything and moves nothing."),
+    "block": ("Send one line of G-code", "THE MILL MAY MOVE."),
+}
+_PLAIN = {
+    "home": "THE MILL MOVES to its switches.",
+    "unlock": "Clear an alarm. The position may be wrong afterwards: look before you move.",
+    "reset": "Soft reset of a controller that stands.",
+    "resume": "THE MILL MOVES on from where it was held.",
+    "trust-position": "A person says that the position is right.",
+    "settings": "Read the controller's settings again.",
+}
+_STOPS = {
+    Stop.HOLD: "Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine.",
+    Stop.ABORT: "Hold, and clear what the controller has left.",
+    Stop.JOG_CANCEL: "End a jog; the place is kept.",
+}
+Endpoint = Callable[..., Awaitable[OrderView]]
+
+
+@router.post(
+    "/v1/machines/{machine}/control",
+    summary="Take or keep control of a mill",
+    status_code=201,
+    responses=_GIVEN | refusals(409),
+)
+async def take(
+    request: Request, response: Response, _: Operator, machine: MachineName, body: ControlBody, context: Order
+) -> ControlView:
+    """One person at a time. It is kept by any order, or by asking again with the header, once a minute at least."""
+    orders = services_of(request).fleet.orders
+    control, new = await orders.take(machine, context, body.operator, take_over=body.take_over)
+    response.status_code = 201 if new else 200
+    response.headers["Cache-Control"] = "no-store"
+    return control
+
+
+@router.delete(
+    "/v1/machines/{machine}/control",
+    summary="Give control of a mill back",
+    status_code=204,
+    response_class=Response,
+    responses=refusals(409),
+)
+async def release(request: Request, _: Operator, machine: MachineName, context: Order) -> Response:
+    await services_of(request).fleet.orders.release(machine, context)
+    return Response(status_code=204)
+
+
+@router.post(
+    "/v1/machines/{machine}/grants",
+    summary="Ask for a grant",
+    status_code=201,
+    responses=refusals(409, 502, 504),
+)
+async def grant(
+    request: Request,
+    response: Response,
+    _: Operator,
+    machine: MachineName,
+    context: Order,
+    body: GrantBody | None = None,
+) -> GrantView:
+    """To be asked for when the person presses the button, and sent with the order: under it the mill's agent carries
+    one order out, within seconds, unless somebody stops the mill or takes control first. A grant that took longer than
+    two seconds to come is not for now any more: ask again.
+    """
+    response.headers["Cache-Control"] = "no-store"
+    return await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
+
+
+@router.get(
+    "/v1/machines/{machine}/events",
+    summary="Follow a mill",
+    response_class=Response,
+    responses=event_stream("the stream; it has no end", _EVENTS),
+)
+async def events(
+    request: Request,
+    _: Reader,
+    machine: MachineName,
+    last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=100)] = None,
+) -> Response:
+    """`status` tells how the mill stands, as GET of the machine does, at once and at most five times a second; `log`
+    what happens at it. It goes on while the mill's agent is away. A reader who comes back with the id of the last event
+    misses nothing that the agent remembers; a new one is told the latest of it.
+    """
+    stream = await services_of(request).fleet.follow_machine(machine, last_event_id or "")
+    return StreamingResponse(stream, headers=EVENT_HEADERS)
+
+
+def _make_order(what: str) -> Endpoint:
+    async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> OrderView:
+        return await services_of(request).fleet.orders.give(machine, what, {}, context)
+
+    return order
+
+
+def _make_order_with_body(what: str) -> Endpoint:
+    async def order(request: Request, _: Operator, machine: MachineName, body: Json, context: Order) -> OrderView:
+        return await services_of(request).fleet.orders.give(machine, what, body, context)
+
+    order.__annotations__["body"] = Annotated[Json, PassedOn(ORDERS[what])]
+    return order
+
+
+def _make_stop(stop: Stop) -> Endpoint:
+    async def order(request: Request, _: Stopper, machine: MachineName, context: Order) -> OrderView:
+        return await services_of(request).fleet.stops.stop_machine(machine, stop, context)
+
+    return order
+
+
+for _what, (_summary, _words) in _WITH_BODY.items():
+    router.post(f"{_CONTROL}/{_what}", name=_what.replace("-", "_"), summary=_summary, description=_words, **_ORDER)(
+        _make_order_with_body(_what)
+    )
+for _what, _words in _PLAIN.items():
+    router.post(f"{_CONTROL}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_make_order(_what))
+for _name in Stop:
+    router.post(f"{_CONTROL}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_STOP)(_make_stop(_name))

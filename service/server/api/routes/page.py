@@ -17,7 +17,7 @@ from service.http.problems import Problem
 from service.job.report.pictures import PICTURES
 from service.job.spec.model import JobSpec
 from service.page.files import INDEX, PageFile, PageFiles
-from service.server.api.answers.download import matches
+from service.server.api.routes.jobs import matches
 from service.server.schemas.jobs import Root
 
 PREFIX = "/page/"

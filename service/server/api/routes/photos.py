@@ -19,15 +19,13 @@ from fastapi import Path as InPath
 from machines.profile import profile_names
 from phrases.phrase import Phrase, phrases_in
 from service.errors import PictureError
-from service.http.disposition import name_download
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
 from service.job.report.pictures import PREDICTED
 from service.server.api.access.scopes import Writer
-from service.server.api.intake.disk_space import Space
-from service.server.api.intake.form import receive_form
-from service.server.api.openapi import Responses, refusals
-from service.server.api.routes.archive import ZIP
+from service.server.api.errors import Responses, refusals
+from service.server.api.intake.form import Space, receive_form
+from service.server.api.routes.files import ZIP, name_download
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import Services, services_of
 from service.server.schemas.photos import CouponView, LookView

@@ -1,5 +1,6 @@
-"""What a new job can begin with: the profiles of machines, the shop's own among them, and what another job was made
-from."""
+"""What a new job can begin with: the profiles of machines, the shop's own among them; the end mills that the shop has;
+and what another job was made from.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +11,15 @@ from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request, Response
+from pydantic import Field
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
-from service.http.schema import phrase_views
+from service.http.schema import Body, phrase_views
 from service.job.spec.minimal import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
-from service.server.api.access.scopes import Operator, Reader
-from service.server.api.routes.artifacts import Asked, byte_answers, send_artifact
+from service.job.spec.tools import BUILT_IN, forget_tools, library_file, load_tools, save_tools
+from service.server.api.access.scopes import Operator, Reader, Writer
+from service.server.api.routes.files import Asked, byte_answers, send_artifact
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
@@ -136,3 +139,58 @@ def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
     """Return whether programs for one are programs for the other: all but name, link and homing."""
     ours, theirs = asdict(one), asdict(other)
     return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})
+
+
+_TOOL_NAME = r"^[^\x00-\x1f\x7f]{1,40}$"
+
+
+class ToolView(Body):
+    """An end mill; lengths in mm. Balls finish, what is flat roughs.
+
+    Of two that do equally well a plan takes that of the lower cost_class.
+    """
+
+    name: Annotated[str, Field(pattern=_TOOL_NAME, examples=["ball-r1"])]
+    radius_mm: Annotated[float, Field(ge=0.05, le=25)]
+    flutes: Annotated[int, Field(ge=1, le=8)] = 2
+    flute_length_mm: Annotated[float, Field(ge=0.1, le=200, description="how high it cuts, from its tip")]
+    shank_radius_mm: Annotated[float, Field(ge=0.1, le=50)]
+    stick_out_mm: Annotated[float, Field(ge=0.5, le=300, description="from its tip to the chuck")]
+    max_rpm: Annotated[float, Field(ge=100, le=200_000)] = 30_000
+    cost_class: Annotated[int, Field(ge=1, le=3)] = 2
+    corner_radius_mm: Annotated[
+        float | None,
+        Field(ge=0, le=25, description="0: flat; less than radius_mm: bull-nose; left out: a ball"),
+    ] = None
+
+
+class ToolsBody(Body):
+    tools: Annotated[list[ToolView], Field(min_length=1, max_length=100)]
+
+
+class ToolList(ToolsBody):
+    own: Annotated[bool, Field(description="a list of the shop's own; false: the usual ones")]
+
+
+@router.get("/v1/tools", tags=["machines"], summary="List the end mills that plans choose among")
+async def get_tools(_: Reader) -> ToolList:
+    """Those of the file tools.toml of whoever runs the server; without one, the usual ones."""
+    return await asyncio.to_thread(_read_tools)
+
+
+@router.put("/v1/tools", tags=["machines"], summary="State the end mills that the shop has")
+async def put_tools(_: Writer, body: ToolsBody) -> ToolList:
+    """From now on new jobs are planned with these alone; jobs that are there keep what they were planned with."""
+    await asyncio.to_thread(save_tools, [tool.model_dump(exclude_none=True) for tool in body.tools])
+    return await asyncio.to_thread(_read_tools)
+
+
+@router.delete("/v1/tools", tags=["machines"], summary="Go back to the usual end mills")
+async def delete_tools(_: Writer) -> ToolList:
+    await asyncio.to_thread(forget_tools)
+    return await asyncio.to_thread(_read_tools)
+
+
+def _read_tools() -> ToolList:
+    tools = [ToolView.model_validate(tool) for tool in load_tools()]
+    return ToolList(tools=tools, own=library_file() != BUILT_IN)

@@ -16,7 +16,7 @@ import pytest
 from service.errors import PictureError
 from service.job.picture.reading import Picture, read_picture
 from service.job.spec.model import ImageSpec
-from service.server.api.intake.picture_check import PictureChecker
+from service.server.api.intake.child_requests import PictureChecker
 from tests.service.job.picture.samples import COLOURS, COLUMNS, GREY, OPACITY, ROWS, SHARES, Array, linear_of
 
 GREY_TYPE, RGB_TYPE, PALETTE_TYPE, GREY_ALPHA_TYPE, RGBA_TYPE = 0, 2, 3, 4, 6

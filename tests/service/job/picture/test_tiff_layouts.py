@@ -20,7 +20,7 @@ from service.errors import PictureError
 from service.job.picture.limits import OWN_PICTURE
 from service.job.picture.reading import Picture, read_picture
 from service.job.spec.model import ImageSpec
-from service.server.api.intake.picture_check import PictureChecker
+from service.server.api.intake.child_requests import PictureChecker
 from tests.service.job.picture.samples import (
     COLOURS,
     COLUMNS,

@@ -17,7 +17,7 @@ from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.job.stages.order import StageOrder
 from service.processes.kernel_cache import ESTIMATES, ready_mark
-from service.server.api.intake.estimator import Estimator
+from service.server.api.intake.child_requests import Estimator
 from service.server.worker.process import entry
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.service.server.api.test_estimating import STUB

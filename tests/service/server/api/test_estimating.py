@@ -13,7 +13,7 @@ import pytest
 from service.errors import PictureError
 from service.http.problems import Problem
 from service.processes.kernel_cache import ESTIMATES, ready_mark
-from service.server.api.intake.estimator import Estimator
+from service.server.api.intake.child_requests import Estimator
 from tests.waiting import PATIENCE_S, until
 
 STUB = "tests.service.server.api.estimating_stub"

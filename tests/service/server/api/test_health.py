@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from service.server.api import readiness
+from service.server.api import monitoring
 from service.server.database.connection import begin_writing
 from service.server.database.tables import executors
 from tests.service.server.api.server import ApiServer, api_server, png, problem
@@ -58,8 +58,8 @@ def test_twenty_who_ask_while_the_database_is_locked_share_one_check(
         checks.append(database)
         return begin_writing(database)
 
-    monkeypatch.setattr(readiness, "begin_writing", noted_writing)
-    monkeypatch.setattr(readiness, "_WAIT_S", 1.0)
+    monkeypatch.setattr(monitoring, "begin_writing", noted_writing)
+    monkeypatch.setattr(monitoring, "_WAIT_S", 1.0)
     with sqlite3.connect(own.services.settings.data / "causticmill.sqlite", isolation_level=None) as other:
         other.execute("BEGIN IMMEDIATE")
         with ThreadPoolExecutor(20) as pool:
@@ -83,7 +83,7 @@ def test_scrapes_at_the_same_time_count_once(own: ApiServer, monkeypatch: pytest
         go_on.wait(PATIENCE_S)
         return []
 
-    monkeypatch.setattr("service.server.api.metrics._jobs", noted_count)
+    monkeypatch.setattr("service.server.api.monitoring._jobs", noted_count)
     with ThreadPoolExecutor(10) as pool:
         asked = [pool.submit(own.client.get, "/metrics") for _ in range(10)]
         until(lambda: len(counted) > 0)

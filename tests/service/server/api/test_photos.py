@@ -22,7 +22,7 @@ from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
-from service.server.api.intake.estimator import Estimator
+from service.server.api.intake.child_requests import Estimator
 from service.server.schemas.photos import CouponView, LookView
 from tests.optics.photograph.test_wall import PIXELS, RIM, SIDE_MM, THROW_MM, light_on_the_wall, portrait_lens
 from tests.optics.photographs import camera, photographed

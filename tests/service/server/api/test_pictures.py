@@ -20,7 +20,7 @@ from PIL import Image
 
 from service.errors import FailedError, PictureError
 from service.job.picture.limits import PictureFacts
-from service.server.api.intake.picture_check import PictureChecker
+from service.server.api.intake.child_requests import PictureChecker
 
 ROOT = Path(__file__).parents[4]
 MAX_PIXELS = 40_000_000
@@ -303,7 +303,7 @@ def test_the_child_imports_no_arrays_and_few_decoders() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 def test_the_child_dies_with_a_killed_server(tmp_path: Path) -> None:
     code = (
-        "import time; from pathlib import Path; from service.server.api.intake.picture_check import PictureChecker\n"
+        "import time; from pathlib import Path; from service.server.api.intake.child_requests import PictureChecker\n"
         "checker = PictureChecker()\n"
         "while checker.child_pid is None: time.sleep(0.01)\n"
         "print(checker.child_pid, flush=True); time.sleep(60)"

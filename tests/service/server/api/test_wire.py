@@ -18,7 +18,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from service.http.admission import Admission
 from service.server.api.intake.body import BodyTimeout
-from service.server.api.intake.disk_space import Space
+from service.server.api.intake.form import Space
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S, seen, until
 

@@ -1,28 +1,146 @@
-"""Figures for Prometheus: what the database knows is read there at each scrape, only requests are counted here."""
+"""How the server is doing: whether everything that it needs works, each part by its own word, and figures for
+Prometheus.
+
+What the database knows is read there at each scrape, only requests are counted here.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import shutil
+import threading
 import time
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 import prometheus_client
 import sqlalchemy as sa
+import structlog
 from prometheus_client import CollectorRegistry, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.server.api.shared_call import SharedCall
-from service.server.database.connection import begin_reading, clock
+from phrases.phrase import Phrase
+from service.server.api.intake.form import too_little_space
+from service.server.database.connection import begin_reading, begin_writing, clock, put_rows
 from service.server.database.job_rows import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
 from service.server.database.jobs import count_jobs, find_oldest_queued_at
 from service.server.database.states import StageState
-from service.server.database.tables import executors, runs
+from service.server.database.tables import executors, idempotency_keys, runs
+from service.settings import ServerSettings
+from service.store.base import Store
+
+Result = TypeVar("Result")
+
+
+class SharedCall(Generic[Result]):
+    """Callers share the call that is under way; one that hangs keeps a single thread, which no other work needs.
+
+    For one event loop.
+    """
+
+    def __init__(self, call: Callable[[], Result]) -> None:
+        self._call = call
+        self._running: Future[Result] | None = None
+        self._began_s = 0.0
+
+    async def result(self, timeout_s: float) -> Result:
+        """Return the result; TimeoutError where the call takes longer, at once where it has done so already."""
+        if self._running is None or self._running.done():
+            self._running, self._began_s = Future(), time.monotonic()
+            # A daemon: a check that hangs does not keep the process from ending.
+            threading.Thread(target=self._run, args=(self._running,), name="shared call", daemon=True).start()
+        left_s = self._began_s + timeout_s - time.monotonic()
+        if left_s <= 0 and not self._running.done():
+            raise TimeoutError
+        done = asyncio.wrap_future(self._running)
+        await asyncio.wait({done}, timeout=max(0.0, left_s))  # does not cancel it: others wait for it, too
+        if not done.done():
+            raise TimeoutError
+        return done.result()
+
+    def _run(self, running: Future[Result]) -> None:
+        try:
+            running.set_result(self._call())
+        except BaseException as error:
+            running.set_exception(error)
+
+
+_WAIT_S = 5.0
+_log = structlog.get_logger("api")
+
+
+class _WrongError(Exception):
+    """What is wrong, in words that may be shown."""
+
+
+class Readiness:
+    """One for the whole server: whoever asks while a part is being checked gets the answer of that check."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store) -> None:
+        self._settings = settings
+        self._engine = database
+        self._artifacts = store
+        parts = {
+            "database": self._check_database,
+            "store": self._store,
+            "worker": self._check_worker,
+            "disk": self._check_disk,
+        }
+        self._checks = {name: SharedCall(partial(_check, name, check)) for name, check in parts.items()}
+
+    async def checks(self) -> dict[str, str]:
+        """Return `ok` or what is wrong for each part; none of them waits for another."""
+        words = await asyncio.gather(*map(_answer, self._checks.values()))
+        return dict(zip(self._checks, words, strict=True))
+
+    def _check_database(self) -> None:
+        with begin_writing(self._engine) as connection:
+            row = {"principal": "", "kind": "ready", "key": "", "request_sha256": "", "resource_id": ""}
+            put_rows(connection, idempotency_keys, [row | {"created_at": clock(connection)}])
+
+    def _store(self) -> None:
+        self._artifacts.check()
+
+    def _check_worker(self) -> None:
+        lease_s = self._settings.lease_s
+        with begin_reading(self._engine) as connection:
+            live = executors.c.seen_at > clock(connection) - lease_s
+            if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
+                raise _WrongError(Phrase("no worker has reported for {lease_s:g} s; jobs are waiting", lease_s=lease_s))
+
+    def _check_disk(self) -> None:
+        settings = self._settings
+        free_mb = shutil.disk_usage(settings.data).free / 1e6
+        if free_mb < settings.free_disk_mb:
+            raise _WrongError(too_little_space(free_mb, settings.free_disk_mb))
+
+
+def _check(name: str, check: Callable[[], None]) -> str:
+    """Check one part. The true reason goes to the log; it may hold paths."""
+    try:
+        check()
+    except _WrongError as error:
+        return str(error)
+    except Exception as error:
+        _log.warning("not ready", part=name, error=" ".join(str(error).split())[:300])
+        return Phrase("cannot be used at present")
+    return "ok"
+
+
+async def _answer(check: SharedCall[str]) -> str:
+    try:
+        return await check.result(_WAIT_S)
+    except TimeoutError:
+        return Phrase("no answer in {wait_s:g} s", wait_s=_WAIT_S)
+
 
 _BUCKETS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
-_WAIT_S = 10.0
+_FIGURES_WAIT_S = 10.0
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 
@@ -46,7 +164,7 @@ class Metrics:
 
     async def text(self) -> bytes:
         """Return the figures as text; those who ask at the same time get the same. TimeoutError."""
-        return await self._text.result(_WAIT_S)
+        return await self._text.result(_FIGURES_WAIT_S)
 
 
 class JobFigures(Collector):

@@ -1,1 +1,0 @@
-"""How jobs, events and files are answered."""
