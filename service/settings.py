@@ -18,6 +18,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.errors import InputError, printable
 
 PREFIX = "CAUSTICMILL_"
+SAFE_SHARE = 0.6  # of a lease: a worker that has not renewed it for so long stops, well before others take over
 # Read elsewhere: by clients, profiles, secrets, the command itself. TRIAL... belong to the trials of the server.
 _OTHERS = ("SERVER", "TOKEN", "CONFIG_DIR", "SECRETS", "BEGAN", "PUBLISHED_PORT")
 _TRIALS = ("TRIAL", "BENCH_", "FUZZ_", "SLOW", "REWRITE_")

@@ -164,7 +164,7 @@ def restore(
     ] = False,
 ) -> None:
     """Restore a backup into an empty data folder: check every hash, revoke every token. `serve` continues its jobs."""
-    from service.server.maintenance.restore import restore_backup
+    from service.server.maintenance.backup import restore_backup
 
     for line in restore_backup(source, _settings(data=data), keep_tokens=keep_tokens):
         print(line, file=sys.stderr)

@@ -20,8 +20,7 @@ from starlette.responses import Response
 from phrases.phrase import Phrase, join
 from service.errors import FailedError, InputError, PictureError, SpecError
 from service.http.problems import Kind, Problem, make_value_problem, problem_response
-from service.server.database.records import KeyReusedError, UnknownArtifactError, UnknownJobError
-from service.server.database.states import JobStateError
+from service.server.database.records import JobStateError, KeyReusedError, UnknownArtifactError, UnknownJobError
 from service.server.schemas.jobs import ProblemBody
 from service.store.base import MissingObjectError
 

@@ -10,8 +10,7 @@ from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
 from service.server.api.services import Services
 from service.server.database.jobs import MOST_POSITIONS
-from service.server.database.records import Artifact, Job, JobListRow, Progress, StageRun, priority_word
-from service.server.database.states import JobState
+from service.server.database.records import Artifact, Job, JobListRow, JobState, Progress, StageRun, priority_word
 from service.server.schemas.jobs import ArtifactView, ImageView, JobError, JobSummary, JobView, ProgramView, StageView
 
 _MEDIA_TYPES = {

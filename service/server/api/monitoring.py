@@ -29,7 +29,7 @@ from service.server.api.intake.form import too_little_space
 from service.server.database.connection import begin_reading, begin_writing, clock, put_rows
 from service.server.database.job_rows import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
 from service.server.database.jobs import count_jobs, find_oldest_queued_at
-from service.server.database.states import StageState
+from service.server.database.records import StageState
 from service.server.database.tables import executors, idempotency_keys, runs
 from service.settings import ServerSettings
 from service.store.base import Store

@@ -15,6 +15,7 @@ from service.errors import printable
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new, put_rows
 from service.server.database.job_rows import (
+    DONE,
     RECOVERIES,
     STAGE_RESULTS,
     Counter,
@@ -24,9 +25,7 @@ from service.server.database.job_rows import (
     lock_job,
     write_event,
 )
-from service.server.database.offered_files import DONE
-from service.server.database.records import Job, Json, UnknownJobError
-from service.server.database.states import JobState, StageState
+from service.server.database.records import Job, JobState, Json, StageState, UnknownJobError
 from service.server.database.tables import artifacts, executors, jobs, progress, result_files, stage_results, stage_runs
 from service.server.queue.engine import Fenced, Ticket
 

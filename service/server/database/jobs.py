@@ -24,29 +24,36 @@ from service.server.database.job_rows import (
     change_job,
     end_job,
     get_job,
+    list_offered_artifacts,
+    list_offered_programs,
     lock_job,
+    may_be_milled,
     read_counters,
     read_events,
     read_news,
     state_counter,
     write_event,
 )
-from service.server.database.offered_files import list_offered_artifacts, list_offered_programs, may_be_milled
 from service.server.database.records import (
     PRIORITIES,
+    RETRYABLE,
+    TRANSITIONS,
     Artifact,
     ClientKey,
     Job,
     JobEvent,
     JobListRow,
+    JobOnMillError,
+    JobState,
+    JobStateError,
     KeyReusedError,
     NewJob,
     News,
     StageRun,
+    StageState,
     UnknownArtifactError,
     UnknownJobError,
 )
-from service.server.database.states import RETRYABLE, TRANSITIONS, JobOnMillError, JobState, JobStateError, StageState
 from service.server.database.tables import artifacts, idempotency_keys, jobs, stage_results, stage_runs
 from service.store.base import Store
 

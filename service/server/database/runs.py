@@ -18,17 +18,18 @@ from machines.runs import LIVE, RunState
 from phrases.phrase import Phrase, phrases_in
 from service.http.problems import Problem
 from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
-from service.server.database.job_rows import lock_job
-from service.server.database.offered_files import may_be_milled
-from service.server.database.records import ClientKey, Job, KeyReusedError
-from service.server.database.states import (
+from service.server.database.job_rows import lock_job, may_be_milled
+from service.server.database.records import (
     ABORTED,
     FINISHED,
     LOST,
     PREPARING,
     REFUSED,
     STATE_WORDS,
+    ClientKey,
+    Job,
     JobState,
+    KeyReusedError,
 )
 from service.server.database.tables import idempotency_keys, runs
 

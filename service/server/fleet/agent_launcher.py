@@ -1,4 +1,6 @@
-"""Starts the agents of this computer's mills. From then on they are on their own: their own sessions, children of init.
+"""Starts the agents of this computer's mills, says what became of each, and ends: a process of its own, so that the
+supervisor need not hold what this needs. The agents are on their own from then on: their own sessions, children of
+init.
 
 Whether a mill has its agent already is what the lock in its folder says, which the system drops with the process that
 holds it. Two servers that start one agent at once do no harm: the second agent finds folder and port taken and ends.
@@ -12,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from service.errors import sentence_of_os_error
+from service.errors import ServiceError, printable, sentence_of_os_error
 from service.processes.private import make_private
 from service.server.fleet.registry import KnownMachine, local_folder, read_machines
 from service.settings import PREFIX, ServerSettings
@@ -95,3 +97,19 @@ def _launch(machine: str, folder: Path) -> int:
         check=True,
     )
     return int(shell.stdout)
+
+
+def main() -> int:
+    """Start the agents; one line for each mill goes to stderr."""
+    try:
+        said = start_agents(ServerSettings.load())
+    except ServiceError as error:
+        print(f"agents: {error}", file=sys.stderr)
+        return error.exit_code
+    for machine, words in said:
+        print(printable(f"{machine}: {words}"), file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

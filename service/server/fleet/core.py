@@ -14,8 +14,8 @@ import sqlalchemy as sa
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
 from service.server.database.jobs import JobBook
+from service.server.database.records import FINISHED, LOST
 from service.server.database.runs import LIVE_WORDS, RunBook, RunRow, UnknownRunError, make_reason, word_state
-from service.server.database.states import FINISHED, LOST
 from service.server.fleet.agent_client import ASK_S, AgentLink, AgentLinks
 from service.server.fleet.agent_replies import AgentAwayError, run_view
 from service.server.fleet.registry import KnownMachine, read_machines

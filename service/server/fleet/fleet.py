@@ -16,9 +16,8 @@ from service.http.problems import Problem
 from service.http.schema import phrase_views
 from service.milling.api import PastOrders, RecoveryView
 from service.server.database.jobs import JobBook
-from service.server.database.records import ClientKey
+from service.server.database.records import PREPARING, ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
-from service.server.database.states import PREPARING
 from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_feed import known_id
 from service.server.fleet.agent_replies import AgentAwayError, as_problem, parse_reply, require_answer
@@ -27,9 +26,8 @@ from service.server.fleet.core import FleetCore
 from service.server.fleet.event_streams import MachineEvents, RunEvents
 from service.server.fleet.handover import Handovers
 from service.server.fleet.orders import ASK_S, Controls, Orders, RunOrder
-from service.server.fleet.programs import programs_of
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view
+from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view, programs_of
 from service.server.fleet.stops import Stops
 from service.server.schemas.runs import MachineList, MachineView, RunView
 from service.settings import ServerSettings

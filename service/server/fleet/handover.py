@@ -12,14 +12,13 @@ from collections.abc import AsyncIterator, Iterator
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
-from service.server.database.records import ClientKey, Job, UnknownJobError
+from service.server.database.records import PREPARING, REFUSED, ClientKey, Job, UnknownJobError
 from service.server.database.runs import JobNotReadyError, MachineTakenError, RunRow, make_reason
-from service.server.database.states import PREPARING, REFUSED
 from service.server.fleet.agent_client import AgentLink
 from service.server.fleet.agent_replies import AgentAwayError, run_view
 from service.server.fleet.core import FleetCore
-from service.server.fleet.programs import Program, programs_of
 from service.server.fleet.registry import KnownMachine
+from service.server.fleet.representation import Program, programs_of
 from service.store.base import MissingObjectError
 
 ANSWER_WITHIN_S = 20.0

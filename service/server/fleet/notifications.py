@@ -20,8 +20,8 @@ import httpx
 import structlog
 
 from service.errors import printable
+from service.server.database.records import FINISHED, INTERRUPTED, LOST
 from service.server.database.runs import LIVE_WORDS
-from service.server.database.states import FINISHED, INTERRUPTED, LOST
 from service.server.fleet.fleet import Fleet
 from service.server.schemas.runs import MachineView, RunView
 from service.settings import ServerSettings

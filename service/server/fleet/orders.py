@@ -19,8 +19,8 @@ from machines.mill.orders import LEASE_S, Refusal
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
 from service.milling.api import GrantView, RecoveryView
+from service.server.database.records import ABORTED, INTERRUPTED, PARKED
 from service.server.database.runs import MachineTakenError, RunRow, word_state
-from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentLink, Json, OrderContext
 from service.server.fleet.agent_replies import (
     AgentAwayError,

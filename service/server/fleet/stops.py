@@ -13,8 +13,8 @@ from typing import TypeVar
 
 from machines.mill.orders import Stop
 from service.http.problems import Problem, ServerCode
+from service.server.database.records import ABORTED, INTERRUPTED, PARKED
 from service.server.database.runs import ENDED, RunRow, make_reason, read_reason
-from service.server.database.states import ABORTED, INTERRUPTED, PARKED
 from service.server.fleet.agent_client import AgentLink, Json, OrderContext
 from service.server.fleet.agent_replies import require_answer, run_view
 from service.server.fleet.core import FleetCore, not_handed_over

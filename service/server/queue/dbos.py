@@ -22,8 +22,7 @@ import sqlalchemy as sa
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
 
 from service.server.database.connection import connect, use_wal
-from service.server.queue.engine import Ticket
-from service.server.queue.ticket_runner import TicketRunner
+from service.server.queue.engine import Ticket, TicketRunner
 from service.settings import ServerSettings
 
 NAME = "causticmill"

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.schema import Body, Phrases, Sha256, Time, one_of
-from service.server.database.records import PRIORITIES
-from service.server.database.states import JobState, StageState
+from service.server.database.records import PRIORITIES, JobState, StageState
 
 JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 _SPEC = {"preset": "draft", "optics": {"width_mm": 40.0}}

@@ -10,7 +10,7 @@ from pydantic import Field
 from machines.runs import RunState
 from service.http.schema import Body, Phrases, Sha256, Time, one_of
 from service.milling.api import Check, Code, Values
-from service.server.database.states import LOST, PREPARING, REFUSED
+from service.server.database.records import LOST, PREPARING, REFUSED
 from service.server.schemas.jobs import JOB_ID
 
 RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]

@@ -33,7 +33,7 @@ _MODULES = {
     "stops": "service.server.standby.main",
     "worker": "service.server.worker.main",
     "API": "service.server.api.main",
-    "agents": "service.server.supervisor.start_agents",
+    "agents": "service.server.fleet.agent_launcher",
 }
 _SIMULATED = {
     "simulated mill": "service.server.supervisor.simulated_mill",

@@ -1,16 +1,21 @@
-"""The worker's claim to be alive: a row in the database that it renews, and the lock that makes its name its own.
+"""Whether a worker and its jobs may go on: its claim to be alive, a row in the database that it renews, and the wishes
+about its running jobs.
 
 Theory of operation: others take a worker's jobs when its row is older than one lease, by the database's clock. The
 worker itself stops working at 0.6 of a lease without a successful beat, in real time, a pause or a suspended computer
 included (`machines.clock`), and counted from before the beat was sent; so it has stopped before anyone takes over,
-however slow the beat's answer was.
+however slow the beat's answer was. The supervisor of a stage asks five times a second whether to go on, and must be
+answered at once, database or not: one thread per worker asks the database for all of its jobs, and writes their
+progress, at most twice a second per job.
 """
 
 from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from uuid import uuid4
 
@@ -19,10 +24,11 @@ import structlog
 
 from machines.clock import Timeout, suspend_aware_clock_s
 from service.processes.lifeline import BEAT_S
+from service.server.database.claims import Claim, WorkBook
 from service.server.database.connection import begin_writing, clock, put_rows
 from service.server.database.tables import executors
+from service.settings import SAFE_SHARE
 
-SAFE_SHARE = 0.6
 BEATS_PER_LEASE = 6
 log = structlog.get_logger()
 
@@ -119,3 +125,87 @@ def list_live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
     """Return the workers that were heard of within a lease."""
     query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
     return set(connection.execute(query).scalars())
+
+
+POLL_S = 0.15
+PROGRESS_S = 0.5
+
+
+class Watched:
+    """A running job: what is wanted of it, and how far it is."""
+
+    def __init__(self, claim: Claim, lease: Lease, stopping: threading.Event) -> None:
+        self.claim = claim
+        self.wish = "go"
+        self.news: tuple[str, float, float] | None = None
+        self.noted_at = 0.0
+        self._lease = lease
+        self._stopping = stopping
+
+    def reason(self) -> str | None:
+        """Return why its stage has to end now: "cancelled", "fenced", "stopping"; None: go on. Never waits."""
+        if self.wish != "go":
+            return self.wish
+        if self._stopping.is_set():
+            return "stopping"
+        return None if self._lease.is_safe() else "fenced"
+
+
+class Watch:
+    """All jobs that run in this worker."""
+
+    def __init__(self, work: WorkBook, lease: Lease) -> None:
+        self.stopping = threading.Event()
+        self._work = work
+        self._lease = lease
+        self._jobs: dict[str, Watched] = {}
+        self._change = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def is_idle_within(self, timeout_s: float) -> bool:
+        """Wait until no job runs here."""
+        with self._change:
+            return self._change.wait_for(lambda: not self._jobs, timeout_s)
+
+    @contextmanager
+    def follow(self, claim: Claim) -> Iterator[Watched]:
+        """Look after a job as long as it runs."""
+        watched = Watched(claim, self._lease, self.stopping)
+        with self._change:
+            self._jobs[claim.job.id] = watched
+            self._change.notify_all()
+        try:
+            yield watched
+        finally:
+            with self._change:
+                del self._jobs[claim.job.id]
+                self._change.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._jobs)
+                jobs = list(self._jobs.values())
+            try:
+                self._look(jobs)
+                self._note(jobs)
+            except Exception as error:  # the database is away; if that lasts, the lease runs out
+                log.warning("cannot look after running jobs", error=str(error).splitlines()[0])
+            time.sleep(POLL_S)
+
+    def _look(self, jobs: list[Watched]) -> None:
+        wishes = self._work.read_wishes(job.claim for job in jobs)
+        for job in jobs:
+            job.wish = wishes[job.claim.job.id]
+
+    def _note(self, jobs: list[Watched]) -> None:
+        now = time.monotonic()
+        for job in jobs:
+            news, job.news = (job.news, None) if now - job.noted_at >= PROGRESS_S else (None, job.news)
+            if news is not None:
+                stage, share, whole = news
+                self._work.note_progress(job.claim, stage, share, whole=whole)
+                job.noted_at = now

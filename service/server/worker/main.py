@@ -19,7 +19,7 @@ from contextlib import closing
 
 from service.errors import FailedError, ServiceError
 from service.processes.private import keep_private
-from service.server.worker.process.pool import STAGE_ENTRY, StageProcesses
+from service.server.worker.stage_process import STAGE_ENTRY, StageProcesses
 from service.settings import ServerSettings
 
 
@@ -64,8 +64,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
 
     from service.logs import configure_logs
     from service.server.worker import warmup
-    from service.server.worker.preconditions import executor_name
-    from service.server.worker.worker import open_worker
+    from service.server.worker.worker import executor_name, open_worker
 
     configure_logs(settings.log_level, form=settings.log_format, executor=executor_name(settings))
     try:

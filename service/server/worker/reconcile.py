@@ -17,8 +17,7 @@ from phrases.phrase import Phrase
 from service.server.database.claims import interrupt_tries
 from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.job_rows import change_job, end_job, lock_job
-from service.server.database.records import Job, Json, UnknownJobError
-from service.server.database.states import JobState
+from service.server.database.records import Job, JobState, Json, UnknownJobError
 from service.server.database.tables import jobs
 from service.server.queue.engine import JobEngine, Ticket
 from service.server.worker.lease import list_live_executors

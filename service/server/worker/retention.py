@@ -20,8 +20,7 @@ from service.server.database.claims import drop_results
 from service.server.database.connection import begin_reading, begin_writing, clock, is_sqlite
 from service.server.database.job_rows import ARTIFACT_BYTES, lock_job, set_counter
 from service.server.database.jobs import drop_job
-from service.server.database.records import UnknownJobError
-from service.server.database.states import JobOnMillError
+from service.server.database.records import JobOnMillError, UnknownJobError
 from service.server.database.tables import artifacts, executors, jobs, result_files, runs, stage_results, stage_runs
 from service.server.queue.engine import JobEngine, Ticket
 from service.settings import ServerSettings

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from service.job.report.setup_sheet import describe_setup
-from service.server.fleet.programs import set_up
+from service.server.fleet.representation import set_up
 
 SPEC: dict[str, Any] = {
     "passes": [{"radius_mm": 3.0, "spindle_rpm": 9000}, {"radius_mm": 0.5, "spindle_rpm": 18000}],

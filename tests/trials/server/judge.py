@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import sqlalchemy as sa
 
-from service.server.database.states import StageState
+from service.server.database.records import StageState
 from service.server.database.tables import jobs, stage_runs
 from tests.trials.server.customers import Order
 

@@ -17,8 +17,7 @@ from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.job_views import read_summaries, read_view
 from service.server.api.routes.submit import hand_to_engine
 from service.server.api.services import Services, services_of
-from service.server.database.records import Job, UnknownJobError
-from service.server.database.states import JobState
+from service.server.database.records import Job, JobState, UnknownJobError
 from service.server.queue.engine import Ticket
 from service.server.schemas.jobs import JOB_ID, JobList, JobView
 

@@ -9,7 +9,7 @@ import pytest
 from service.cli.summary import summary_lines
 from service.job.files import files_of_pass, is_known, is_program, program_name, program_order
 from service.server.api.job_views import programs
-from service.server.fleet.programs import programs_of, set_up
+from service.server.fleet.representation import programs_of, set_up
 
 PARTS = tuple(program_name(2, "finish-3", ".nc", part) for part in (1, 2, 10, 99, 100))
 NAMES = ["pass-1-rough.nc", *PARTS, "pass-10-last.nc"]

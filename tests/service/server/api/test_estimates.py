@@ -18,7 +18,7 @@ from service.http.problems import Problem
 from service.job.stages.order import StageOrder
 from service.processes.kernel_cache import ESTIMATES, ready_mark
 from service.server.api.intake.child_requests import Estimator
-from service.server.worker.process import entry
+from service.server.worker import stage_entry
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.service.server.api.test_estimating import STUB
 from tests.waiting import PATIENCE_S, until
@@ -136,10 +136,10 @@ def test_estimates_and_stages_keep_their_plans_in_the_same_folder(
 
     monkeypatch.setattr(Estimator, "ask", ask)
     assert sent(estimating, "/v1/estimates", spec=SMALL).status_code == 503
-    monkeypatch.setattr(entry, "run_order", run)
+    monkeypatch.setattr(stage_entry, "run_order", run)
     monkeypatch.setattr(StageOrder, "from_plain", lambda plain: SimpleNamespace(plain=dict))
     monkeypatch.setenv("CAUSTICMILL_DATA", str(estimating.services.settings.data))
-    entry.run_stage({}, print)
+    stage_entry.run_stage({}, print)
     assert folders == [estimating.services.settings.data / "plans"] * 2
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from service.job.spec.loading import resolve_spec
 from service.server.api.job_views import make_view
-from service.server.database.records import Job
-from service.server.database.states import JobState
+from service.server.database.records import Job, JobState
 
 BALL = {"radius_mm": 3.0, "pitch_mm": 0.2}
 

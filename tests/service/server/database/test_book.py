@@ -14,9 +14,17 @@ from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import Claim, StageClose, WorkBook
 from service.server.database.connection import begin_writing
 from service.server.database.jobs import JobBook
-from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
+from service.server.database.records import (
+    ClientKey,
+    JobState,
+    JobStateError,
+    KeyReusedError,
+    NewJob,
+    StageState,
+    UnknownArtifactError,
+    UnknownJobError,
+)
 from service.server.database.runs import RunBook, RunRow
-from service.server.database.states import JobState, JobStateError, StageState
 from service.server.database.tables import artifacts
 from service.server.queue.engine import Fenced, Ticket
 

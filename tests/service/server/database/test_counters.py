@@ -14,8 +14,7 @@ from service.server.database.claims import StageClose, WorkBook, interrupt_tries
 from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.job_rows import Counter, end_job, read_counters
 from service.server.database.jobs import JobBook
-from service.server.database.records import NewJob, UnknownJobError
-from service.server.database.states import JobState, JobStateError, StageState
+from service.server.database.records import JobState, JobStateError, NewJob, StageState, UnknownJobError
 from service.server.database.tables import jobs, stage_results, stage_runs
 from service.server.queue.engine import Fenced, Ticket
 

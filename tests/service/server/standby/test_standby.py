@@ -20,9 +20,8 @@ from service.http.hosts import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
 from service.server.fleet.agent_client import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
-from service.server.standby.app import StandbyApp
 from service.server.standby.line import ApiWatch
-from service.server.standby.main import Standby
+from service.server.standby.main import Standby, StandbyApp
 from service.server.stoppers import FILE, Stopper, StopperFile, hash_secret, read_stoppers, write_stoppers
 from service.settings import ServerSettings
 from tests.service.server.fleet.rogue import Rogue, as_json, rogue_agent

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from service.processes.linux import own_children
-from service.server.worker.process.pool import StageEnd, StageProcesses
+from service.server.worker.stage_process import StageEnd, StageProcesses
 from service.settings import ServerSettings
 from tests.waiting import until
 

@@ -23,9 +23,8 @@ from pathlib import Path
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import plan
 from service.server.database.jobs import JobBook
-from service.server.database.records import NewJob
+from service.server.database.records import JobState, NewJob, StageState
 from service.server.database.schema import await_schema, open_database
-from service.server.database.states import JobState, StageState
 from service.server.queue.dbos import DbosEngine
 from service.server.queue.engine import Ticket
 from service.settings import ServerSettings

@@ -10,8 +10,7 @@ import sqlalchemy as sa
 from service.server.database.claims import WorkBook
 from service.server.database.connection import begin_writing, clock
 from service.server.database.jobs import JobBook
-from service.server.database.records import NewJob
-from service.server.database.states import JobState
+from service.server.database.records import JobState, NewJob
 from service.server.database.tables import executors
 from service.server.queue.engine import Fenced, Ticket
 from service.server.worker.lease import Lease, LeaseRenewer, NameTakenError, list_live_executors

@@ -15,7 +15,7 @@ import pytest
 
 from phrases.phrase import phrases_in
 from service.processes.linux import own_children
-from service.server.worker.process.pool import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
+from service.server.worker.stage_process import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
 from service.settings import ServerSettings
 from tests.service.server.worker.stage_bench import Bench, fork_server_pid, lives, pids_in
 from tests.waiting import until

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from service.processes.linux import list_living_members
-from service.server.worker.process.pool import Crashed, Done, StageProcesses, Stopped
+from service.server.worker.stage_process import Crashed, Done, StageProcesses, Stopped
 from service.settings import ServerSettings
 from tests.service.server.worker.stage_bench import (
     HERE,
@@ -94,7 +94,7 @@ def test_a_worker_killed_together_with_its_fork_server_leaves_nothing(tmp_path: 
 def test_a_frozen_fork_server_does_not_keep_a_stage_from_being_stopped(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.server.worker.process.supervision._REAP_S", 0.5)
+    monkeypatch.setattr("service.server.worker.stage_process._REAP_S", 0.5)
     told = bench.folder / "pids"
     wanted: list[str] = []
     with ThreadPoolExecutor(1) as pool:

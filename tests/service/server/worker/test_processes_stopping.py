@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.server.worker.process.pool import Done, Stopped
+from service.server.worker.stage_process import Done, Stopped
 from tests.service.server.worker.stage_bench import PROMPT_S, Bench, lives, pids_in
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run under Linux only")

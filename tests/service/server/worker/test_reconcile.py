@@ -8,8 +8,7 @@ import sqlalchemy as sa
 from service.server.database.claims import WorkBook
 from service.server.database.connection import begin_writing, clock
 from service.server.database.jobs import JobBook
-from service.server.database.records import Job, NewJob
-from service.server.database.states import JobState, StageState
+from service.server.database.records import Job, JobState, NewJob, StageState
 from service.server.database.tables import executors, jobs
 from service.server.queue.dbos import DbosEngine
 from service.server.queue.engine import Fenced, Ticket

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from service.errors import InputError
 from service.server.database.connection import connect
-from service.server.worker.preconditions import NameLock, file_system_of, refuse_network_disk
+from service.server.worker.worker import NameLock, file_system_of, refuse_network_disk
 from service.settings import ServerSettings
 from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 from tests.waiting import PATIENCE_S

@@ -14,9 +14,8 @@ from service.server.database.claims import WorkBook
 from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.job_rows import ARTIFACT_BYTES, read_counters
 from service.server.database.jobs import JobBook
-from service.server.database.records import NewJob, UnknownJobError
+from service.server.database.records import JobState, NewJob, UnknownJobError
 from service.server.database.runs import RunBook, RunRow
-from service.server.database.states import JobState
 from service.server.database.tables import artifacts, jobs, stage_results
 from service.server.queue.dbos import DbosEngine
 from service.server.queue.engine import Ticket

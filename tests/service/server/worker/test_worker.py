@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from service.server.database.states import JobState, StageState
+from service.server.database.records import JobState, StageState
 from service.server.queue.engine import Ticket
 from service.settings import ServerSettings
 from tests.levels import mostly_thorough

@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from service.server.worker.process.pool import StageProcesses
+from service.server.worker.stage_process import StageProcesses
 from service.settings import ServerSettings
 
 settings = ServerSettings.load(data=Path(sys.argv[1]), lease_s=float(sys.argv[3]))

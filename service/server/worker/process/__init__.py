@@ -1,1 +1,0 @@
-"""One stage in a process that can be killed, forked from a warm one."""
