@@ -180,7 +180,7 @@ def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> N
     """Send a stop to the server, or, if it does not answer, to the mill's agent on this computer. If the stop may not
     have arrived, the error says to use the mill's own stop.
     """
-    from service.client.local_agents import stop_at_agents
+    from service.client.runs import stop_at_agents
     from service.client.server import GoneError, RefusedError
     from service.errors import FailedError
 

@@ -1,11 +1,19 @@
-"""Questions before a run, answered by a person at the terminal."""
+"""What a person at this terminal says: answers to questions before a run, orders, each under a grant of the moment of
+its key, and stops, at once.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import getpass
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
+from machines.errors import MachineError
+from machines.mill.mill import Mill
+from machines.mill.orders import Caller, Stop
+from machines.mill.thread import MillThread
 from service.errors import InputError
 
 START_QUESTIONS = {
@@ -47,3 +55,21 @@ def ask_person(questions: dict[str, str]) -> frozenset[str]:
         if answer.strip().lower() not in ("y", "yes"):
             raise InputError(f"not confirmed ({check}); nothing was started")
     return frozenset(questions)
+
+
+T = TypeVar("T")
+
+_ORIGIN = "terminal"
+
+
+def give_order(thread: MillThread, doing: str, act: Callable[[Mill], T]) -> T:
+    """Have `act` carried out now; MachineError where that is refused. After a later stop, or too late, it never is."""
+    grant = thread.orders.issue_grant()
+    caller = Caller(name=operator_name(), origin=_ORIGIN, grant=grant.word)
+    return thread.call(lambda mill: mill.carry_out(doing, act, caller))
+
+
+def stop_mill(thread: MillThread, stop: Stop) -> None:
+    """Hold or abort; never waits."""
+    with contextlib.suppress(MachineError):  # its thread has ended: that is seen, and said, by whoever follows it
+        thread.halt(stop, Caller(name=operator_name(), origin=_ORIGIN))

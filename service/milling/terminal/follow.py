@@ -24,9 +24,9 @@ from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
 from machines.runs import RunState
+from service.milling.terminal.confirm import give_order, stop_mill
 from service.milling.terminal.keys import Keys, Question, Signals, Wish, keys_in
 from service.milling.terminal.leaving import CLEAR_WAIT_S, Buffers
-from service.milling.terminal.orders import give_order, stop_mill
 from service.milling.terminal.screen import Screen, StreamView
 
 _LOOK_S = 0.25

@@ -20,8 +20,8 @@ from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.runs import RunState
 from service.errors import printable
-from service.milling.terminal.orders import stop_mill
-from service.milling.terminal.printing import left_words
+from service.milling.terminal.confirm import stop_mill
+from service.milling.terminal.screen import left_words
 
 CLEAR_WAIT_S = 20.0  # hold to standstill is 4 s on a slow mill, a reset after a limit switch 2 s more
 _LOOK_S = 0.1

@@ -1,8 +1,9 @@
-"""What must be done before a mill can be sent a program: told, asked of a person, carried out, waited for; and before
-an interrupted run can go on, in words and blocks.
+"""What must be done before a mill can be sent a program: shown, asked of a person, carried out, waited for; and before
+an interrupted run can go on, in words and blocks. Nothing here moves the mill except a homing cycle that the person
+asks for, and nothing is reset but what the person, or --confirm-position, says.
 
-Nothing here moves the mill except a homing cycle that the person asks for, and nothing is reset but what the person, or
---confirm-position, says.
+`stream --dry-run`: the controller itself reads the whole program in check mode ($C); nothing moves. It needs no
+journal, so it works on the driver alone, in this thread.
 """
 
 from __future__ import annotations
@@ -12,8 +13,25 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from machines.clock import Timeout
-from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
-from machines.errors import MachineError, NotAllowedError
+from machines.driver import (
+    CheckMode,
+    Command,
+    CommandDone,
+    Driver,
+    Event,
+    Faulted,
+    Home,
+    MillState,
+    MillStatus,
+    ProgramDone,
+    ProgramLine,
+    Reset,
+    SendBlock,
+    TrustPosition,
+    Unlock,
+    allow_always,
+)
+from machines.errors import MachineError, NotAControllerError, NotAllowedError
 from machines.grbl.link import SILENT
 from machines.mill.commands import command_words
 from machines.mill.thread import MillThread
@@ -22,9 +40,86 @@ from machines.recovery.needs import needs_of_standing_mill
 from machines.recovery.plan_model import Need, RecoveryPlan
 from machines.runs import RECOVERABLE, RunReport
 from service.errors import FailedError, InputError
+from service.milling.terminal.confirm import give_order
 from service.milling.terminal.leaving import STILL_HELD, Buffers
-from service.milling.terminal.orders import give_order
-from service.milling.terminal.printing import left_words, place_lines, print_lines
+from service.milling.terminal.screen import left_words, place_lines, print_lines
+
+CONNECT_S = 90.0  # the driver gives a link up that tells nothing, sooner, and says why
+_MODE_S = 60.0  # and ends a command that is not answered
+_POLL_S = 0.2
+
+
+def run_check_mode(
+    driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]
+) -> tuple[str, ...]:
+    """Send all lines in check mode; returns the protections that were active. FailedError names what was refused."""
+    driver.connect()
+    _poll_until(
+        driver, url, CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
+    )
+    if driver.status.state is not MillState.IDLE:
+        raise FailedError(f"dry run: the mill is {driver.status.state.value}; allowed when it is idle")
+    _set_check_mode(driver, url, on=True)
+    protections = driver.protections
+    try:
+        driver.start(lines, allow_always)
+        while True:
+            for event in driver.poll(_POLL_S):
+                if isinstance(event, Faulted):
+                    raise FailedError(f"dry run: {event.cause.value}: {event.words}; nothing was moved")
+                if isinstance(event, ProgramDone):
+                    return protections
+            on_line(driver.progress.answered_line)
+    finally:
+        _leave(driver, url)
+
+
+def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
+    """Check mode on or off, confirmed."""
+    command = CheckMode(on)
+    failures: list[str] = []
+    driver.command(command, allow_always)
+
+    def is_done(events: tuple[Event, ...]) -> bool:
+        mine = [event for event in events if isinstance(event, CommandDone) and event.command == command]
+        failures.extend(event.failure for event in mine if event.failure)
+        return bool(mine)
+
+    _poll_until(driver, url, _MODE_S, is_done)
+    if failures:
+        raise FailedError(f"dry run: {failures[0]}")
+
+
+def _leave(driver: Driver, url: str) -> None:
+    """Leave check mode, whatever state the stream is in; a controller that cannot be told is named."""
+    try:
+        if driver.progress.streaming:
+            driver.abort()
+            _poll_until(driver, url, _MODE_S, lambda _: not driver.progress.streaming)
+        if driver.status.state is MillState.CHECK:
+            _set_check_mode(driver, url, on=False)
+    except MachineError as error:
+        print(f"check mode could not be left: {error}; reset the controller")
+
+
+def _poll_until(driver: Driver, url: str, wait_s: float, is_done: Callable[[tuple[Event, ...]], bool]) -> None:
+    timeout = Timeout(wait_s)
+    while True:
+        events = driver.poll(_POLL_S)
+        for event in events:
+            if isinstance(event, Faulted):
+                raise NotAControllerError(url, event.words.removeprefix(f"port {url}: "))
+        if is_done(events):
+            return
+        if timeout.is_over:
+            raise make_unconnected_error(url, driver.status)
+
+
+def make_unconnected_error(url: str, status: MillStatus) -> NotAControllerError:
+    """Return the error for a link that is neither ready nor given up after so long, with what it waits for."""
+    detail = f" ({status.detail})" if status.detail else ""
+    return NotAControllerError(url, f"the mill is still {status.state.value}{detail}; given up")
+
 
 _SOON_S = 10.0
 _RUN_OUT_S = 120.0

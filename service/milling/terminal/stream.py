@@ -37,10 +37,10 @@ from service.milling.terminal.confirm import (
     RECOVER_QUESTIONS,
     START_QUESTIONS,
     ask_person,
+    give_order,
     operator_name,
     require_answers,
 )
-from service.milling.terminal.dry_run import CONNECT_S, make_unconnected_error, run_check_mode
 from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
 from service.milling.terminal.keys import list_heard_signals, single_keys, watch_signals
 from service.milling.terminal.leaving import (
@@ -52,8 +52,19 @@ from service.milling.terminal.leaving import (
     ignore_signals_for_good,
     is_partly_unknown,
 )
-from service.milling.terminal.orders import give_order
-from service.milling.terminal.printing import (
+from service.milling.terminal.ready import (
+    CONNECT_S,
+    find_interrupted_run,
+    make_unconnected_error,
+    prepare_mill,
+    prepare_plan,
+    reset_silent_mill,
+    run_check_mode,
+)
+from service.milling.terminal.screen import (
+    LiveScreen,
+    PlainScreen,
+    Screen,
     left_words,
     mill_lines,
     print_lines,
@@ -63,8 +74,6 @@ from service.milling.terminal.printing import (
     stop_lines,
     took_words,
 )
-from service.milling.terminal.ready import find_interrupted_run, prepare_mill, prepare_plan, reset_silent_mill
-from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
 from service.processes.private import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 

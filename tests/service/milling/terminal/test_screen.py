@@ -9,8 +9,7 @@ from rich.console import Console
 
 from machines.driver import MillStatus
 from service.milling.terminal.keys import Question
-from service.milling.terminal.printing import mill_lines
-from service.milling.terminal.screen import StreamView, one_line, panel
+from service.milling.terminal.screen import StreamView, mill_lines, one_line, panel
 
 CALM = StreamView(state="run", run_state="running", line=134, executed_line=105, total_lines=923, time_left_s=43.0)
 FULL = dataclasses.replace(
