@@ -1,4 +1,5 @@
-"""Decides which connections a server keeps, and which one it closes if there are too many.
+"""Decides which connections a server keeps, which one it closes if there are too many, and how many requests a caller
+may make.
 
 Theory of operation. A caller who has not shown a token is a stranger. Only a few strangers at once may keep the server
 waiting for a head, a body or the first message of a WebSocket: the one that has waited longest is closed for the next
@@ -11,12 +12,17 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from starlette.types import Scope
 
 PLACE = "causticmill.place"  # in the `state` of a scope
 STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
 """Ends of the paths of stops, at the server and at an agent."""
+_MOST_CALLERS = 10_000
 
 
 def is_stop(method: str, path: str) -> bool:
@@ -131,3 +137,33 @@ def note_known(scope: Scope) -> None:
     place = (scope.get("state") or {}).get(PLACE)
     if isinstance(place, Place):  # an application may be called without a server
         place.identify()
+
+
+@dataclass(slots=True)
+class _Bucket:
+    left: float
+    at_s: float
+
+
+class Limiter:
+    """`rate_per_s` requests of each caller in the long run, `burst` at once. For one thread."""
+
+    def __init__(self, rate_per_s: float, burst: float, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate_per_s = rate_per_s
+        self._burst = max(1.0, burst)
+        self._clock = clock
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+
+    def wait_s(self, caller: str) -> float:
+        """Take one request out of the caller's bucket; 0, or the seconds until there is one to take."""
+        now = self._clock()
+        bucket = self._buckets.setdefault(caller, _Bucket(self._burst, now))
+        self._buckets.move_to_end(caller)
+        if len(self._buckets) > _MOST_CALLERS:
+            self._buckets.popitem(last=False)
+        bucket.left = min(self._burst, bucket.left + (now - bucket.at_s) * self._rate_per_s)
+        bucket.at_s = now
+        if bucket.left < 1:
+            return (1 - bucket.left) / self._rate_per_s
+        bucket.left -= 1
+        return 0.0

@@ -22,7 +22,7 @@ from machines.mill.orders import Stop
 from phrases.phrase import Phrase, phrases_in
 from service.http.admission import note_known
 from service.http.problems import Problem
-from service.server.api.access.headers import address_of, is_here, read_headers, refuse_foreign_page
+from service.server.api.access.requests import address_of, is_here, read_headers, refuse_foreign_page
 from service.server.fleet.agent_client import AT_THE_SERVER, OrderContext
 from service.server.fleet.machine_stops import MachineStops
 from service.server.stoppers import Stopper

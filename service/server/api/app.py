@@ -15,8 +15,8 @@ from starlette.middleware import Middleware
 
 from service.http.admission import STOPS
 from service.server.api.access.guard import Guard
+from service.server.api.access.requests import BodyLimits
 from service.server.api.errors import ANYWHERE, install_problems, refusals, with_problems
-from service.server.api.intake.body import BodyLimit, BodyTimeout
 from service.server.api.monitoring import MetricsMiddleware
 from service.server.api.routes import files, health, identity, jobs, machines, page, photos, profiles, runs, submit
 from service.server.api.services import Services
@@ -66,8 +66,7 @@ def make_app(services: Services) -> FastAPI:
         middleware=[
             Middleware(MetricsMiddleware, metrics=services.metrics),
             Middleware(Guard, services=services),
-            Middleware(BodyTimeout),
-            Middleware(BodyLimit, but=_WITH_PICTURES),
+            Middleware(BodyLimits, but=_WITH_PICTURES),
         ],
     )
     app.state.services = services

@@ -30,7 +30,7 @@ from service.http.serving import make_admission, make_config
 from service.http.uvicorn_protocol import ProblemProtocol, allow_open_files, begin_connection
 from service.processes import lifeline
 from service.processes.priority import go_first
-from service.server.api.access.headers import (
+from service.server.api.access.requests import (
     Headers,
     address_of,
     is_here,

@@ -1,9 +1,14 @@
-"""The door: before any route is looked at, every request is held against what a browser or a stranger could make up.
+"""The door: who calls, and what they may do.
 
-Plain ASGI, so that streams pass through untouched. In this order: what is not HTTP, malformed or foreign headers, who
+The guard is plain ASGI, so that streams pass through untouched. Before any route is looked at, it holds every request
+against what a browser or a stranger could make up, in this order: what is not HTTP, malformed or foreign headers, who
 is calling, how much they ask for. A caller is known by a token; without one, and only as long as no token was ever
 made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills. How
 much one caller may ask for is a bucket of requests for each, which fills up again with time.
+
+A route says which scopes it needs: `require(...)`. A route without it is not open: the guard lets nobody but a known
+caller pass, except to what OPEN names. No scope contains another: `admin` alone moves no mill. What an order comes with
+is read here, too: whose it is, from where, since when, and under which control and grant.
 """
 
 from __future__ import annotations
@@ -11,21 +16,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Annotated, TypeVar, cast
 
+from fastapi import Depends, Header, Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from machines.clock import suspend_aware_clock_s
 from phrases.phrase import Phrase
-from service.http.admission import is_stop, note_known
-from service.http.hosts import own_names
-from service.http.problems import Problem, problem_response
-from service.server.api.access.headers import (
+from service.errors import InputError
+from service.http.admission import Limiter, is_stop, note_known
+from service.http.hosts import is_loopback, own_names, require_unread
+from service.http.problems import CONTROL, GRANT, Problem, problem_response
+from service.server.api.access.requests import (
     Headers,
     address_of,
     is_here,
@@ -33,19 +40,13 @@ from service.server.api.access.headers import (
     read_secret,
     refuse_foreign_page,
 )
-from service.server.api.access.scopes import (
-    ANONYMOUS,
-    MACHINE_RUN,
-    Principal,
-    is_at_server,
-    not_authorised,
-    note_arrival,
-    note_open,
-    note_principal,
-    note_stopper,
-)
-from service.server.api.services import Services
-from service.server.database.tokens import PAGE_TOKEN_LIFE_S, Token
+from service.server.api.services import Services, services_of
+from service.server.database.tokens import PAGE_TOKEN_LIFE_S, Token, TokenBook, TokenScope
+from service.server.fleet.agent_client import AT_THE_SERVER, OrderContext
+from service.settings import ServerSettings
+
+JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
+MACHINE_RUN, ADMIN = TokenScope.MACHINE_RUN, TokenScope.ADMIN
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
 OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
@@ -55,39 +56,47 @@ _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _BURST_S = 10.0
 _LOOK_UPS = 4
 _WRONG_PER_S, _WRONG_AT_ONCE = 20.0, 200.0  # tokens that we have not seen, from one address
+_KEY = "causticmill.caller"
+_NEEDED = Phrase("a token is needed: Authorization: Bearer cm_...")
+_bearer = HTTPBearer(auto_error=False, bearerFormat="cm_...", description="A token of `causticmill token create`.")
 
-_MOST_CALLERS = 10_000
 T = TypeVar("T")
 
 
-@dataclass(slots=True)
-class _Bucket:
-    left: float
-    at_s: float
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Principal:
+    """A caller: name of the token, its scopes and its id. Nobody else has the name as long as the token lives."""
+
+    name: str
+    scopes: frozenset[str]
+    anonymous: bool = False
+    id: str = ""
+    paired: bool = False
+    expires_at: float | None = None
 
 
-class Limiter:
-    """`rate_per_s` requests of each caller in the long run, `burst` at once. For one thread."""
+ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}), anonymous=True, id="anonymous")
 
-    def __init__(self, rate_per_s: float, burst: float, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._rate_per_s = rate_per_s
-        self._burst = max(1.0, burst)
-        self._clock = clock
-        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
-    def wait_s(self, caller: str) -> float:
-        """Take one request out of the caller's bucket; 0, or the seconds until there is one to take."""
-        now = self._clock()
-        bucket = self._buckets.setdefault(caller, _Bucket(self._burst, now))
-        self._buckets.move_to_end(caller)
-        if len(self._buckets) > _MOST_CALLERS:
-            self._buckets.popitem(last=False)
-        bucket.left = min(self._burst, bucket.left + (now - bucket.at_s) * self._rate_per_s)
-        bucket.at_s = now
-        if bucket.left < 1:
-            return (1 - bucket.left) / self._rate_per_s
-        bucket.left -= 1
-        return 0.0
+@dataclass(slots=True, kw_only=True)
+class Caller:
+    """What the guard has found out of who sends a request.
+
+    arrived_s : when the request came, by `suspend_aware_clock_s`
+    at_server : the caller sits at this very computer
+    open_here : let in without a token, from this computer, to an open address
+    may_stop  : may stop mills
+    """
+
+    arrived_s: float
+    at_server: bool
+    principal: Principal | None = None
+    open_here: bool = False
+    may_stop: bool = False
+
+
+def caller_of(scope: Scope) -> Caller:
+    return cast("Caller", scope[_KEY])
 
 
 def _principal(token: Token) -> Principal:
@@ -131,12 +140,13 @@ class Guard:
         if scope["method"] not in _SAFE or scope["path"] in OPEN_HERE:
             refuse_foreign_page(scope, headers, behind_proxy=self._behind_proxy)
         here = is_here(scope, headers)
-        note_arrival(scope, at_server=here and not self._behind_proxy)
+        caller = Caller(arrived_s=suspend_aware_clock_s(), at_server=here and not self._behind_proxy)
+        scope[_KEY] = caller
         if is_stop(scope["method"], scope["path"]):
             await self._admit_stop(scope, headers)
             return
         if here and scope["path"] in self._open_here:  # and stays so when the database is away
-            note_open(scope)
+            caller.open_here = True
             self._charge(scope, None, bucket="health")
             return
         if scope["path"] in OPEN or scope["path"].startswith(OPEN_BELOW):
@@ -153,13 +163,13 @@ class Guard:
         """Admit a stop, which is never too much and asks for nothing that could be busy: a token that was seen before
         is known from memory. One that was not is looked up as for any request.
         """
-        secret = read_secret(headers)
+        caller, secret = caller_of(scope), read_secret(headers)
         if (stopper := self._stop_access.find(secret)) is not None:
             note_known(scope)
-            note_principal(scope, Principal(name=stopper.name, scopes=frozenset({MACHINE_RUN}), id=stopper.id))
-            note_stopper(scope)
-        elif is_at_server(scope):
-            note_stopper(scope)
+            caller.principal = Principal(name=stopper.name, scopes=frozenset({MACHINE_RUN}), id=stopper.id)
+            caller.may_stop = True
+        elif caller.at_server:
+            caller.may_stop = True
         else:
             principal = await self._identify(scope, headers, is_here(scope, headers))
             if principal is None:
@@ -182,7 +192,7 @@ class Guard:
             words = Phrase("the database cannot be asked who you are; try again")
             raise Problem(503, words, headers={"Retry-After": "2"}) from None
         if principal is not None:
-            note_principal(scope, principal)
+            caller_of(scope).principal = principal
             if not principal.anonymous:
                 note_known(scope)
         return principal
@@ -218,3 +228,86 @@ class Guard:
 
     def _address(self, scope: Scope) -> str:
         return address_of(scope, behind_proxy=self._behind_proxy)
+
+
+def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
+    """Return a dependency that gives the Principal, if it has every one of the scopes; 401 or 403 otherwise."""
+    needed = frozenset(map(str, scopes))
+
+    async def dependency(
+        request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+    ) -> Principal:
+        principal = caller_of(request.scope).principal
+        if principal is None:
+            raise not_authorised()
+        if missing := sorted(needed - principal.scopes):
+            if principal.anonymous:
+                raise Problem(
+                    401, Phrase("this needs a token with {scopes}", scopes=", ".join(missing)), field="Authorization"
+                )
+            words = Phrase("the token '{name}' lacks {scopes}", name=principal.name, scopes=", ".join(missing))
+            raise Problem(403, words, field="Authorization")
+        return principal
+
+    dependency.required_scopes = needed  # type: ignore[attr-defined]
+    return dependency
+
+
+async def require_stop(
+    request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+) -> None:
+    """Admit a caller who may stop mills: the guard has decided who (`stop_access`)."""
+    if not caller_of(request.scope).may_stop:
+        await require(MACHINE_RUN)(request, None)
+
+
+require_stop.required_scopes = frozenset({str(MACHINE_RUN)})  # type: ignore[attr-defined]
+Stopper = Annotated[None, Depends(require_stop)]
+Reader = Annotated[Principal, Depends(require(JOBS_READ))]
+Writer = Annotated[Principal, Depends(require(JOBS_WRITE))]
+Operator = Annotated[Principal, Depends(require(MACHINE_RUN))]
+Admin = Annotated[Principal, Depends(require(ADMIN))]
+
+
+def not_authorised(words: Phrase = _NEEDED) -> Problem:
+    return Problem(401, words, field="Authorization")
+
+
+def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
+    """Raise InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
+    if is_loopback(settings.host):
+        return
+    where = f"--host {settings.host} can be reached from other computers"
+    fix = "127.0.0.1, or a proxy with TLS in front and CAUSTICMILL_BEHIND_PROXY=true"
+    require_unread(settings.host, where, vouched=settings.behind_proxy, allowed=fix)
+    if not tokens.has_live():
+        raise InputError(f"{where}; make a token first: causticmill token create NAME --scope jobs:read ...")
+
+
+_Word = {"max_length": 100, "pattern": r"^[!-~]*$"}
+
+Shown = Annotated[str, Header(alias=CONTROL, description="the `control` of who has control of the mill", **_Word)]
+Granted = Annotated[
+    str,
+    Header(
+        alias=GRANT,
+        description="from POST /v1/machines/{machine}/grants, asked for when the person presses; an order without it "
+        "is refused: 428, `code` is `grant_missing`. Stops need none",
+        **_Word,
+    ),
+]
+
+
+def read_order_context(request: Request, control: Shown = "", grant: Granted = "") -> OrderContext:
+    caller = caller_of(request.scope)
+    behind_proxy = services_of(request).settings.behind_proxy
+    return OrderContext(
+        name=AT_THE_SERVER if caller.principal is None else caller.principal.name,
+        origin=address_of(request.scope, behind_proxy=behind_proxy),
+        control=control,
+        grant=grant,
+        arrived_s=caller.arrived_s,
+    )
+
+
+Order = Annotated[OrderContext, Depends(read_order_context)]

@@ -15,6 +15,7 @@ import hashlib
 import re
 import secrets
 import shutil
+import time
 import unicodedata
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,19 +25,22 @@ from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.job.planning.program_size import SURE, job_bytes
 from service.job.spec.model import JobSpec
-from service.server.api.intake.body import RequestBody
 from service.settings import ServerSettings
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
 
 SPEC_BYTES = 1_000_000
+_CHUNK_WAIT_S = 30.0
+_SLOWEST_BYTES_PER_S = 10_000
+_LINGER_S = 2.0
+_LINGER_BYTES = 8_000_000
 _OVERHEAD_BYTES = 100_000  # boundaries, headers and the small parts
 _SMALL = {"spec": SPEC_BYTES, "priority": 40}
 _PARTS = 8
@@ -317,3 +321,53 @@ class Space:
 
     def _free_mb(self) -> float:
         return shutil.disk_usage(self._folder).free / 1e6
+
+
+class RequestBody:
+    """The body of a request, piece by piece, within time limits; read once. What a refused client still sends is read a
+    little further.
+    """
+
+    def __init__(self, request: Request, *, wait_s: float = _CHUNK_WAIT_S) -> None:
+        self._request = request
+        self._wait_s = wait_s
+        self._more = True
+
+    async def pieces(self) -> AsyncIterator[bytes]:
+        """Yield the body; Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
+        began, taken = time.monotonic(), 0
+        while self._more:
+            try:
+                async with asyncio.timeout(self._wait_s):
+                    piece = await self._receive_piece()
+            except TimeoutError:
+                words = Phrase("the request stopped arriving; nothing came for {wait_s:g} s", wait_s=self._wait_s)
+                raise Problem(408, words) from None
+            taken += len(piece)
+            if time.monotonic() - began > 2 * self._wait_s + taken / _SLOWEST_BYTES_PER_S:
+                words = Phrase(
+                    "{count} bytes in {seconds:.0f} s are too slow; allowed: {least} kB/s at least",
+                    count=taken,
+                    seconds=time.monotonic() - began,
+                    least=_SLOWEST_BYTES_PER_S // 1000,
+                )
+                raise Problem(408, words)
+            yield piece
+
+    async def linger(self) -> None:
+        """Read a little of what a refused client still sends: if closed at once, it could lose the answer."""
+        if "expect" in self._request.headers:
+            return
+        taken = 0
+        with contextlib.suppress(TimeoutError, ClientDisconnect):
+            async with asyncio.timeout(_LINGER_S):
+                while self._more and taken < _LINGER_BYTES:
+                    taken += len(await self._receive_piece())
+
+    async def _receive_piece(self) -> bytes:
+        message = await self._request.receive()
+        if message["type"] != "http.request":
+            self._more = False
+            raise ClientDisconnect
+        self._more = bool(message.get("more_body"))
+        return bytes(message.get("body", b""))

@@ -13,7 +13,7 @@ from service.http.problems import Kind, Problem
 from service.job.spec.loading import resolve_job
 from service.job.spec.resolved import ResolvedJob
 from service.job.spec.section import RuleError
-from service.server.api.access.scopes import Principal
+from service.server.api.access.guard import Principal
 from service.server.api.intake.form import JobForm
 from service.server.database.records import NORMAL, PRIORITIES, ClientKey
 

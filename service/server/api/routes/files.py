@@ -20,7 +20,7 @@ from starlette.responses import RedirectResponse, Response, StreamingResponse
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.job.files import is_drawing, zip_entry
-from service.server.api.access.scopes import Reader
+from service.server.api.access.guard import Reader
 from service.server.api.errors import Responses, refusals
 from service.server.api.intake.form import harmless_name
 from service.server.api.job_views import MEDIA_TYPES, make_artifact_view, media_type, programs

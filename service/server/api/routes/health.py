@@ -9,7 +9,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from phrases.phrase import Phrase, join
 from service.http.problems import Kind, Problem
-from service.server.api.access.scopes import ADMIN, is_open_here, require
+from service.server.api.access.guard import ADMIN, caller_of, require
 from service.server.api.errors import Responses
 from service.server.api.services import services_of
 from service.server.schemas.jobs import Alive, Ready
@@ -19,12 +19,12 @@ router = APIRouter(tags=["operations"])
 
 async def _require_here_or_known(request: Request) -> None:
     """Admit callers on this computer, or with any token."""
-    if not is_open_here(request):
+    if not caller_of(request.scope).open_here:
         await require()(request, None)
 
 
 async def _require_here_or_admin(request: Request) -> None:
-    if not is_open_here(request):
+    if not caller_of(request.scope).open_here:
         await require(ADMIN)(request, None)
 
 

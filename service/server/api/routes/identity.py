@@ -16,8 +16,8 @@ from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.http.schema import Body, Time
 from service.milling.api import Person
-from service.server.api.access.headers import address_of, is_this_computer
-from service.server.api.access.scopes import Admin, Principal, require
+from service.server.api.access.guard import Admin, Principal, require
+from service.server.api.access.requests import address_of, is_this_computer
 from service.server.api.errors import refusals
 from service.server.api.services import services_of
 from service.server.database.pairing import NoCodeError, TooManyTriesError, WrongCodeError

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
-from service.server.api.access.scopes import Reader, Writer
+from service.server.api.access.guard import Reader, Writer
 from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.job_views import read_summaries, read_view
 from service.server.api.routes.submit import hand_to_engine

@@ -14,7 +14,7 @@ from machines.mill.orders import Stop
 from service.http.event_hub import EVENT_HEADERS
 from service.http.schema import Json, PassedOn
 from service.milling.api import ORDERS, ControlBody, GrantBody, GrantView, PastOrders
-from service.server.api.access.scopes import Operator, Order, Reader, Stopper
+from service.server.api.access.guard import Operator, Order, Reader, Stopper
 from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.intake.request import idempotency_key
 from service.server.api.services import services_of

@@ -22,7 +22,7 @@ from service.errors import PictureError
 from service.http.problems import Kind, Problem
 from service.job import files as job_files
 from service.job.report.pictures import PREDICTED
-from service.server.api.access.scopes import Writer
+from service.server.api.access.guard import Writer
 from service.server.api.errors import Responses, refusals
 from service.server.api.intake.form import Space, receive_form
 from service.server.api.routes.files import ZIP, name_download

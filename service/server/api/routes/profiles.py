@@ -18,7 +18,7 @@ from service.http.schema import Body, phrase_views
 from service.job.spec.minimal import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
 from service.job.spec.tools import BUILT_IN, forget_tools, library_file, load_tools, save_tools
-from service.server.api.access.scopes import Operator, Reader, Writer
+from service.server.api.access.guard import Operator, Reader, Writer
 from service.server.api.routes.files import Asked, byte_answers, send_artifact
 from service.server.api.routes.jobs import JobId
 from service.server.api.services import services_of

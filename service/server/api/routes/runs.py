@@ -12,7 +12,7 @@ from starlette.responses import StreamingResponse
 from machines.mill.orders import Stop
 from service.http.event_hub import EVENT_HEADERS
 from service.milling.api import RecoverBody, RecoveryView, StartBody
-from service.server.api.access.scopes import Operator, Order, Reader, Stopper
+from service.server.api.access.guard import Operator, Order, Reader, Stopper
 from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.services import services_of
 from service.server.fleet.orders import RunOrder

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from phrases.phrase import Phrase
 from service.http.problems import Problem
-from service.server.api.access.scopes import Writer
+from service.server.api.access.guard import Writer
 from service.server.api.errors import refusals
 from service.server.api.intake.form import JobForm, Space, receive_form
 from service.server.api.intake.request import JobRequest, idempotency_key, job_request

@@ -14,7 +14,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.errors import InputError
-from service.server.api.access.scopes import refuse_foreign_bind
+from service.server.api.access.guard import refuse_foreign_bind
 from service.server.database.connection import begin_reading
 from service.server.database.tokens import TokenBook
 from service.settings import ServerSettings

@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.types import Message
 
 from service.http.problems import Problem
-from service.server.api.intake.body import RequestBody
+from service.server.api.intake.form import RequestBody
 from tests.service.server.api.server import ApiServer
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from service.server.api.access.guard import _MOST_CALLERS, _WRONG_AT_ONCE, Limiter
-from service.server.api.access.headers import is_here
+from service.http.admission import _MOST_CALLERS, Limiter
+from service.server.api.access.guard import _WRONG_AT_ONCE
+from service.server.api.access.requests import is_here
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S
 

@@ -16,7 +16,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.errors import InputError
-from service.server.api.access.scopes import refuse_foreign_bind
+from service.server.api.access.guard import refuse_foreign_bind
 from service.server.api.access.terminal_code import CodeOnTerminal
 from service.server.api.routes.identity import PairingBody
 from service.server.database.connection import begin_reading, begin_writing

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import re
 import resource
 import socket
 import time
@@ -17,7 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
 from service.http.admission import Admission
-from service.server.api.intake.body import BodyTimeout
+from service.server.api.access.requests import BodyLimits
 from service.server.api.intake.form import Space
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S, seen, until
@@ -183,10 +184,10 @@ def test_a_body_that_stops_coming_and_a_reader_that_stops_reading_are_given_up()
         await asyncio.sleep(60)
         raise AssertionError
 
-    patient = BodyTimeout(app, piece_s=0.01, taken_s=0.01)
+    patient = BodyLimits(app, but=re.compile("/body"), piece_s=0.01, taken_s=0.01)
     for path, error in (("/body", HTTPException), ("/", TimeoutError)):
         with pytest.raises(error):
-            asyncio.run(patient({"type": "http", "path": path}, never, never))  # type: ignore[arg-type]
+            asyncio.run(patient({"type": "http", "method": "POST", "path": path}, never, never))  # type: ignore[arg-type]
 
 
 def test_uploads_that_fill_the_disk_are_stopped_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

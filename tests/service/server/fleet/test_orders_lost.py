@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.http.admission import Limiter
 from service.http.problems import GRANT
-from service.server.api.access.guard import Limiter
 from tests.levels import mostly_thorough
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent

@@ -1,20 +1,27 @@
-"""What the headers of a request say: where it comes from (this very computer or an address, which a proxy in front may
-have to tell), its token, and whether a page of another site made a browser send it, which is refused.
+"""What a request says and how it may come: where it comes from (this very computer or an address, which a proxy in
+front may have to tell), its token, whether a page of another site made a browser send it, which is refused; and the
+size and the time of its body.
 """
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
+import re
 from collections import Counter
 from collections.abc import Mapping
 
-from starlette.types import Scope
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phrases.phrase import Phrase
 from service.http.hosts import is_loopback, is_own_host
 from service.http.problems import Problem
 from service.http.uvicorn_protocol import HEADER_BYTES
 
+_SMALL_BYTES = 64 << 10
+_PIECE_S = 30.0  # without a byte of a body that is under way
+_TAKEN_S = 300.0  # for a piece of a megabyte at most: a line of 4 kB/s is not given up
 _FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
 _NETWORK_BITS = 64  # of IPv6: what one household or one attacker has to itself
 _HERE, _LONGEST = "this computer", 100
@@ -121,3 +128,47 @@ def _plain_headers(scope: Scope) -> Headers:
             words = Phrase("{count} {name} headers", count=count, name=name.decode())
             raise Problem(400, words, field=name.decode())
     return dict(pairs)
+
+
+class BodyLimits:
+    """ASGI middleware: 413 for a body longer than 64 kB, 408 for one that stops coming, and the end of a connection
+    that stops reading.
+
+    but : a pattern of addresses where bodies are posted that count for themselves
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, but: re.Pattern[str], piece_s: float = _PIECE_S, taken_s: float = _TAKEN_S
+    ) -> None:
+        self._app = app
+        self._but = but
+        self._piece_s = piece_s
+        self._taken_s = taken_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        counts = not (scope["method"] == "POST" and self._but.fullmatch(scope["path"]))
+        coming, taken = True, 0
+
+        async def receive_within_limits() -> Message:
+            nonlocal coming, taken
+            if not coming:  # only the end of the connection is waited for
+                return await receive()
+            try:
+                async with asyncio.timeout(self._piece_s):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(408, headers={"Connection": "close"}) from None
+            coming = bool(message.get("more_body"))
+            taken += len(message.get("body", b""))
+            if counts and taken > _SMALL_BYTES:
+                raise HTTPException(413)  # the framework passes this one on, and makes 400 of all others
+            return message
+
+        async def send_in_time(message: Message) -> None:
+            async with asyncio.timeout(self._taken_s):
+                await send(message)
+
+        await self._app(scope, receive_within_limits, send_in_time)
