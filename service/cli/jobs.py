@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli import runs
-from service.cli.options import JobArgument, QuietOption, ServerOption, TokenOption
+from service.cli.options import JobArgument, QuietOption, ServerOption, TokenOption, connect, print_lines
 
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")]
 LimitOption = Annotated[int, typer.Option("--limit", min=1, help="At most this many.")]
@@ -59,7 +59,7 @@ def submit(
 
     text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
     order = Submission(picture=picture, spec=text, priority=priority)
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         if output is not None:
             from service.client.download import require_folder
 
@@ -83,7 +83,7 @@ def get(
     quiet: QuietOption = False,
 ) -> None:
     """Download the files of a job. Continues an interrupted download; every file is checked by its hash."""
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         _download(link, job, output, tuple(only or ()), quiet)
 
 
@@ -101,8 +101,8 @@ def list_jobs(
     """List the latest jobs."""
     from service.client.jobs import job_table, list_jobs
 
-    with _connect(server, token_file) as link:
-        _print(job_table(list(list_jobs(link, states=tuple(state or ()), limit=limit))))
+    with connect(server, token_file) as link:
+        print_lines(job_table(list(list_jobs(link, states=tuple(state or ()), limit=limit))))
 
 
 @jobs_app.command("show")
@@ -110,8 +110,8 @@ def show_job(job: JobArgument, server: ServerOption = None, token_file: TokenOpt
     """Show one job: state, stages, programs."""
     from service.client.jobs import job_lines
 
-    with _connect(server, token_file) as link:
-        _print(job_lines(link.get(f"/v1/jobs/{job}")))
+    with connect(server, token_file) as link:
+        print_lines(job_lines(link.get(f"/v1/jobs/{job}")))
 
 
 @jobs_app.command("follow")
@@ -119,7 +119,7 @@ def follow_job(
     job: JobArgument, server: ServerOption = None, token_file: TokenOption = None, quiet: QuietOption = False
 ) -> None:
     """Watch a job until it has ended; exit code 1 if it did not succeed."""
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         link.get(f"/v1/jobs/{job}")  # report a missing server or job at once
         _follow(link, job, quiet=quiet)
 
@@ -139,7 +139,7 @@ def retry_job(job: JobArgument, server: ServerOption = None, token_file: TokenOp
 @jobs_app.command("delete")
 def delete_job(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Delete a job that has ended, and its files."""
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         link.delete(f"/v1/jobs/{job}")
     print(f"{job} deleted")
 
@@ -147,7 +147,7 @@ def delete_job(job: JobArgument, server: ServerOption = None, token_file: TokenO
 def _send_command(job: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.jobs import state_words
 
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         answer = link.post(f"/v1/jobs/{job}:{verb}")
     print(f"{job} {state_words(answer)}")
 
@@ -161,21 +161,10 @@ def _follow(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> No
     require_success(job)
     if not quiet:
         hint = "" if fetched else f"; `causticmill get {job_id} -o DIR` downloads its files"
-        _print([f"succeeded{hint}", *program_lines(job)])
+        print_lines([f"succeeded{hint}", *program_lines(job)])
 
 
 def _download(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: bool) -> None:
     from service.client.download import get_files
 
     get_files(link, job_id, folder, only=only, quiet=quiet)
-
-
-def _connect(server: str | None, token_file: Path | None) -> Any:
-    from service.client.server import ServerClient, target_of
-
-    return ServerClient(target_of(server=server, token_file=token_file))
-
-
-def _print(lines: list[str]) -> None:
-    for line in lines:
-        print(line)

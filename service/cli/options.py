@@ -1,10 +1,11 @@
-"""Arguments shared by the client's commands; they are checked before a request is sent."""
+"""What the commands of the client share: arguments, checked before a request is sent, and the way to the server."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,3 +29,14 @@ TokenOption = Annotated[
     typer.Option("--token-file", metavar="FILE", help="File that holds the token; default: CAUSTICMILL_TOKEN."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
+
+
+def connect(server: str | None, token_file: Path | None) -> Any:
+    from service.client.server import ServerClient, target_of
+
+    return ServerClient(target_of(server=server, token_file=token_file))
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        print(line)

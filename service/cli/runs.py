@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli.options import JobArgument, RunArgument, ServerOption, TokenOption
+from service.cli.options import JobArgument, RunArgument, ServerOption, TokenOption, connect, print_lines
 
 ConfirmOption = Annotated[
     list[str] | None,
@@ -45,8 +45,8 @@ def list_runs(
     """List the latest runs."""
     from service.client.runs import run_table
 
-    with _connect(server, token_file) as link:
-        _print(run_table(link.get("/v1/runs", **({"machine": machine} if machine else {}))["runs"]))
+    with connect(server, token_file) as link:
+        print_lines(run_table(link.get("/v1/runs", **({"machine": machine} if machine else {}))["runs"]))
 
 
 @runs_app.command("show")
@@ -54,8 +54,8 @@ def show_run(run: RunArgument, server: ServerOption = None, token_file: TokenOpt
     """Show one run: state, tool, stock, zero."""
     from service.client.runs import run_lines
 
-    with _connect(server, token_file) as link:
-        _print(run_lines(link.get(f"/v1/runs/{run}")))
+    with connect(server, token_file) as link:
+        print_lines(run_lines(link.get(f"/v1/runs/{run}")))
 
 
 @runs_app.command("park")
@@ -73,10 +73,10 @@ def park_run(
 
     from service.client.runs import run_lines
 
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         body = {"job": job} | ({"program": program} if program is not None else {})
         run = link.post_idempotent(f"/v1/machines/{quote(machine, safe='')}/runs", body)
-    _print(run_lines(run))
+    print_lines(run_lines(run))
 
 
 @runs_app.command("start")
@@ -116,7 +116,7 @@ def resume_run(run: RunArgument, server: ServerOption = None, token_file: TokenO
     """Go on after a hold."""
     from service.client.runs import state_line
 
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         machine = link.get(f"/v1/runs/{run}")["machine"]
         print(state_line(link.order(machine, f"/v1/runs/{run}:resume")))
 
@@ -130,7 +130,7 @@ def abort_run(run: RunArgument, server: ServerOption = None, token_file: TokenOp
 @runs_app.command("follow")
 def follow_run(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Watch a run until it has ended; exit code 1 if it was not finished."""
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         link.get(f"/v1/runs/{run}")
         _follow(link, run)
 
@@ -149,9 +149,9 @@ def _send_confirmed(
     from service.client.runs import confirm_checks, run_lines, state_line
     from service.milling.terminal.confirm import operator_name
 
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         seen = link.get(f"/v1/runs/{run}")
-        _print(run_lines(seen))
+        print_lines(run_lines(seen))
         if verb == "recover":
             plan = link.get(f"/v1/runs/{run}/recovery")
             _print_plan(plan)
@@ -173,7 +173,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     obstacles = [*plan.get("refusals", ()), *(need["words"] for need in plan.get("needs", ()))]
     if obstacles:
         raise InputError(*(clean(words) for words in obstacles))
-    _print([clean(words) for words in plan.get("words", ())])
+    print_lines([clean(words) for words in plan.get("words", ())])
 
 
 def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
@@ -199,7 +199,7 @@ def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> N
 def _send_command(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.runs import state_line
 
-    with _connect(server, token_file) as link:
+    with connect(server, token_file) as link:
         print(state_line(link.post(f"/v1/runs/{run}:{verb}")))
 
 
@@ -207,16 +207,5 @@ def _follow(link: Any, run_id: str) -> None:
     from service.client.runs import follow_run, require_finished, setup_lines
 
     run = follow_run(link, run_id)
-    _print(setup_lines(run))
+    print_lines(setup_lines(run))
     require_finished(run)
-
-
-def _connect(server: str | None, token_file: Path | None) -> Any:
-    from service.client.server import ServerClient, target_of
-
-    return ServerClient(target_of(server=server, token_file=token_file))
-
-
-def _print(lines: list[str]) -> None:
-    for line in lines:
-        print(line)

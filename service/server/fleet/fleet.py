@@ -14,7 +14,7 @@ from phrases.phrase import Phrase
 from service.errors import printable
 from service.http.problems import Problem
 from service.http.schema import phrase_views
-from service.milling.api import PastOrders, RecoveryView
+from service.milling.api import PastOrders, RecoverBody, StartBody
 from service.server.database.jobs import JobBook
 from service.server.database.records import PREPARING, ClientKey
 from service.server.database.runs import RunRow, UnknownRunError
@@ -25,7 +25,7 @@ from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore
 from service.server.fleet.event_streams import MachineEvents, RunEvents
 from service.server.fleet.handover import Handovers
-from service.server.fleet.orders import ASK_S, Controls, Orders, RunOrder
+from service.server.fleet.orders import ASK_S, Controls, Orders
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view, programs_of
 from service.server.fleet.stops import Stops
@@ -47,7 +47,7 @@ class Fleet:
         self._handovers = Handovers(self._core)
         self.orders = Orders(self._core)
         self.stops = Stops(self._core)
-        self._controls = Controls(self._core)
+        self.controls = Controls(self._core)
         self._cameras = Cameras(self._core.get_http_client)
         self._followers = 0
 
@@ -152,18 +152,15 @@ class Fleet:
     async def get_run(self, run_id: str) -> RunView:
         return await self._make_view(await self._repair_and_look(await self._core.get_row(run_id)))
 
-    async def plan_recovery(self, run_id: str, caller: str) -> RecoveryView:
-        return await self._controls.plan_recovery(run_id, caller)
-
-    async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
+    async def start(self, run_id: str, said: StartBody, context: OrderContext) -> RunView:
         run = await self._core.get_row(run_id)
-        return await self._make_view(await self._controls.start(run_id, said, await self._read_around(run), context))
+        return await self._make_view(await self.controls.start(run_id, said, await self._read_around(run), context))
 
-    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
-        return await self._make_view(await self._controls.recover(run_id, said, context))
+    async def recover(self, run_id: str, said: RecoverBody, context: OrderContext) -> RunView:
+        return await self._make_view(await self.controls.recover(run_id, said, context))
 
     async def resume(self, run_id: str, context: OrderContext) -> RunView:
-        return await self._make_view(await self._controls.resume(run_id, context))
+        return await self._make_view(await self.controls.resume(run_id, context))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunView:
         run = await self.stops.stop_run(run_id, stop, context)

@@ -12,13 +12,12 @@ became of it, and where that cannot be told either, a person has to look.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from machines.clock import suspend_aware_clock_s
 from machines.mill.orders import LEASE_S, Refusal
 from phrases.phrase import Phrase
 from service.http.problems import Problem, ServerCode
-from service.milling.api import GrantView, RecoveryView
+from service.milling.api import GrantView, RecoverBody, RecoveryView, StartBody
 from service.server.database.records import ABORTED, INTERRUPTED, PARKED
 from service.server.database.runs import MachineTakenError, RunRow, word_state
 from service.server.fleet.agent_client import AgentLink, Json, OrderContext
@@ -105,15 +104,6 @@ class Orders:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOrder:
-    """A person's word for a start or a recovery. seen: digest of the set-up, or of the plan, that they have seen."""
-
-    operator: str
-    checks: frozenset[str]
-    seen: str = ""
-
-
 class Controls:
     """Start, resume and recover: a person's word for a run, passed on to its agent once."""
 
@@ -126,7 +116,7 @@ class Controls:
         went_on = ("running", "recovering")
         return await self._send_once(run, "resume", {}, context, went_on=lambda state: state in went_on)
 
-    async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> RunRow:
+    async def start(self, run_id: str, said: StartBody, around: Surroundings, context: OrderContext) -> RunRow:
         run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
             raise Problem(
@@ -147,13 +137,13 @@ class Controls:
                 ),
                 field="checks",
             )
-        body: Json = {"operator": said.operator, "checks": sorted(said.checks - {ORDER})}
-        body |= {"setup": said.seen} if said.seen else {}
+        body: Json = {"operator": said.operator, "checks": sorted({*said.checks} - {ORDER})}
+        body |= {"setup": said.setup} if said.setup else {}
         return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
-    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> RunRow:
+    async def recover(self, run_id: str, said: RecoverBody, context: OrderContext) -> RunRow:
         """Recover only as the plan says that the caller has read: the one named, or the one shown to them last."""
-        plan = said.seen or self._plans_shown.get((context.name, run_id), "")
+        plan = said.plan or self._plans_shown.get((context.name, run_id), "")
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
             raise Problem(409, words, field="plan", code=Refusal.PLAN)
@@ -166,7 +156,7 @@ class Controls:
             await self._core.do(self._core.runs.reopen, run)
         except MachineTakenError as error:
             raise Problem(409, str(error), field="machine") from None
-        body: Json = {"operator": said.operator, "checks": sorted(said.checks), "plan": plan}
+        body: Json = {"operator": said.operator, "checks": sorted({*said.checks}), "plan": plan}
         over = (INTERRUPTED, ABORTED)
         try:
             return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)

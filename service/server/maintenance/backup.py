@@ -179,7 +179,6 @@ _WITHOUT_DATABASE = [
     "the database is not in it: restore that with pg_restore, and then let no token in it open anything that may have "
     "been revoked since: causticmill token revoke --all"
 ]
-_MANIFEST_BYTES = 1 << 30
 
 
 def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:

@@ -80,30 +80,35 @@ class ProgramOfRun(Body):
     sha256: Sha256
 
 
-class LiveRun(Body):
-    """The part of a run that changes while it is on the mill."""
+class RunProgress(Body):
+    """How a run stands."""
 
     id: str
-    machine: str
     state: RunWord
-    open: Annotated[bool, Field(description="the mill is taken by this run")]
     words: Annotated[str, Field(description="why it is in this state")]
     code: Code
     values: Values
-    unreachable: Annotated[bool, Field(description="the agent does not answer: this is what it said last")]
-    unreachable_words: str
     share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
     executed_line: int
     lines: int | None
     time_s: float | None
     time_left_s: float | None
     operator: str
+    phrases: Phrases
+
+
+class LiveRun(RunProgress):
+    """The part of a run that changes while it is on the mill."""
+
+    machine: str
+    open: Annotated[bool, Field(description="the mill is taken by this run")]
+    unreachable: Annotated[bool, Field(description="the agent does not answer: this is what it said last")]
+    unreachable_words: str
     recoveries: int
     warnings: list[str]
     travel_in_doubt: Annotated[bool, Field(description="one of the warnings: it may not fit the travel")]
     started_at: Time | None
     ended_at: Time | None
-    phrases: Phrases
 
 
 class RunView(LiveRun):
@@ -137,23 +142,11 @@ class AgentView(Body):
     phrases: Phrases
 
 
-class OpenRun(Body):
+class OpenRun(RunProgress):
     """The part of a run that one wants to see beside the mill."""
 
-    id: str
-    state: RunWord
     job: str
     program: str
-    words: str
-    code: Code
-    values: Values
-    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
-    executed_line: int
-    lines: int | None
-    time_s: float | None
-    time_left_s: float | None
-    operator: str
-    phrases: Phrases
 
 
 class Holder(Body):

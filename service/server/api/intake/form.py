@@ -65,23 +65,19 @@ class JobForm:
 
 @contextlib.asynccontextmanager
 async def receive_form(
-    request: Request,
-    folder: Path,
-    *,
-    max_image_bytes: int,
-    space: Space,
-    picture: str = "image",
-    small: Mapping[str, int] = _SMALL,
+    request: Request, settings: ServerSettings, *, picture: str = "image", small: Mapping[str, int] = _SMALL
 ) -> AsyncIterator[JobForm]:
-    """Receive the whole form; its file is removed at the end. Problem for what is no such form, too large, or too much.
+    """Receive the whole form; its file is removed at the end. Problem for what is no such form, too large, or too much,
+    and where the disk has no space for it.
 
     picture : name of the part that holds the picture
     small   : names of the other parts that are taken, and how many bytes each may have
     """
-    body = RequestBody(request)
+    body, space, most = RequestBody(request), Space(settings), settings.max_upload_bytes
+    await asyncio.to_thread(space.require)
     try:
-        with _create_file(folder) as (path, file):
-            yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
+        with _create_file(settings.data / "uploads") as (path, file):
+            yield await _read(request, body, _Reader(JobForm(path=path), file, most, space, picture, small))
     except Problem:
         await body.linger()
         raise

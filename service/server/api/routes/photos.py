@@ -142,11 +142,8 @@ async def measure(request: Request, response: Response, principal: Writer, profi
 async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
     """Receive the request's photograph, as the process that looks takes it; its file is removed at the end."""
     services = services_of(request)
-    settings, space = services.settings, Space(services.settings)
-    await asyncio.to_thread(space.require)
-    limit, most = settings.max_upload_bytes, settings.max_pixels
-    uploads = settings.data / "uploads"
-    async with receive_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
+    most = services.settings.max_pixels
+    async with receive_form(request, services.settings, picture=_PART, small={}) as form:
         try:
             async with services.accepting:
                 await asyncio.to_thread(services.pictures.check, form.path, form.image_name, most)

@@ -15,7 +15,6 @@ from service.milling.api import RecoverBody, RecoveryView, StartBody
 from service.server.api.access.guard import Operator, Order, Reader, Stopper
 from service.server.api.errors import Responses, event_stream, refusals
 from service.server.api.services import services_of
-from service.server.fleet.orders import RunOrder
 from service.server.schemas.runs import PLAIN, RUN_ID, RunList, RunView
 
 router = APIRouter(tags=["runs"])
@@ -83,14 +82,13 @@ async def events(
 )
 async def recovery(request: Request, principal: Operator, run_id: RunId) -> RecoveryView:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""
-    return await services_of(request).fleet.plan_recovery(str(run_id), principal.name)
+    return await services_of(request).fleet.controls.plan_recovery(str(run_id), principal.name)
 
 
 @router.post("/v1/runs/{id:uuid}:start", summary="Start a parked run", **_ORDER)
 async def start(request: Request, _: Operator, run_id: RunId, said: StartBody, context: Order) -> RunView:
     """THE MILL MOVES. Needs the operator's name and every one of `required_checks`. Sent once, never repeated."""
-    order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.setup)
-    return await services_of(request).fleet.start(str(run_id), order, context)
+    return await services_of(request).fleet.start(str(run_id), said, context)
 
 
 @router.post("/v1/runs/{id:uuid}:hold", summary="Hold a run", **_STOP)
@@ -114,5 +112,4 @@ async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> 
 @router.post("/v1/runs/{id:uuid}:recover", summary="Go on with an interrupted run", **_ORDER)
 async def recover(request: Request, _: Operator, run_id: RunId, said: RecoverBody, context: Order) -> RunView:
     """THE MILL MOVES, as the plan says that was read. Needs every one of `required_checks`, the position too."""
-    order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.plan)
-    return await services_of(request).fleet.recover(str(run_id), order, context)
+    return await services_of(request).fleet.recover(str(run_id), said, context)

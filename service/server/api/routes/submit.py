@@ -88,12 +88,9 @@ async def submit(
     """A new job. Answers with the job that the same `Idempotency-Key` made before, if this is the same request."""
     services = services_of(request)
     key = idempotency_key(idempotency_key_header, principal)
-    settings, space = services.settings, Space(services.settings)
-    await asyncio.to_thread(space.require)
-    limit = settings.max_upload_bytes
-    async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+    async with receive_form(request, services.settings) as form:
         wanted = await asyncio.to_thread(job_request, form)
-        await asyncio.to_thread(space.require_for_programs, wanted.spec)
+        await asyncio.to_thread(Space(services.settings).require_for_programs, wanted.spec)
         async with services.accepting:
             job = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
     response.headers.update({"Location": job.links["self"], "Retry-After": "1", "ETag": job.etag})
@@ -157,10 +154,8 @@ async def post_estimate(
     end each other's.
     """
     services = services_of(request)
-    settings, space = services.settings, Space(services.settings)
-    await asyncio.to_thread(space.require)
-    limit = settings.max_upload_bytes
-    async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+    settings = services.settings
+    async with receive_form(request, settings) as form:
         wanted = await asyncio.to_thread(job_request, form)
         async with services.accepting:
             await asyncio.to_thread(_check_picture, services, form)

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from machines.errors import MachineError
 from machines.mill.orders import Stop
 from service.http.problems import Problem
-from service.milling.api import GrantView
+from service.milling.api import GrantView, RecoverBody, StartBody
 from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_replies import AgentAwayError
-from service.server.fleet.orders import RunOrder
 from service.server.fleet.representation import Surroundings
 from service.server.fleet.stops import Stops
 from tests.service.server.fleet.order_network import WEATHER, Weather
@@ -139,12 +138,12 @@ class People:
         context = OrderContext(
             name="p", origin=context.origin, control=context.control, grant=grant, arrived_s=self._world.now_s()
         )
-        said = RunOrder(operator="Ada", checks=CHECKS | {"position"}, seen=press.seen)
         match press.what:
             case "start":
-                started = RunOrder(operator="Ada", checks=CHECKS, seen=press.seen)
-                return await self._world.controls.start(self._world.run_id, started, Surroundings(), context)
+                begin = StartBody(operator="Ada", checks=sorted(CHECKS), setup=press.seen)
+                return await self._world.controls.start(self._world.run_id, begin, Surroundings(), context)
             case "recover":
+                said = RecoverBody(operator="Ada", checks=sorted(CHECKS | {"position"}), plan=press.seen)
                 return await self._world.controls.recover(self._world.run_id, said, context)
             case "resume run":
                 return await self._world.controls.resume(self._world.run_id, context)
