@@ -33,6 +33,22 @@ _MOST = 500
 _NOT_KNOWN, _MAKE_ROOM = 4401, 1013
 
 
+def identify_stopper(
+    scope: Scope, secret: str, find_stopper: Callable[[str], Stopper | None], *, behind_proxy: bool
+) -> OrderContext | None:
+    """Return the caller of a stop; None if the caller may not stop mills.
+
+    find_stopper : whose token may stop mills
+    """
+    name = None if (stopper := find_stopper(secret)) is None else stopper.name
+    if name is None and not behind_proxy and is_here(scope, dict(scope["headers"])):
+        name = AT_THE_SERVER
+    if name is None:
+        return None
+    origin = address_of(scope, behind_proxy=behind_proxy)
+    return OrderContext(name=name, origin=origin, arrived_s=suspend_aware_clock_s())
+
+
 class StopSockets:
     """ASGI, of WebSockets only.
 
@@ -69,7 +85,8 @@ class StopSockets:
         await socket.accept()
         try:
             first = _object(await socket.receive_text())  # a stranger's place is kept for a while only
-            context = self._identify(socket, str(first.get("token", "")))
+            secret = str(first.get("token", ""))
+            context = identify_stopper(socket.scope, secret, self._find_stopper, behind_proxy=self._behind_proxy)
             if context is None:
                 await socket.close(_NOT_KNOWN, "a token with machine:run is needed")
                 return
@@ -80,14 +97,6 @@ class StopSockets:
         except (RuntimeError, KeyError):  # starlette raises them for a closed one, and for bytes instead of text
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close()
-
-    def _identify(self, socket: WebSocket, secret: str) -> OrderContext | None:
-        """Return the caller on this socket; None if the caller may not stop mills."""
-        origin = address_of(socket.scope, behind_proxy=self._behind_proxy)
-        if (stopper := self._find_stopper(secret)) is not None:
-            return OrderContext(name=stopper.name, origin=origin)
-        here = not self._behind_proxy and is_here(socket.scope, dict(socket.scope["headers"]))
-        return OrderContext(name=AT_THE_SERVER, origin=origin) if here else None
 
     async def _listen(self, socket: WebSocket, context: OrderContext) -> None:
         await self._make_room()

@@ -11,14 +11,12 @@ import logging
 import re
 import socket
 import sys
-from dataclasses import replace
 from typing import Any
 
 from starlette.responses import JSONResponse
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from machines.clock import suspend_aware_clock_s
 from machines.mill.orders import Stop
 from phrases.phrase import Phrase
 from service.errors import ServiceError
@@ -32,16 +30,14 @@ from service.processes import lifeline
 from service.processes.priority import go_first
 from service.server.api.access.requests import (
     Headers,
-    address_of,
-    is_here,
     read_headers,
     read_secret,
     refuse_foreign_page,
 )
-from service.server.fleet.agent_client import AT_THE_SERVER, AgentLinks, OrderContext
+from service.server.fleet.agent_client import AgentLinks, OrderContext
 from service.server.fleet.machine_stops import MachineStops
 from service.server.standby.line import ApiWatch
-from service.server.stop_socket import StopSockets
+from service.server.stop_socket import StopSockets, identify_stopper
 from service.server.stoppers import FILE, StopperFile
 from service.settings import ServerSettings
 
@@ -78,16 +74,11 @@ class StandbyApp:
 
     def _identify(self, scope: Scope, headers: Headers) -> OrderContext:
         """Return the caller of a stop; Problem 401 if the caller may not stop mills."""
-        context = OrderContext(
-            name=AT_THE_SERVER,
-            origin=address_of(scope, behind_proxy=self._behind_proxy),
-            arrived_s=suspend_aware_clock_s(),
-        )
-        if (stopper := self._stoppers.find(read_secret(headers))) is not None:
-            note_known(scope)
-            return replace(context, name=stopper.name)
-        if self._behind_proxy or not is_here(scope, headers):
+        secret = read_secret(headers)
+        context = identify_stopper(scope, secret, self._stoppers.find, behind_proxy=self._behind_proxy)
+        if context is None:
             raise Problem(401, Phrase("a token is needed: Authorization: Bearer cm_..."), field="Authorization")
+        note_known(scope)
         return context
 
     async def _stop(self, path: str, context: OrderContext) -> dict[str, Any]:
