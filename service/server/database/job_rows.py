@@ -21,19 +21,30 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from phrases.phrase import phrases_in
-from service.server.database.connection import is_sqlite, put_rows
+from service.server.database.connection import insert_new, is_sqlite, put_rows
 from service.server.database.records import (
     Artifact,
+    ClientKey,
     Job,
     JobEvent,
     JobState,
+    KeyReusedError,
     News,
     Progress,
     StageState,
     UnknownJobError,
     require_move,
 )
-from service.server.database.tables import artifacts, counters, events, jobs, progress, runs, stage_runs
+from service.server.database.tables import (
+    artifacts,
+    counters,
+    events,
+    idempotency_keys,
+    jobs,
+    progress,
+    runs,
+    stage_runs,
+)
 
 BATCH = 500
 MOST_NEWS = 10 * BATCH
@@ -113,6 +124,26 @@ def read_progress(connection: sa.Connection, job_ids: Collection[str]) -> dict[s
 def open_run_of(connection: sa.Connection, job_id: str) -> str | None:
     """Return the id of an open run of a program of this job, on any mill."""
     return connection.execute(sa.select(runs.c.id).where(runs.c.job_id == job_id, runs.c.open).limit(1)).scalar()
+
+
+def claim_key(
+    connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str, resource_id: str, *, at: float
+) -> bool:
+    """Let a caller's key stand for a new job or run; False, and nothing done, where it stands for one already."""
+    row = {"principal": key.token, "kind": kind, "key": key.text, "request_sha256": request_sha256}
+    return insert_new(connection, idempotency_keys, row | {"resource_id": resource_id, "created_at": at})
+
+
+def find_by_key(connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str) -> str | None:
+    """Return the id of what this key has made. KeyReusedError where it stood for another request."""
+    table = idempotency_keys.c
+    mine = sa.and_(table.principal == key.token, table.kind == kind, table.key == key.text)
+    row = connection.execute(sa.select(table.request_sha256, table.resource_id).where(mine)).first()
+    if row is None:
+        return None
+    if row.request_sha256 != request_sha256:
+        raise KeyReusedError(key.text)
+    return str(row.resource_id)
 
 
 def lock_job(connection: sa.Connection, job_id: str) -> Job:

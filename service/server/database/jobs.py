@@ -16,18 +16,21 @@ from phrases.phrase import Phrase
 from service.errors import printable
 from service.job.files import TARGET_PICTURE, THUMBNAILS
 from service.job.stages.order import merge_reports
-from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
+from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.job_rows import (
     BATCH,
     Counter,
     add_to_counters,
     change_job,
+    claim_key,
     end_job,
+    find_by_key,
     get_job,
     list_offered_artifacts,
     list_offered_programs,
     lock_job,
     may_be_milled,
+    open_run_of,
     read_counters,
     read_events,
     read_news,
@@ -39,14 +42,12 @@ from service.server.database.records import (
     RETRYABLE,
     TRANSITIONS,
     Artifact,
-    ClientKey,
     Job,
     JobEvent,
     JobListRow,
     JobOnMillError,
     JobState,
     JobStateError,
-    KeyReusedError,
     NewJob,
     News,
     StageRun,
@@ -78,8 +79,9 @@ class JobBook:
             self._store.head(new.image_sha256)
         with begin_writing(self.database) as connection:
             at, job_id = clock(connection), str(uuid4())
-            if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
-                return _find_made_before(connection, new, new.key), False
+            if new.key is not None and not claim_key(connection, "job", new.key, new.request_sha256, job_id, at=at):
+                before = find_by_key(connection, "job", new.key, new.request_sha256)
+                return get_job(connection, str(before)), False
             connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
             add_to_counters(connection, {state_counter(JobState.QUEUED): 1})
             write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
@@ -249,8 +251,6 @@ def count_jobs(found: Mapping[Counter, float]) -> dict[JobState, int]:
 
 
 def _require_no_open_run(connection: sa.Connection, job_id: str) -> None:
-    from service.server.database.job_rows import open_run_of
-
     if (run_id := open_run_of(connection, job_id)) is not None:
         raise JobOnMillError(run_id)
 
@@ -317,19 +317,3 @@ def _fresh(attempt: int, at: float) -> dict[str, Any]:
         "cancel_requested": False,
         "owner": None,
     }
-
-
-def _claim_key(connection: sa.Connection, new: NewJob, key: ClientKey, job_id: str, at: float) -> bool:
-    row = {"principal": key.token, "kind": "job", "key": key.text}
-    row |= {"request_sha256": new.request_sha256, "resource_id": job_id}
-    return insert_new(connection, idempotency_keys, row | {"created_at": at})
-
-
-def _find_made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
-    table = idempotency_keys.c
-    mine = sa.and_(table.principal == key.token, table.kind == "job", table.key == key.text)
-    query = sa.select(idempotency_keys).where(mine)
-    row = connection.execute(query).mappings().one()
-    if row["request_sha256"] != new.request_sha256:
-        raise KeyReusedError(key.text)
-    return get_job(connection, row["resource_id"])

@@ -17,8 +17,8 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 from machines.runs import LIVE, RunState
 from phrases.phrase import Phrase, phrases_in
 from service.http.problems import Problem
-from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
-from service.server.database.job_rows import lock_job, may_be_milled
+from service.server.database.connection import begin_reading, begin_writing, clock
+from service.server.database.job_rows import claim_key, find_by_key, lock_job, may_be_milled
 from service.server.database.records import (
     ABORTED,
     FINISHED,
@@ -29,7 +29,6 @@ from service.server.database.records import (
     ClientKey,
     Job,
     JobState,
-    KeyReusedError,
 )
 from service.server.database.tables import idempotency_keys, runs
 
@@ -114,15 +113,9 @@ class RunBook:
 
     def find_made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
         """Return the run that this key has made. KeyReusedError where it stood for another request."""
-        table = idempotency_keys.c
-        mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
         with begin_reading(self._database) as connection:
-            known = connection.execute(sa.select(idempotency_keys).where(mine)).mappings().first()
-            if known is None:
-                return None
-            if known["request_sha256"] != request_sha256:
-                raise KeyReusedError(key.text)
-            return _get(connection, known["resource_id"])
+            run_id = find_by_key(connection, "run", key, request_sha256)
+            return None if run_id is None else _get(connection, run_id)
 
     def create(self, new: RunRow, key: ClientKey | None = None, request_sha256: str = "") -> tuple[RunRow, bool]:
         """Create a run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
@@ -137,7 +130,7 @@ class RunBook:
                 if not may_be_milled(connection, job):
                     raise JobNotReadyError(job)
                 at = clock(connection)
-                if key is None or insert_new(connection, idempotency_keys, _key_row(key, request_sha256, run_id, at)):
+                if key is None or claim_key(connection, "run", key, request_sha256, run_id, at=at):
                     connection.execute(runs.insert().values(**_first_row(new, run_id, at)))
                     return _get(connection, run_id), True
         except IntegrityError:
@@ -260,11 +253,6 @@ def _get(connection: sa.Connection, run_id: str) -> RunRow:
 def _first_row(new: RunRow, run_id: str, at: float) -> Json:
     given = {name: getattr(new, name) for name in ("machine", "job_id", "program", "number", "sha256", "created_by")}
     return given | {"id": run_id, "state": PREPARING, "open": True, "created_at": at}
-
-
-def _key_row(key: ClientKey, request_sha256: str, run_id: str, at: float) -> Json:
-    row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": request_sha256}
-    return row | {"resource_id": run_id, "created_at": at}
 
 
 def word_state(state: str) -> str:
