@@ -105,6 +105,7 @@ def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: Ag
         ("/v1/control/block", {"text": "G0 X1\nG0 X2"}, 422, "text"),
         ("/v1/control/block", {"text": "!"}, 422, "text"),
         ("/v1/control/zero", {"axes": "A"}, 422, "axes"),
+        ("/v1/control/probe", {"depth_mm": 0}, 422, "depth_mm"),
         ("/v1/control/explode", {}, 404, None),
         ("/v1/runs", {"program": "0" * 64, "name": "x"}, 404, "program"),
         ("/v1/runs", {"program": "../../x", "name": "x"}, 422, "sha256"),

@@ -1,4 +1,4 @@
-"""Five hundred uploads that nobody should send: each refused with a problem, and nothing left on disk."""
+"""Hundreds of uploads that nobody should send: each refused with a problem, and nothing left on disk."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from tests.service.server.api.hostile import Attack, attacks, form, part, request
-from tests.service.server.api.server import ApiServer, api_server, encoded, png
+from tests.service.server.api.server import ApiServer, api_server, png
 from tests.waiting import PATIENCE_S, until
 
-COUNT = 500
+COUNT = 360
 MAX_UPLOAD = 300_000
 
 
@@ -107,14 +107,6 @@ def test_a_good_picture_keeps_a_harmless_name(small: ApiServer, given: str, kept
     assert job["name"] == kept
     archive = small.client.get(f"/v1/jobs/{job['id']}/archive.zip")
     assert archive.headers["content-disposition"].isascii()
-
-
-@pytest.mark.parametrize("kind", ["PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF"])
-def test_the_six_formats_are_taken(small: ApiServer, kind: str) -> None:
-    from PIL import Image
-
-    image = Image.frombytes("L", (40, 30), bytes(range(200)) * 6)
-    assert small.submit(image=(f"a.{kind.lower()}", encoded(image, kind)))["state"] == "queued"
 
 
 def test_a_picture_right_at_the_limit_is_taken(small: ApiServer) -> None:

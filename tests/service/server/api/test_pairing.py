@@ -106,12 +106,6 @@ def test_the_code_makes_an_operator_and_no_administrator(own: ApiServer) -> None
     problem(own.client.get("/v1/tokens", headers=ada), 403)
 
 
-@pytest.mark.parametrize("form", ["{0}-{1}-{2}", "{0}{1}{2}", " {0} {1} {2} ", "{0} - {1}{2}"])
-def test_a_code_is_taken_as_people_type_it(own: ApiServer, form: str) -> None:
-    code = form.format(*offered(own).split("-"))
-    assert [paired(own, spelled).status_code for spelled in (code, code.lower())] == [201, 201]
-
-
 def through(server: ApiServer, address: str, code: str) -> httpx.Response:
     """A try that the proxy in front of the server says comes from there."""
     return paired(server, code, **{"X-Forwarded-For": f"6.6.6.6, {address}"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import concurrent.futures
 import json
 import sqlite3
 from collections.abc import Iterator
@@ -100,27 +99,6 @@ def list_untold(answer: Any, known: frozenset[str] = frozenset()) -> Iterator[st
 
 
 @pytest.mark.thorough
-def test_two_posts_at_once_make_one_run(floor: Shop) -> None:
-    job = floor.job()
-    path, body = f"/v1/machines/{MACHINE}/runs", {"job": job}
-    with concurrent.futures.ThreadPoolExecutor(4) as pool:
-        answers = list(pool.map(lambda _: floor.operator.post(path, json=body), range(4)))
-    codes = sorted(answer.status_code for answer in answers)
-    assert codes[0] in (201, 202) and codes[1:] == [409, 409, 409]
-
-
-@pytest.mark.thorough
-def test_the_same_key_gives_the_same_run_and_another_request_is_refused(floor: Shop) -> None:
-    job = floor.job()
-    path, headers = f"/v1/machines/{MACHINE}/runs", {"Idempotency-Key": "k"}
-    first = floor.operator.post(path, json={"job": job}, headers=headers)
-    again = floor.operator.post(path, json={"job": job}, headers=headers)
-    assert {first.status_code, again.status_code} <= {201, 202} and first.json()["id"] == again.json()["id"]
-    other = floor.operator.post(path, json={"job": job, "program": 2}, headers=headers)
-    assert (other.status_code, other.json()["field"]) == (422, "Idempotency-Key")
-
-
-@pytest.mark.thorough
 def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> None:
     job = floor.job()
     for number in (1, 2, 3):
@@ -148,13 +126,6 @@ def test_a_pass_out_of_order_needs_a_word_about_it(floor: Shop) -> None:
     assert (refused["field"], "pass-1-rough.nc" in refused["detail"], floor.bench.cut) == ("checks", True, [])
     floor.start(run, checks=[*CHECKS, "order"])
     floor.until_finished(run)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("state", ["queued", "failed", "cancelled"])
-def test_only_programs_of_jobs_that_go_well_may_be_run(floor: Shop, state: str) -> None:
-    job = floor.job(state=state)
-    assert floor.park(job, 409)["field"] == "job"
 
 
 @pytest.mark.thorough
