@@ -62,14 +62,3 @@ def test_a_worker_stops_by_a_word_however_often_it_is_said(postgres: Postgres, t
             worker.kill(worker.pid, signal.SIGTERM)
         assert worker.ended() == 0
         assert not is_alive(worker.pid)
-
-
-def test_a_farm_with_a_store_of_one_host_is_refused(postgres: Postgres, tmp_path: Path) -> None:
-    environment = {"CAUSTICMILL_DATABASE_URL": postgres.url()}
-    with served(data=tmp_path / "serve", **environment) as serving:
-        assert serving.ended() == 2
-    with working(tmp_path / "work", **environment) as worker:
-        assert worker.ended() == 2
-    for process in (serving, worker):
-        (line,) = {line for line in process.err if line.startswith("error:")}
-        assert "CAUSTICMILL_DATABASE_URL" in line and "STORE_URL" in line

@@ -62,23 +62,6 @@ def test_what_ended_is_ready_again(tmp_path: Path, module: str, word: signal.Sig
 
 
 @pytest.mark.thorough
-def test_nothing_is_left_of_a_killed_supervisor(tmp_path: Path) -> None:
-    with served("--no-agents", data=tmp_path) as serving:
-        serving.until_ready()
-        below = descendants(serving.pid)
-        serving.kill(serving.pid)
-        until(lambda: not any(map(is_alive, below)), what="the end of all")
-
-
-@pytest.mark.thorough
-def test_a_foreign_address_without_tokens_is_refused_in_words(tmp_path: Path) -> None:
-    with served("--host", "0.0.0.0", "--behind-proxy", data=tmp_path) as serving:
-        assert serving.ended() == 2
-        (line,) = [line for line in serving.err if line.startswith("error:")]
-        assert "--host 0.0.0.0" in line and "token" in line
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "environment", "word"),
     [
