@@ -127,7 +127,7 @@ def install(
 ) -> None:
     """Write a systemd unit that starts the server, or the agent of a mill, with the computer."""
     from service.errors import InputError
-    from service.server.maintenance.systemd import UnitOrder, install, unit_text
+    from service.server.supervisor.systemd import UnitOrder, install, unit_text
 
     if system and user:
         raise InputError("--system and --user exclude each other; allowed: one of them")
@@ -149,7 +149,7 @@ def back_up(
     data: DataOption = None,
 ) -> None:
     """Write the whole data folder into one tar file, consistent while the server runs."""
-    from service.server.maintenance.backup import back_up
+    from service.server.database.backup import back_up
 
     for line in back_up(_settings(data=data), target):
         print(line, file=sys.stderr)
@@ -164,7 +164,7 @@ def restore(
     ] = False,
 ) -> None:
     """Restore a backup into an empty data folder: check every hash, revoke every token. `serve` continues its jobs."""
-    from service.server.maintenance.backup import restore_backup
+    from service.server.database.backup import restore_backup
 
     for line in restore_backup(source, _settings(data=data), keep_tokens=keep_tokens):
         print(line, file=sys.stderr)
@@ -173,7 +173,7 @@ def restore(
 @service_commands.command()
 def verify(data: DataOption = None) -> None:
     """Read every object of the artifact store and compare it with its hash; exit code 1 if one differs."""
-    from service.server.maintenance.backup import verify_store
+    from service.server.database.backup import verify_store
 
     for line in verify_store(_settings(data=data)):
         print(line, file=sys.stderr)

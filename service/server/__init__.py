@@ -1,1 +1,1 @@
-"""The job server: API, worker, database, fleet of mills, supervisor, maintenance."""
+"""The job server: API, worker, database, fleet of mills, supervisor."""

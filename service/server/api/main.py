@@ -32,18 +32,18 @@ from service.processes import lifeline
 from service.processes.private import keep_private
 from service.server.api.access.guard import refuse_foreign_bind
 from service.server.api.access.stop_access import StopAccess
-from service.server.api.access.terminal_code import CodeOnTerminal
 from service.server.api.app import make_app
 from service.server.api.event_feed import Feed
 from service.server.api.intake.child_requests import LOOKING, Estimator, PictureChecker
 from service.server.api.intake.form import sweep_uploads
 from service.server.api.monitoring import Metrics, Readiness
 from service.server.api.services import Services
+from service.server.database.connection import await_schema, open_database
 from service.server.database.jobs import JobBook
 from service.server.database.pairing import PairingBook
-from service.server.database.schema import await_schema, open_database
 from service.server.database.tokens import TokenBook
 from service.server.fleet.fleet import Fleet
+from service.server.pairing_code import CodeOnTerminal
 from service.server.queue.dbos import DbosEngine
 from service.server.standby.line import receive_connections
 from service.server.stop_socket import StopSockets

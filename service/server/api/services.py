@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from starlette.requests import HTTPConnection
 
     from service.server.api.access.stop_access import StopAccess
-    from service.server.api.access.terminal_code import CodeOnTerminal
     from service.server.api.event_feed import Feed
     from service.server.api.intake.child_requests import Estimator, PictureChecker
     from service.server.api.monitoring import Metrics, Readiness
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from service.server.database.pairing import PairingBook
     from service.server.database.tokens import TokenBook
     from service.server.fleet.fleet import Fleet
+    from service.server.pairing_code import CodeOnTerminal
     from service.server.queue.engine import JobEngine
     from service.server.stop_socket import StopSockets
     from service.settings import ServerSettings

@@ -25,10 +25,9 @@ from service.server.fleet.cameras import Cameras
 from service.server.fleet.core import FleetCore
 from service.server.fleet.event_streams import MachineEvents, RunEvents
 from service.server.fleet.handover import Handovers
-from service.server.fleet.orders import ASK_S, Controls, Orders
+from service.server.fleet.orders import ASK_S, Controls, Orders, Stops
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view, programs_of
-from service.server.fleet.stops import Stops
 from service.server.schemas.runs import MachineList, MachineView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store

@@ -1,8 +1,13 @@
-"""One child of the supervisor: started, listened to, started again with growing pauses, stopped."""
+"""One child of the supervisor: started, listened to, started again with growing pauses, stopped.
+
+`python -m service.server.supervisor.child MODULE` is that child: it runs the `main` of a module, tied to our life.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import gc
+import importlib
 import os
 import signal
 import subprocess
@@ -45,7 +50,7 @@ class SupervisedChild:
         self.failures = 0
         self.trusted = False
         self._proven = False
-        self._command = [sys.executable, "-P", "-m", "service.server.supervisor.child_main", module]
+        self._command = [sys.executable, "-P", "-m", "service.server.supervisor.child", module]
         self._environment = dict(environment)
         self._lease_s = lease_s
         self._passed = passed
@@ -150,3 +155,18 @@ def _describe_end(code: int) -> str:
         return f"was ended by {signal.Signals(-code).name}"
     except ValueError:
         return f"was ended by signal {-code}"
+
+
+def main() -> int | None:
+    """Run a module's `main`; it sees its own name and the arguments after it."""
+    lifeline.begin()
+    sys.argv = sys.argv[1:]
+    gc.disable()  # importing makes nothing but what stays
+    module = importlib.import_module(sys.argv[0])
+    gc.freeze()
+    gc.enable()
+    return module.main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -47,5 +47,5 @@ def test_the_new_file_has_the_mode_asked_for(tmp_path: Path, mode: int) -> None:
 def test_no_other_module_replaces_files_in_its_own_way() -> None:
     """Beside it sync: the store and what it is filled from, whose names are those of their content."""
     found = {path.relative_to(SERVICE).as_posix() for path in SERVICE.rglob("*.py") if "os.fsync(" in path.read_text()}
-    by_content = {"store/local.py", "client/download.py", "milling/agent/programs.py", "server/maintenance/backup.py"}
+    by_content = {"store/local.py", "client/download.py", "milling/agent/programs.py", "server/database/backup.py"}
     assert found == by_content | {"processes/whole_file.py"}

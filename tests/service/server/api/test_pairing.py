@@ -17,7 +17,6 @@ import sqlalchemy as sa
 
 from service.errors import InputError
 from service.server.api.access.guard import refuse_foreign_bind
-from service.server.api.access.terminal_code import CodeOnTerminal
 from service.server.api.routes.identity import PairingBody
 from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.pairing import (
@@ -31,7 +30,7 @@ from service.server.database.pairing import (
 )
 from service.server.database.tables import pairings, tokens
 from service.server.database.tokens import TokenBook
-from service.server.pairing_code import ALPHABET, code_of, new_offer, read_code
+from service.server.pairing_code import ALPHABET, CodeOnTerminal, code_of, new_offer, read_code
 from service.settings import ServerSettings
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.service.server.supervisor.processes import CODE

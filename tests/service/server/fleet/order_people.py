@@ -14,8 +14,8 @@ from service.http.problems import Problem
 from service.milling.api import GrantView, RecoverBody, StartBody
 from service.server.fleet.agent_client import OrderContext
 from service.server.fleet.agent_replies import AgentAwayError
+from service.server.fleet.orders import Stops
 from service.server.fleet.representation import Surroundings
-from service.server.fleet.stops import Stops
 from tests.service.server.fleet.order_network import WEATHER, Weather
 
 if TYPE_CHECKING:

@@ -56,9 +56,8 @@ from service.milling.agent.settings import AgentSettings
 from service.server.database.connection import connect
 from service.server.database.tables import metadata, runs
 from service.server.fleet.core import FleetCore
-from service.server.fleet.orders import Controls, Orders
+from service.server.fleet.orders import Controls, Orders, Stops
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.stops import Stops
 from service.settings import ServerSettings
 from tests.machines.inline_syncer import InlineSyncer
 from tests.service.server.fleet.order_network import MessageNetwork

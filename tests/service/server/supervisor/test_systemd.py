@@ -10,7 +10,7 @@ import pytest
 
 from service.cli.main import run
 from service.errors import InputError
-from service.server.maintenance.systemd import UnitOrder, unit_text
+from service.server.supervisor.systemd import UnitOrder, unit_text
 
 
 def order(data: Path, **given: object) -> UnitOrder:

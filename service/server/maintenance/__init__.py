@@ -1,1 +1,0 @@
-"""Backup, restore, verification and systemd units."""
