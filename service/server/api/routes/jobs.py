@@ -105,7 +105,7 @@ async def retry(request: Request, response: Response, principal: Writer, job_id:
     summary="Delete a job",
     status_code=204,
     response_class=Response,
-    responses={204: {"description": "gone, with its files"}} | refusals(409),
+    responses={204: {"description": "gone, with its files"}, **refusals(409)},
 )
 async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
     """Forget a job that does not run. Files that no other job has are removed from the disk some time later."""

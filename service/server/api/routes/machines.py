@@ -46,7 +46,7 @@ async def look(request: Request, _: Reader, machine: MachineName) -> MachineView
     "/v1/machines/{machine}/camera.jpg",
     summary="Look through its camera",
     response_class=Response,
-    responses={200: {"description": "what it sees now", "content": {"image/jpeg": {}}}} | refusals(502, 504),
+    responses={200: {"description": "what it sees now", "content": {"image/jpeg": {}}}, **refusals(502, 504)},
 )
 async def look_through_camera(request: Request, _: Reader, machine: MachineName) -> Response:
     """A picture of the camera beside the mill, where the server's settings name one (`links.camera`)."""

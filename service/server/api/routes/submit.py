@@ -69,7 +69,7 @@ _ACCEPTED = {
     tags=["jobs"],
     summary="Submit a picture",
     status_code=202,
-    responses={202: _ACCEPTED} | refusals(408, 415, 507),
+    responses={202: _ACCEPTED, **refusals(408, 415, 507)},
     openapi_extra=JOB_FORM,
 )
 async def submit(
