@@ -71,7 +71,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
     row: Json = next((row for row in rows if row["number"] == number), {})
     before: Json = next((row for row in reversed(rows) if row["number"] < number), {})
     tool = {"shape": _shape(row), "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
-    optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
+    optics, stock = table(job.spec, "optics"), table(job.spec, "stock")
     margin_mm = float(stock.get("margin_mm", 0.0))
     width_mm, height_mm, thickness_mm = optics.get("width_mm"), optics.get("height_mm"), stock.get("thickness_mm")
     block = {
@@ -127,11 +127,6 @@ def _tool(row: Mapping[str, Any]) -> str:
     if shape == "bull-nose":
         return Phrase("bull-nose {size}, corner R {corner_mm:g} mm", size=size, corner_mm=row["corner_radius_mm"])
     return size if shape == "ball" else Phrase("flat {size}", size=size) if shape == "flat" else f"{shape} {size}"
-
-
-def _table(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    found = values.get(name)
-    return found if isinstance(found, dict) else {}
 
 
 ORDER: Check = "order"

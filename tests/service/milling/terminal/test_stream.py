@@ -19,7 +19,7 @@ import pytest
 
 from service.cli.main import run
 from tests.service.milling.agent.process import memory_mb
-from tests.service.mills import bench, ends, program
+from tests.service.mills import Bench, bench, ends, program
 from tests.service.terminal import ROOT, Terminal
 from tests.waiting import PATIENCE_S, until
 
@@ -46,6 +46,19 @@ def piped(*arguments: str, **settings: object) -> subprocess.Popen[str]:
 def ended(process: subprocess.Popen[str]) -> tuple[int, list[str], list[str]]:
     out, errors = process.communicate(timeout=PATIENCE_S)
     return process.returncode, out.splitlines(), errors.splitlines()
+
+
+def until_it_runs(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    next(line for line in process.stdout if line.startswith("run"))
+
+
+def abort(path: Path, mill: Bench) -> None:
+    """A run that its person aborts."""
+    with Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
+        person.sees("RUN")
+        person.types("qa")
+        assert person.ends() == 130
 
 
 @pytest.mark.thorough
@@ -207,10 +220,7 @@ def test_without_a_terminal_a_signal_holds_aborts_and_ends_with_130(tmp_path: Pa
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
         process = piped(str(path), "--port", mill.url, "--yes")
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("run"):
-                break
+        until_it_runs(process)
         process.send_signal(number)
         code, _, errors = ended(process)
         assert code == 130, "\n".join(errors[-12:])
@@ -232,10 +242,7 @@ def test_a_terminal_that_goes_away_stops_the_mill(tmp_path: Path) -> None:
 def test_an_aborted_run_goes_on_after_a_person_says_so_and_nothing_is_skipped(tmp_path: Path) -> None:
     path, lines = program(tmp_path / "p.nc", 60), 60
     with bench(4.0) as mill:
-        with Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
-            person.sees("RUN")
-            person.types("qa")
-            assert person.ends() == 130
+        abort(path, mill)
         before = len(mill.cut)
         code, _, errors = ended(piped(str(path), "--port", mill.url, "--recover", "--yes"))
         assert (code, len(errors)) == (2, 1)
@@ -265,10 +272,7 @@ def test_a_fault_ends_in_its_cause_the_line_the_state_and_the_next_command(tmp_p
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
         process = piped(str(path), "--port", mill.url, "--yes")
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("run"):
-                break
+        until_it_runs(process)
         mill.mill.press("reset")
         code, _, errors = ended(process)
         assert code == 1
@@ -389,10 +393,7 @@ def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
         process = piped(
             str(path), "--port", mill.url, "--yes", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
         )
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("run"):
-                break
+        until_it_runs(process)
         process.send_signal(signal.SIGHUP)
         code, _, errors = ended(process)
         assert (code, errors) == (0, [])
@@ -449,10 +450,7 @@ def test_a_program_that_the_mill_must_not_be_sent(tmp_path: Path) -> None:
 def test_no_recovery_of_a_program_that_has_changed_since(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 60)
     with bench(4.0) as mill:
-        with Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
-            person.sees("RUN")
-            person.types("qa")
-            assert person.ends() == 130
+        abort(path, mill)
         program(path, 61)
         assert "as it is now" in refused(2, str(path), "--port", mill.url, "--recover", "--yes", "--confirm-position")
 
@@ -462,10 +460,7 @@ def test_a_disk_that_is_full_for_the_journal_holds_the_mill_and_says_so(tmp_path
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:
         process = piped(str(path), "--port", mill.url, "--yes")
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("run"):
-                break
+        until_it_runs(process)
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (64, 64))  # no file may grow any more
         code, _, errors = ended(process)
         text = "\n".join(errors)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import random
 import signal
@@ -12,7 +11,6 @@ import sys
 import time
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ from PIL import Image
 from service.errors import FailedError, PictureError
 from service.job.picture.limits import PictureFacts
 from service.server.api.intake.child_requests import PictureChecker
+from tests.service.server.api.server import encoded
 
 ROOT = Path(__file__).parents[4]
 MAX_PIXELS = 40_000_000
@@ -64,12 +63,6 @@ def noise(mode: str = "RGB", side: int = 64) -> Image.Image:
     return Image.frombytes(
         mode, (side, side), random.Random(1).randbytes(side * side * len(Image.new(mode, (1, 1)).tobytes()))
     )
-
-
-def encoded(image: Image.Image, kind: str, **options: object) -> bytes:
-    buffer = io.BytesIO()
-    image.save(buffer, kind, **options)
-    return buffer.getvalue()
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:
@@ -269,13 +262,6 @@ def test_a_picture_that_takes_too_long_is_refused_and_the_next_one_works(tmp_pat
     checker.close()
 
 
-def test_checks_of_many_threads_wait_their_turn(checker: PictureChecker, tmp_path: Path) -> None:
-    path = tmp_path / "picture.png"
-    path.write_bytes(encoded(noise(), "PNG"))
-    with ThreadPoolExecutor(16) as pool:
-        assert len(list(pool.map(lambda _: checker.check(path, NAME, MAX_PIXELS), range(200)))) == 200
-
-
 def test_a_closed_checker_says_so_and_leaves_no_process(tmp_path: Path) -> None:
     checker = PictureChecker()
     (tmp_path / "picture.png").write_bytes(encoded(noise(), "PNG"))
@@ -298,28 +284,6 @@ def test_the_child_imports_no_arrays_and_few_decoders() -> None:
         check=True,
     )
     assert said.stdout.strip() == "False ['BMP', 'DIB', 'GIF', 'JPEG', 'PNG', 'TIFF', 'WEBP']"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
-def test_the_child_dies_with_a_killed_server(tmp_path: Path) -> None:
-    code = (
-        "import time; from pathlib import Path; from service.server.api.intake.child_requests import PictureChecker\n"
-        "checker = PictureChecker()\n"
-        "while checker.child_pid is None: time.sleep(0.01)\n"
-        "print(checker.child_pid, flush=True); time.sleep(60)"
-    )
-    server = subprocess.Popen(
-        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True
-    )
-    assert server.stdout is not None
-    child = Path("/proc") / server.stdout.readline().strip()
-    assert child.exists()
-    server.kill()
-    server.communicate()
-    until = time.monotonic() + 2.0
-    while child.exists() and child.joinpath("stat").read_text().rpartition(")")[2].split()[0] != "Z":
-        assert time.monotonic() < until
-        time.sleep(0.01)
 
 
 def test_a_checker_that_is_closed_does_not_wait_for_its_process_to_start(
