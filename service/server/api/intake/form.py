@@ -293,10 +293,10 @@ class Space:
         self._floor_mb = settings.free_disk_mb
         self._makes_programs = settings.embedded and settings.store_url is None
 
-    def require(self, coming_bytes: int = 0) -> None:
-        """Raise Problem 507 where less is free, or would be after so much more, than the settings want to stay free."""
+    def require(self) -> None:
+        """Raise Problem 507 where less is free than the settings want to stay free."""
         free_mb = self._free_mb()
-        if free_mb - coming_bytes / 1e6 < self._floor_mb:
+        if free_mb < self._floor_mb:
             raise Problem(507, too_little_space(free_mb, self._floor_mb), headers=_RETRY)
 
     def require_for_programs(self, spec: dict[str, Any]) -> None:
