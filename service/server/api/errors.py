@@ -104,10 +104,6 @@ def _of_disk(error: Exception) -> Problem:
     return Problem(503, Phrase("the server's disk or artifact store cannot be used at present"), headers=_RETRY)
 
 
-def _of_missing(_error: Exception) -> Problem:
-    return Problem(503, Phrase("the artifact store does not hold this file at present"), headers=_RETRY)
-
-
 _TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exception], Problem]]] = [
     (Problem, lambda error: error if isinstance(error, Problem) else Problem(500, "")),
     (SpecError, _of_spec),
@@ -117,7 +113,10 @@ _TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exce
     (UnknownArtifactError, lambda error: Problem(404, str(error), field="name")),
     (JobStateError, lambda error: Problem(409, str(error))),
     (KeyReusedError, lambda error: Problem(422, str(error), field="Idempotency-Key", kind=Kind.KEY_REUSED)),
-    (MissingObjectError, _of_missing),
+    (
+        MissingObjectError,
+        lambda _: Problem(503, Phrase("the artifact store does not hold this file at present"), headers=_RETRY),
+    ),
     (RequestValidationError, _of_request),
     (ClientDisconnect, lambda _: Problem(400, Phrase("the connection ended before the request did"))),
     (HTTPException, _of_http),
@@ -187,11 +186,7 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     components["responses"] = {f"Problem{status}": _refusal(status) for status in _WORDS}
     for item in document["paths"].values():
         for operation in item.values():
-            told = operation["responses"]
-            for status in [status for status in told if told[status] == _refusal_or_none(status)]:
-                told[status] = {"$ref": f"#/components/responses/Problem{status}"}
+            for status, answer in operation["responses"].items():
+                if _PROBLEM_JSON in answer.get("content", {}):
+                    operation["responses"][status] = {"$ref": f"#/components/responses/Problem{status}"}
     return document
-
-
-def _refusal_or_none(status: str) -> dict[str, Any] | None:
-    return _refusal(int(status)) if int(status) in _WORDS else None

@@ -49,13 +49,23 @@ _PAGE_POLICY = "sandbox; default-src 'none'; img-src 'self' data:; style-src 'un
 _ONE_RANGE = re.compile(r"bytes=\s*(\d{0,18})-(\d{0,18})\s*", re.IGNORECASE)
 
 
+Ranged = Annotated[
+    str | None, Header(alias="Range", description="bytes=FIRST-LAST; one range", examples=["bytes=0-99"])
+]
+IfRange = Annotated[str | None, Header(description="the ETag of the file whose beginning the client has")]
+IfNoneMatch = Annotated[str | None, Header(description="the ETag of the file that the client has")]
+
+
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """The request's headers of these names."""
 
-    range: str | None
-    if_range: str | None
-    if_none_match: str | None
+    range: Ranged = None
+    if_range: IfRange = None
+    if_none_match: IfNoneMatch = None
+
+
+Asked = Annotated[Conditions, Depends()]
 
 
 async def download(
@@ -155,19 +165,9 @@ def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
 
 _DOWNLOAD = byte_answers("file", MEDIA_TYPES)
 
-Ranged = Annotated[
-    str | None, Header(alias="Range", description="bytes=FIRST-LAST; one range", examples=["bytes=0-99"])
-]
-IfRange = Annotated[str | None, Header(description="the ETag of the file whose beginning the client has")]
-IfNoneMatch = Annotated[str | None, Header(description="the ETag of the file that the client has")]
 FileName = Annotated[str, Path(max_length=100, description="name of an artifact", examples=["report.json"])]
 
 
-def _conditions(ranged: Ranged = None, if_range: IfRange = None, if_none_match: IfNoneMatch = None) -> Conditions:
-    return Conditions(ranged, if_range, if_none_match)
-
-
-Asked = Annotated[Conditions, Depends(_conditions)]
 Number = Annotated[int, Path(ge=1, le=999, description="number of the pass, from 1", examples=[1])]
 
 

@@ -158,7 +158,7 @@ async def post_estimate(
     async with receive_form(request, settings) as form:
         wanted = await asyncio.to_thread(job_request, form)
         async with services.accepting:
-            await asyncio.to_thread(_check_picture, services, form)
+            await asyncio.to_thread(services.pictures.check, form.path, form.image_name, settings.max_pixels)
         asked = {
             "path": str(form.path),
             "name": form.image_name,
@@ -181,7 +181,3 @@ async def post_estimate(
         found = await answer
     response.headers["Cache-Control"] = "no-store"
     return {"spec": wanted.spec, **found}
-
-
-def _check_picture(services: Services, form: JobForm) -> None:
-    services.pictures.check(form.path, form.image_name, services.settings.max_pixels)
