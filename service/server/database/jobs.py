@@ -175,7 +175,7 @@ class JobBook:
         return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
 
     def may_be_milled(self, job: Job) -> bool:
-        """Return whether a mill may have its programs, as `files.may_be_milled`."""
+        """Return whether a mill may have its programs, as `job_rows.may_be_milled`."""
         with begin_reading(self.database) as connection:
             return may_be_milled(connection, job)
 
