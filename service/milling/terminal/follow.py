@@ -124,7 +124,7 @@ class RunFollower:
             self._told = max(self._told, entry.number)
 
     def _is_driven(self) -> bool:
-        """Return the mill's thread still answers."""
+        """Return whether the mill's thread answers."""
         now = time.monotonic()
         if now < self._asked_s + _ASK_EVERY_S:
             return True

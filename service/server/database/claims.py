@@ -140,7 +140,7 @@ class WorkBook:
     def commit_stage(
         self, claim: Claim, begun: StageTry, result: StageResult, *, log: FileRef | None, whole: float
     ) -> None:
-        """Commit a finished stage: its files belong to the job, and whoever has equal work takes its result."""
+        """Commit a finished stage: its files belong to the job, and other jobs with equal work take its result."""
         with begin_writing(self._database) as connection:
             job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):

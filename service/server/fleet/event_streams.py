@@ -145,7 +145,7 @@ class MachineEvents:
 
 
 def _is_about(view: Json, run: RunRow) -> bool:
-    """Return what the agent says is about this run, which it knows."""
+    """Return whether the agent speaks of this run."""
     return run.agent_run is not None and view.get("id") == run.agent_run
 
 

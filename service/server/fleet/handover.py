@@ -1,6 +1,6 @@
 """Handing a program over: the row first, then the program by its hash, then a parked run under the row's id as its key.
 
-Each step may be done again without harm, so whoever finds a run still being prepared just goes on with it: this server
+Each step may be done again without harm, so a server that finds a run still being prepared goes on with it: this one
 after a lost answer, or the next one after a crash. Nothing of it makes the mill move: a parked run waits for a person.
 """
 
@@ -194,6 +194,6 @@ def _no_job(job_id: str) -> Problem:
 
 
 def _look_at(task: asyncio.Task[None]) -> None:
-    """Look at a task's error, which is told to whoever asks for the run; where nobody does, it is no news."""
+    """Read the error of a task, so that asyncio does not log it: a caller who asks for the run gets it."""
     if not task.cancelled():
         task.exception()

@@ -1,7 +1,7 @@
-"""What somebody elsewhere should know of the mills: one needs a hand, a program is done, the next tool is due.
+"""Notifications to people elsewhere: a mill needs a hand, a program is finished, the next tool is due.
 
-The mills are looked at every few seconds; what is news since the look before is told, each thing once. It gets to
-people: to a web address as JSON, to a mailbox; tried a few times, in order.
+The mills are looked at every few seconds; what has changed since the look before is reported once. A notification goes
+to a web address as JSON or to a mailbox, in order, and is tried a few times.
 """
 
 from __future__ import annotations

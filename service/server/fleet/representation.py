@@ -295,7 +295,7 @@ def _profile(profile: MachineProfile) -> Json:
 
 
 def _open_run(run: RunRow) -> OpenRun:
-    """Return how far the run is, for who looks at the mill; the rest is in the run itself."""
+    """Return how far the run is, to be shown beside the mill."""
     return OpenRun(
         id=run.id,
         state=run.state,

@@ -1,11 +1,11 @@
 """The job engine on DBOS Transact: the only file that imports it.
 
-A ticket is a workflow whose name is its id, and its attempt is the whole of that workflow. It is no step of it: steps
-spare a workflow that goes on what it has done before, and an attempt sees that in the tables of jobs. Measured reasons
-for every setting: the trials of the project's first design.
+A ticket is a workflow whose name is its id, and its attempt is the whole of that workflow. It is not a step: steps
+spare a resumed workflow what it has done before, and an attempt sees that in the tables of jobs. Every setting was
+measured.
 
-What DBOS has begun it queues again for anybody who asks, whether or not the one who began it is still at it. So those
-who ask first look who owns it, and one of them does so at a time (`_alone`).
+What DBOS has begun it queues again for any process that asks, even while the process that began it still works. So
+those who ask first look who owns it, and one of them does so at a time (`_alone`).
 """
 
 from __future__ import annotations

@@ -110,16 +110,18 @@ class Supervisor:
                 child.signal(signal.SIGKILL)
 
     def _judge(self) -> None:
-        """Return whether all is well, or there is no point in going on."""
+        """Stop where a child cannot go on; announce once that the server is ready."""
         if any(child.refused for child in self._children):
-            return self._stop(EXIT_INPUT)  # it said why itself
+            self._stop(EXIT_INPUT)  # it said why itself
+            return
         if self._ready:
-            return None
+            return
         for child in self._children:
             if child.failed or child.failures >= _FIRST_FAILURES:
                 if not child.failed:
                     _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
-                return self._stop(EXIT_FAILURE)
+                self._stop(EXIT_FAILURE)
+                return
         if is_answering(self._listener, self._probe, timeout_s=_ANSWER_S):
             self._ready = True
             for child in self._children:
@@ -129,7 +131,6 @@ class Supervisor:
             words = read_complaint(self._listener, self._probe, timeout_s=_ANSWER_S)
             if words is not None:
                 self._announce(f"not ready: {words}")
-        return None
 
     def _announce(self, words: str) -> None:
         """Announce where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
@@ -172,9 +173,7 @@ class Supervisor:
 
 
 def main() -> int:
-    """Return what `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=:
-    nothing.
-    """
+    """Run as `causticmill serve`. An argument name=module says what runs as worker, API or agents; name=: nothing."""
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
     modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}

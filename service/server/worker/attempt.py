@@ -324,7 +324,7 @@ class Attempt:
 
     @contextmanager
     def _hold_job(self, ticket: Ticket) -> Iterator[None]:
-        """Hold the job: one call per job at a time in this process, whatever the engine believes."""
+        """Hold the job: this process makes one call per job at a time, even if the engine asks for two."""
         with self._lock:
             if ticket.job_id in self._active:
                 raise Fenced("it runs here already")

@@ -60,7 +60,7 @@ class Reconciler:
         self._end_given_up(queued, live)
 
     def release_claims(self) -> None:
-        """Release jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
+        """Release jobs that are under this worker's name without running here: the holder of the ticket may claim them.
 
         They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
         """

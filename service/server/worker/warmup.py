@@ -1,9 +1,9 @@
-"""What stages need is compiled where it was not yet, by small jobs that nobody asked for: soon after a worker's start,
-so that the first person's job need not wait for it, and beside a command whose first stages compile other kernels.
+"""Compiles what stages need, by small jobs of its own: soon after a worker's start, so that the first person's job need
+not wait for it, and beside a command whose first stages compile other kernels.
 
-A child process that gives way to all others. It begins with light, while whoever waits for a lens solves its map; for
-whole jobs it goes on with a lens and with reading a program, and another child, begun by it, makes programs for a lens
-that is there already and shows them as milled. The marks of `kernel_cache` say that all is done.
+It is a child process that gives way to all others. It begins with light, while the command solves the map of its lens;
+for whole jobs it goes on with a lens and with reading a program, and another child, begun by it, makes programs for a
+lens that is there already and shows them as milled. The marks of `kernel_cache` say that all is done.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\
 
 
 def begin(task: str = JOBS) -> Child | None:
-    """Start the process; None where nothing of the task is left to compile. Whoever begins it ends it."""
+    """Start the process; None where nothing of the task is left to compile. The caller ends it."""
     return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _begin_part(task)
 
 

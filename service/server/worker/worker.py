@@ -136,7 +136,7 @@ class NameLock:
             )
 
     def keep(self) -> None:
-        """Lock it again where the connection was lost. Who took it meanwhile has written his name over our lease."""
+        """Lock it again where the connection was lost. A worker that took it meanwhile has written over our lease."""
         try:
             self._connection.execute(sa.text("SELECT 1"))
         except sa.exc.SQLAlchemyError:

@@ -52,7 +52,7 @@ def address_of(scope: Scope, *, behind_proxy: bool) -> str:
 
 
 def is_this_computer(address: str) -> bool:
-    """Return a word of `address_of` that stands for callers on this computer."""
+    """Return whether an answer of `address_of` stands for this computer."""
     return address == _HERE
 
 
