@@ -18,10 +18,11 @@ import pytest
 from service.http import serving
 from service.http.hosts import bind_address
 from service.processes.lifeline import GONE, SERVING, make_line, say
-from service.server.fleet.agent_client import AgentLinks
+from service.server.fleet.agent_client import AT_THE_SERVER, AgentLinks
 from service.server.fleet.machine_stops import MachineStops
 from service.server.standby.line import ApiWatch
 from service.server.standby.main import Standby, StandbyApp
+from service.server.stop_socket import identify_stopper
 from service.server.stoppers import FILE, Stopper, StopperFile, hash_secret, read_stoppers, write_stoppers
 from service.settings import ServerSettings
 from tests.service.server.fleet.rogue import Rogue, as_json, rogue_agent
@@ -95,6 +96,26 @@ def test_it_stops_a_mill_and_a_run_without_api_and_database(alone: Alone) -> Non
     assert (answer.status_code, answer.json()["id"]) == (202, "abc")
     assert ("POST", "/v1/runs/abc:abort") in alone.agent.asked
     assert alone.post("/v1/machines/none/control/hold").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("behind_proxy", "peer", "headers", "secret", "name"),
+    [
+        (False, "127.0.0.1", [], "", AT_THE_SERVER),
+        (False, "127.0.0.1", [], "cm_unknown", AT_THE_SERVER),
+        (False, "127.0.0.1", [(b"x-forwarded-for", b"192.0.2.1")], "", None),
+        (True, "127.0.0.1", [], "", None),  # a proxy on this computer may add no header
+        (False, "192.0.2.1", [], "", None),
+        (False, "192.0.2.1", [], "cm_ada", "Ada"),
+        (True, "127.0.0.1", [], "cm_ada", "Ada"),
+    ],
+)
+def test_who_may_stop_a_mill(
+    behind_proxy: bool, peer: str, headers: list[tuple[bytes, bytes]], secret: str, name: str | None
+) -> None:
+    scope = {"type": "http", "client": (peer, 1), "headers": headers, "http_version": "1.1"}
+    found = identify_stopper(scope, secret, {"cm_ada": Stopper("1", "Ada")}.get, behind_proxy=behind_proxy)
+    assert (found and found.name) == name
 
 
 def test_who_may_is_known_from_the_file(alone: Alone) -> None:
