@@ -18,7 +18,7 @@ from service.server.api.access.guard import Guard
 from service.server.api.access.requests import BodyLimits
 from service.server.api.errors import ANYWHERE, install_problems, refusals, with_problems
 from service.server.api.monitoring import MetricsMiddleware
-from service.server.api.routes import files, health, identity, jobs, machines, page, photos, profiles, runs, submit
+from service.server.api.routes import files, jobs, machines, operations, page, photos, profiles, runs, submit
 from service.server.api.services import Services
 from service.server.fleet.notifications import Delivery, list_ways_out, watch_mills
 
@@ -44,8 +44,7 @@ _ROUTERS = (
     profiles,
     machines,
     runs,
-    health,
-    identity,
+    operations,
     page,
 )
 _WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos|profiles/[^/]+/coupon/photos)")

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from service.errors import InputError
 from service.server.api.access.guard import refuse_foreign_bind
-from service.server.api.routes.identity import PairingBody
+from service.server.api.routes.operations import PairingBody
 from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.pairing import (
     ALL,

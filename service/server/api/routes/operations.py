@@ -1,5 +1,6 @@
-"""Who is calling, the code with which a page in a browser comes to be somebody, and tokens, for administrators. Nobody
-gives away more than they have: `admin` alone makes no token that moves a mill.
+"""For people who run the server: is it alive, can it work, and in figures how it does; who is calling, the code with
+which a page in a browser becomes a caller, and tokens, for administrators. Nobody gives away more than they have:
+`admin` alone makes no token that moves a mill.
 """
 
 from __future__ import annotations
@@ -7,20 +8,83 @@ from __future__ import annotations
 import asyncio
 import time
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Request, Response
+from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BeforeValidator, Field
 
-from phrases.phrase import Phrase
-from service.http.problems import Problem
+from phrases.phrase import Phrase, join
+from service.http.problems import Kind, Problem
 from service.http.schema import Body, Time
 from service.milling.api import Person
-from service.server.api.access.guard import Admin, Principal, require
+from service.server.api.access.guard import ADMIN, Admin, Principal, caller_of, require
 from service.server.api.access.requests import address_of, is_this_computer
-from service.server.api.errors import refusals
+from service.server.api.errors import Responses, refusals
 from service.server.api.services import services_of
 from service.server.database.pairing import NoCodeError, TooManyTriesError, WrongCodeError
+from service.server.schemas.jobs import Alive, Ready
+
+router = APIRouter(tags=["operations"])
+
+
+async def _require_here_or_known(request: Request) -> None:
+    """Admit callers on this computer, or with any token."""
+    if not caller_of(request.scope).open_here:
+        await require()(request, None)
+
+
+async def _require_here_or_admin(request: Request) -> None:
+    if not caller_of(request.scope).open_here:
+        await require(ADMIN)(request, None)
+
+
+_KnownHere = Depends(_require_here_or_known)
+_AdminHere = Depends(_require_here_or_admin)
+_PLAIN: dict[str, Any] = {
+    "text/plain": {"schema": {"type": "string"}, "example": 'causticmill_jobs{state="queued"} 0\n'}
+}
+_METRICS: Responses = {200: {"description": "Prometheus text format", "content": _PLAIN}}
+
+
+@router.get("/livez", summary="Is the process alive?", dependencies=[_KnownHere])
+async def livez() -> Alive:
+    """Answers as long as the process does; asks nothing of the database."""
+    return Alive(alive=True)
+
+
+@router.get("/readyz", summary="Can the server do its work?", dependencies=[_KnownHere])
+async def readyz(request: Request) -> Ready:
+    """Writes to the database and to the artifact store, looks for a live worker and for free disk space."""
+    services = services_of(request)
+    checks = await services.readiness.checks()
+    wrong = {name: words for name, words in checks.items() if words != "ok"}
+    if wrong:
+        detail = join("; ", (Phrase("{name}: {words}", name=name, words=words) for name, words in wrong.items()))
+        more = {"ready": False, "checks": checks}
+        raise Problem(
+            503, detail, field=next(iter(wrong)), kind=Kind.NOT_READY, headers={"Retry-After": "2"}, more=more
+        )
+    return Ready(ready=True, checks=checks)
+
+
+@router.get(
+    "/metrics",
+    summary="Figures for Prometheus",
+    dependencies=[_AdminHere],
+    response_class=Response,
+    responses=_METRICS,
+)
+async def metrics(request: Request) -> Response:
+    """Jobs, stages and artifacts by the database; requests by this process since its start."""
+    services = services_of(request)
+    services.metrics.followers.set(services.feed.followers)
+    try:
+        text = await services.metrics.text()
+    except TimeoutError:
+        raise Problem(503, Phrase("the figures have not been computed yet"), headers={"Retry-After": "2"}) from None
+    return Response(text, headers={"Content-Type": CONTENT_TYPE_LATEST})
+
 
 ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
 Scopes = Annotated[list[ScopeWord], BeforeValidator(sorted)]
@@ -70,8 +134,6 @@ class NewTokenView(TokenView):
 class TokenList(Body):
     tokens: list[TokenView]
 
-
-router = APIRouter(tags=["operations"])
 
 Known = Annotated[Principal, Depends(require())]
 TokenId = Annotated[
