@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Page, Route
 
-from service.job.page_data.header import header_line
 from service.job.page_data.path import Level
 from service.job.page_data.points import HIDDEN, RAPID, Points
+from service.job.page_data.surface import header_line
 
 FEED_MM_PER_S = 25.0
 SIDE_MM = 10.0  # of the shop's lens

@@ -1,4 +1,6 @@
-"""What a photograph of the test piece says: figures, or why it says nothing; and all sentences, in one table."""
+"""From a photograph and the folder of a test piece to what it says: figures and the files of the fit, or why it says
+nothing; and all sentences, in one table.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +19,19 @@ from optics.coupon.grain import RowErrors, fit_row_errors, measure_grain
 from optics.coupon.layout import Half
 from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
+from optics.irradiance import picture_from_irradiance
 from phrases.phrase import Phrase
 from service.errors import PictureError
-from service.job.coupon.photograph import Photo, Placed, place_photo
-from service.job.coupon.piece import coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
+from service.job import files as job_files
+from service.job.coupon.photograph import Photo, Placed, place_photo, read_photo
+from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece, load_predicted_piece
+from service.job.files import plain
 from service.job.spec.finish import NONE
+from service.job.spec.loading import load_stored_job
 from service.job.spec.resolve import cam_passes_of
 from service.job.spec.resolved import ResolvedJob
+from service.progress import Reporter, Stopwatch
 
 HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence
@@ -154,6 +162,49 @@ class CouponResult:
             },
             "notes": [{"code": one.code, "values": one.values, "text": one.sentence()} for one in self.notes],
         }
+
+
+def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
+    """Fit the photograph; coupon-fit.json, .png and .toml go into the folder. InputError where it says nothing."""
+    job = require_coupon(folder)
+    watch = Stopwatch(reporter)
+    with watch.stage("photograph"):
+        shot = read_photo(photo)
+    with watch.stage("fit") as on_progress:
+        result = fit_photo(str(photo), shot, folder, on_progress=on_progress)
+    with watch.stage("figure"):
+        picture = draw_fit(result, viewed_from_lens=job.spec.optics.viewed_from == "lens")
+    job_files.write_bytes(folder / FIT_PICTURE, picture)
+    job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
+    job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
+    return result
+
+
+def fit_photo(
+    name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
+) -> CouponResult:
+    """Return what a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
+    job = load_stored_job(folder)
+    predicted = load_predicted_piece(folder / PROFILES, coupon_of(job))
+    return measure_photo(name, shot, predicted, job, on_progress=on_progress)
+
+
+def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
+    """Draw coupon-fit.png."""
+    from service.job.report.figures.photographs import coupon_fit_png  # what it stands on is slow to import
+
+    picture, level = result.placed.picture, result.placed.level
+    small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]
+    small = small.reshape(small.shape[0] // 2, 2, small.shape[1] // 2, 2).mean(axis=(1, 3))
+    seen = picture_from_irradiance(small, viewed_from="lens" if viewed_from_lens else "behind")
+    x, y = picture.x_mm, picture.y_mm
+    across = (x[-1], x[0]) if viewed_from_lens else (x[0], x[-1])
+    return coupon_fit_png(
+        np.asarray(seen / level),
+        result.fit,
+        extent_mm=(*across, y[0], y[-1]),
+        notes=[note.code.replace("_", " ") for note in result.notes],
+    )
 
 
 def measure_photo(

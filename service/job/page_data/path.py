@@ -23,8 +23,8 @@ from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
 from service.job.files import atomic_file
-from service.job.page_data.header import header_line
 from service.job.page_data.points import HIDDEN, PAUSE, RAPID, Chords, MovePoints, Points, Thinner, no_box, widen
+from service.job.page_data.surface import header_line
 
 MOST_POINTS = 60_000
 """Of the coarsest level."""

@@ -24,8 +24,7 @@ from optics.spline import Array
 from phrases.phrase import Phrase
 from service.errors import InputError, printable
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, MAP
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, MAP, plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
 from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import WallPhoto, read_wall_photo

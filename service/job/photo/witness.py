@@ -12,8 +12,7 @@ from optics.witness_light import DoseReading, Refusal, StripNotFoundError, fit_d
 from phrases.phrase import Phrase
 from service.errors import InputError, PictureError
 from service.job.coupon.photograph import read_photo
-from service.job.files import read_report
-from service.job.finite_json import table
+from service.job.files import read_report, table
 from service.job.planning.witness import plan_witness
 from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import load_stored_job

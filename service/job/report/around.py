@@ -8,7 +8,7 @@ from typing import Any
 from cam.posts.dialects import POSTS
 from cam.posts.post import HIGH_PRECISION_WORDS, Post
 from phrases.phrase import Phrase
-from service.job.finite_json import table
+from service.job.files import table
 from service.wording import duration, number
 
 _COOLANTS = {"air": Phrase("air blast"), "mist": Phrase("mist"), "flood": Phrase("coolant")}

@@ -20,9 +20,7 @@ from markupsafe import Markup
 
 from cam.materials import MATERIALS
 from phrases.phrase import Phrase, restore, say
-from service.job.files import WITNESS
-from service.job.finite_json import table
-from service.job.program_rows import list_programs
+from service.job.files import WITNESS, list_programs, table
 from service.job.report.around import around_sentences, explain_zero_before_facing
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
 from service.job.report.drawing import side_view, top_view

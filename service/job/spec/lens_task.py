@@ -20,7 +20,7 @@ from optics.lens_settings import LensSettings
 from optics.light import Light
 from phrases.phrase import Phrase
 from service.errors import PictureError
-from service.job.finite_json import table
+from service.job.files import table
 from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LIGHT_WORDS, kind_of, name_spectrum, spectrum_of
 from service.job.spec.model import JobSpec

@@ -28,8 +28,8 @@ from service.job.files import (
     LIGHT_AS_FINISHED,
     MAP,
     THUMBNAIL_AS_FINISHED,
+    plain,
 )
-from service.job.finite_json import plain
 from service.job.picture.light_png import picture_png, row_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal

@@ -24,8 +24,7 @@ from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_det
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, read_chunks
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, plain, read_chunks
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import detail_lost

@@ -18,8 +18,7 @@ from optics.irradiance import picture_from_irradiance
 from optics.lens_settings import LensSettings
 from phrases.phrase import Phrase
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL, plain
 from service.job.page_data.surface import surface_bytes
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.picture.reading import read_picture

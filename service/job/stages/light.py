@@ -23,8 +23,7 @@ from optics.tolerance import (
     sharp_light,
 )
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, LIGHT, MAP
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, LIGHT, MAP, plain
 from service.job.picture.light_png import picture_png
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, facts_of_light, finish_of, warn_of_reflection

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from optics.heightfield import Heightfield
-from service.job.page_data.header import header_line, split_header
-from service.job.page_data.surface import surface_bytes
+from service.job.page_data.surface import header_line, surface_bytes
+from tests.service.job.page_data.paths import split_header
 
 WIDTH_MM, HEIGHT_MM = 30.0, 20.0
 
