@@ -197,7 +197,7 @@ from cam.reading.gcode import LANGUAGES, ProgramError, read_program
 from machines.gcode.interpreter import Interpreter
 from service.errors import SpecError
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolved import setup_of
+from service.job.spec.resolve import setup_of
 
 job = resolve_job(overrides=["machine.profile=shed"])
 writer = create_writer(POSTS[job.machine.dialect])
@@ -244,7 +244,7 @@ from cam.around.paths import make_facing_paths
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import GRBL
 from cam.surface.stock_grid import StockGrid
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.resolve import cam_stock_of, facing_task_of
 
 def face(shape):

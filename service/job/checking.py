@@ -23,8 +23,7 @@ from service.job import files as job_files
 from service.job.arrays import load_heightfield
 from service.job.planning.witness import plan_witness
 from service.job.spec.loading import load_stored_job, resolve_job
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
 from service.milling.preflight_child import examine

@@ -18,8 +18,7 @@ from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
 from service.job.errors import translate_errors
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.preload import DRAWING

@@ -29,8 +29,7 @@ from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece, lo
 from service.job.files import plain
 from service.job.spec.finish import NONE
 from service.job.spec.loading import load_stored_job
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from service.progress import Reporter, Stopwatch
 
 HALVES: tuple[Half, Half] = ("left", "right")

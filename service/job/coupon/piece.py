@@ -15,7 +15,7 @@ from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
 from service.job.spec.loading import load_stored_job, parse_override, resolve_job
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.wording import ball, duration
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES

@@ -45,8 +45,7 @@ from service.job.pipeline import FolderJob
 from service.job.spec.finish import FinishSpec
 from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from service.job.stages.context import PictureQueue, peak_rss_mb, versions
 from service.job.stages.order import merge_reports
 from service.job.stages.so_far import JobSoFar

@@ -52,21 +52,21 @@ from service.job.planning.lenses import compute_passes, design_for_finishes, for
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
+from service.job.spec.cutting import MIN_FLOOR_MM
 from service.job.spec.envelope import require_travel
-from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import (
     branch_of,
+    digits_of,
     explain_blocked_light,
     finish_of,
+    kinematics_of,
     lens_settings,
     require_contrast,
     warn_of_reflection,
     with_branch,
 )
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
-from service.job.spec.resolved import ResolvedJob
-from service.job.spec.stock import MIN_FLOOR_MM
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, warn_of_removal, with_plan
 from service.job.stages.kept_plans import NO_PLANS, KeptPlans
 from service.wording import ball, cutter
 

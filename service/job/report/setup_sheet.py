@@ -21,11 +21,8 @@ from markupsafe import Markup
 from cam.materials import MATERIALS
 from phrases.phrase import Phrase, restore, say
 from service.job.files import WITNESS, list_programs, table
-from service.job.report.around import around_sentences, explain_zero_before_facing
-from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import side_view, top_view
+from service.job.report.block import BlockSizes, plan_holding, side_view, top_view
 from service.job.report.finishing import make_finishing_card
-from service.job.report.holding import BlockSizes, plan_holding
 from service.job.report.milled import sentences_as_milled
 from service.job.report.optics import (
     lens_rows,
@@ -34,6 +31,13 @@ from service.job.report.optics import (
     screen_sentence,
     sentences_of_preparation,
     tolerance_sentences,
+)
+from service.job.report.passes import (
+    around_sentences,
+    check_rows,
+    explain_zero_before_facing,
+    flutes_in_words,
+    order_in_words,
 )
 from service.job.report.pictures import PICTURES
 from service.job.spec.lens_task import source_spread_mm

@@ -31,10 +31,9 @@ from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WITNESS, WrittenProgram, program_name, read_chunks
 from service.job.planning.around import cut_out_ways, lens_corners
 from service.job.planning.witness import plan_witness
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob, setup_of
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of, setup_of
 from service.job.stages.context import StageContext
 from service.job.stages.programs import first_stock, part_limits_of, trace_of, write_parts
 

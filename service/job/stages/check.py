@@ -14,9 +14,8 @@ from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.job.page_data.path import PathDrawing
-from service.job.report.figures.contour_sample import ContourSample
-from service.job.report.figures.path_sample import PathSample
-from service.job.spec.kinematics import kinematics_of
+from service.job.report.figures.path_sample import ContourSample, PathSample
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, warn_of_removal
 from service.job.stages.context import StageContext
 from service.milling.preflight_child import examine

@@ -24,7 +24,7 @@ from phrases.phrase import Phrase, phrases_in
 from service.job import files as job_files
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.progress import Stopwatch
 
 Part = Literal["optics", "passes"]

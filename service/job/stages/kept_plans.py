@@ -28,7 +28,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import Progress, plan_for_picture
 from service.job.planning.sentences import blur_warnings
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.job.stages.lens import TARGET
 from service.job.stages.order import FileRef
 from service.job.stages.table import stage_key

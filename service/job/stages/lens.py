@@ -24,9 +24,9 @@ from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.picture.reading import read_picture
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
+from service.job.spec.cutting import MIN_FLOOR_MM
 from service.job.spec.lens_task import branch_of, facts_of_light, lens_settings, require_contrast
 from service.job.spec.model import JobSpec
-from service.job.spec.stock import MIN_FLOOR_MM
 from service.job.stages.context import THE_PICTURE, StageContext
 
 POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1

@@ -107,7 +107,7 @@ def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
 
 
 def _draw_tolerances(context: StageContext, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures.tolerances import tolerances_png
+    from service.job.report.figures.wall import tolerances_png
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)

@@ -18,7 +18,6 @@ DRAWING = (
     "service.job.report.figures.base",
     "service.job.report.figures.lens",
     "service.job.report.figures.paths",
-    "service.job.report.figures.tolerances",
     "service.job.report.figures.wall",
     "service.job.report.setup_pdf",
     "fontTools.subset",

@@ -37,9 +37,8 @@ from service.job.files import (
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.envelope import require_travel
-from service.job.spec.kinematics import digits_of, kinematics_of
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import ResolvedJob, setup_of
+from service.job.spec.lens_task import digits_of, kinematics_of
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, setup_of
 from service.job.stages.context import StageContext
 from service.wording import duration
 

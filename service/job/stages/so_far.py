@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.job.spec.resolve import with_plan
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, with_plan
 from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 

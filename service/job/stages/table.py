@@ -23,7 +23,7 @@ from typing import Any
 
 from service.job.spec.finish import NONE
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.job.stages.order import FileRef
 from service.job.stages.source_state import state_of_sources
 

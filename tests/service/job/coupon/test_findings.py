@@ -26,7 +26,7 @@ from service.job.coupon.photograph import Photo
 from service.job.coupon.piece import coupon_job, coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from tests.optics.coupon.pieces import smooth_piece
 from tests.optics.photographs import camera, photographed
 

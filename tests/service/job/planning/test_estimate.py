@@ -32,7 +32,7 @@ from service.job.spec import lens_task
 from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up
 from service.job.stages import kept_plans
 from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import StagedJob, run_job

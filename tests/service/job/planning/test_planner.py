@@ -33,8 +33,7 @@ from service.job.spec import lens_task
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec, PlanSpec
-from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cam_passes_of, look_up, warn_of_removal, with_plan
 from service.job.stages.context import StageContext
 from service.job.stages.kept_plans import describe_plan
 from service.job.stages.passes import report_plan

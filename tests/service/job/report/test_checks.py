@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import top_view
-from service.job.report.holding import CLAMP_MM, BlockSizes
+from service.job.report.block import CLAMP_MM, BlockSizes, top_view
+from service.job.report.passes import check_rows, flutes_in_words, order_in_words
 from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_spec
 from service.job.spec.optics import ellipse_mm

@@ -12,8 +12,8 @@ from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
 from service.job.picture.light_png import picture_png, srgb_levels
 from service.job.report.figures.base import round_up
-from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.lens import flow_png, heightfield_png, shade_by_raking_light
+from service.job.report.figures.path_sample import ContourSample
 from service.job.report.figures.paths import PathSample, toolpath_png
 from service.job.report.figures.wall import comparison_png, through_focus_png
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.job.report.drawing import side_view, top_view
-from service.job.report.holding import BlockSizes
+from service.job.report.block import BlockSizes, side_view, top_view
 from service.job.report.setup_sheet import render_report
 from service.wording import describe_misplaced, duration, number, psnr_in_words, size, whole
 

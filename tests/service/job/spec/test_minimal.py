@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from machines.profile import load_profile
 from service.errors import SpecError
-from service.job.spec import minimal as module
-from service.job.spec.loading import resolve_spec
-from service.job.spec.minimal import reduce_spec
+from service.job.spec import loading as module
+from service.job.spec.loading import reduce_spec, resolve_spec
 
 SIZE = st.floats(10, 300).map(lambda value: round(value, 1))
 PASS = st.fixed_dictionaries(

@@ -16,7 +16,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up
 from service.job.stages import kept_plans
 from service.job.stages.kept_plans import KeptPlans
 from service.job.stages.run import run_order

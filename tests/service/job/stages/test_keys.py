@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up
 from service.job.stages.order import FileRef, StageResult
 from service.job.stages.run import run_order
 from service.job.stages.source_state import modules_used, state_of_sources

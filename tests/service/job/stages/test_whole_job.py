@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from service.job import pipeline
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up
 from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter

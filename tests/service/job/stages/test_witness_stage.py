@@ -16,8 +16,7 @@ from service.job.files import is_program, page_in, program_order, programs_in_or
 from service.job.planning.witness import WitnessPlan, plan_witness
 from service.job.report.setup_sheet import LANGUAGES
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import with_plan
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up, with_plan
 from service.job.stages.table import plan
 from service.wording import number
 from tests.service.job.report.test_sheet_in_languages import said_past_the_tables
