@@ -28,7 +28,7 @@ from typing import Any, BinaryIO
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
-from service.processes.whole_file import open_whole
+from service.processes.files import open_whole
 
 SPEC, REPORT, REPORT_PAGE, SETUP_PDF = "spec.json", "report.json", "report.html", "setup-sheet.pdf"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"

@@ -22,8 +22,7 @@ from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.preload import DRAWING
-from service.job.stages.so_far import JobSoFar
-from service.job.stages.table import stage_of
+from service.job.stages.table import JobSoFar, stage_of
 from service.progress import Reporter, Stopwatch
 
 _LAST = "report"
@@ -99,7 +98,7 @@ def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
         folder_job.work(lambda context: require_fit_in_stock(context, lens))
         if job.spec.to_be_planned:
-            from service.job.stages.passes import plan_passes_for_lens
+            from service.job.stages.kept_plans import plan_passes_for_lens
 
             folder_job.desk[job_files.MAP] = load_target(output / job_files.MAP)
             folder_job.work(plan_passes_for_lens)

@@ -25,18 +25,18 @@ import time
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from service.processes.forked_child import ChildOrder, find_entry, run_child
+from service.processes.child_work import ChildOrder, find_entry, run_child
 from service.processes.kernel_cache import use_current_kernels
 from service.processes.linux import (
     adopt_orphans,
     die_with_parent,
+    give_way,
     name_process,
     own_children,
     signal_group,
     signal_stage,
     thread_count,
 )
-from service.processes.priority import give_way
 
 MESSAGE_BYTES = 65536
 FILES = 3  # that come with an order: the order itself, the pipe of words, the log

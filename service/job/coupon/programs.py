@@ -48,7 +48,7 @@ from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from service.job.stages.context import PictureQueue, peak_rss_mb, versions
 from service.job.stages.order import merge_reports
-from service.job.stages.so_far import JobSoFar
+from service.job.stages.table import JobSoFar
 from service.progress import Reporter, Stopwatch, report_progress
 
 PIXELS_PER_MM = 20

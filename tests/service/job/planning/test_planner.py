@@ -35,8 +35,7 @@ from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec, PlanSpec
 from service.job.spec.resolve import cam_passes_of, look_up, warn_of_removal, with_plan
 from service.job.stages.context import StageContext
-from service.job.stages.kept_plans import describe_plan
-from service.job.stages.passes import report_plan
+from service.job.stages.kept_plans import describe_plan, report_plan
 from service.job.stages.table import plan, shares, stage_key
 from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps
