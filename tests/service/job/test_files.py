@@ -1,5 +1,5 @@
-"""Nothing half-written: files and folders appear whole or not at all, and foreign files are left alone. And the programs
-of a job, each with its own tool, by the number of its file: on the sheet and at the mill.
+"""Nothing half-written: files and folders appear whole or not at all, and foreign files are left alone. And the
+programs of a job, each with its own tool, by the number of its file: on the sheet and at the mill.
 """
 
 from __future__ import annotations
