@@ -155,20 +155,23 @@ def one_of(*values: object) -> Rule:
     return Rule(take, ", ".join(f"'{v}'" if isinstance(v, str) else f"{v:g}" for v in values))
 
 
-def text(most: int) -> Rule:
-    def take(value: Any) -> str:
-        if not isinstance(value, str) or not value.isprintable() or not len(value) <= most:
-            raise ValueError
-        return value
+def text(most: int, *, least: int = 0) -> Rule:
+    """Return the rule for a text without blanks around it. least : 0 or 1"""
 
+    def take(value: Any) -> str:
+        if not isinstance(value, str) or not value.isprintable() or not least <= len(value.strip()) <= most:
+            raise ValueError
+        return value.strip()
+
+    if least:
+        return Rule(take, Phrase("text on one line, 1 to {most} characters", most=most))
     return Rule(take, Phrase("text on one line, at most {most} characters", most=most))
 
 
 def flag() -> Rule:
-    return Rule(_flag, "true, false")
+    def take(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise TypeError
+        return value
 
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
+    return Rule(take, Phrase("true or false"))
