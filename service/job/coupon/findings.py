@@ -21,12 +21,12 @@ from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
 from optics.irradiance import picture_from_irradiance
 from phrases.phrase import Phrase
-from service.errors import PictureError
 from service.job import files as job_files
 from service.job.coupon.photograph import Photo, Placed, place_photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece, load_predicted_piece
 from service.job.files import plain
+from service.job.photo.findings import Finding, UselessPhotoError
 from service.job.spec.finish import NONE
 from service.job.spec.loading import load_stored_job
 from service.job.spec.resolve import ResolvedJob, cam_passes_of
@@ -94,23 +94,10 @@ SENTENCES: dict[str, Callable[[Mapping[str, float]], Phrase]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class CouponFinding:
-    """A code of SENTENCES and the values in its sentence."""
+class CouponFinding(Finding):
+    """What a photograph of the test piece shows."""
 
-    code: str
-    values: dict[str, float]
-
-    def sentence(self) -> Phrase:
-        return SENTENCES[self.code](self.values)
-
-
-class PhotoRefused(PictureError):
-    """A photograph that says nothing, and why."""
-
-    def __init__(self, name: str, finding: CouponFinding) -> None:
-        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=finding.sentence()))
-        self.finding = finding
+    sentences = SENTENCES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,7 +146,7 @@ class CouponResult:
                 "mirrored": found.mirrored,
                 "misfit": fit.misfit,
             },
-            "notes": [{"code": one.code, "values": one.values, "text": one.sentence()} for one in self.notes],
+            "notes": [one.plain() for one in self.notes],
         }
 
 
@@ -182,7 +169,7 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
 def fit_photo(
     name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
-    """Return what a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
+    """Return what a photograph says of the test piece in a folder. UselessPhotoError where it says nothing."""
     job = load_stored_job(folder)
     predicted = load_predicted_piece(folder / PROFILES, coupon_of(job))
     return measure_photo(name, shot, predicted, job, on_progress=on_progress)
@@ -214,7 +201,7 @@ def measure_photo(
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
-    """Return what the photograph says of that test piece. PhotoRefused where it says nothing."""
+    """Return what the photograph says of that test piece. UselessPhotoError where it says nothing."""
     on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
     placed = _place(name, photo, predicted, template, job)
@@ -228,9 +215,9 @@ def measure_photo(
         fit = fit_finish(coupon, predicted.profiles, folds, finished=finished)
     on_progress(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
-        raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
+        raise UselessPhotoError(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
-        raise PhotoRefused(name, CouponFinding("not_finished", {}))
+        raise UselessPhotoError(name, CouponFinding("not_finished"))
     rows = _row_errors(placed, predicted, job, fit, finished)
     on_progress(1.0)
     notes = tuple(_notes(fit, placed, finished, job))
@@ -241,15 +228,15 @@ def _place(name: str, photo: Photo, predicted: PredictedPiece, template: int, jo
     try:
         placed = place_photo(photo, predicted.templates[template], viewed_from=job.spec.optics.viewed_from)
     except ValueError:  # no light in it
-        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
+        raise UselessPhotoError(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
     found = placed.registration
     if found.confidence < _SURE:
-        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": found.confidence}))
+        raise UselessPhotoError(name, CouponFinding("not_a_coupon", {"confidence": found.confidence}))
     if placed.pixels_per_mm < _LEAST_PIXELS_PER_MM:
         values = {"pixels_per_mm": placed.pixels_per_mm, "least": _LEAST_PIXELS_PER_MM}
-        raise PhotoRefused(name, CouponFinding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
+        raise UselessPhotoError(name, CouponFinding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
     if placed.level < _LEAST_LEVEL:
-        raise PhotoRefused(name, CouponFinding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
+        raise UselessPhotoError(name, CouponFinding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
     return placed
 
 
@@ -264,11 +251,11 @@ def _choose_finished_half(
         ripples = sum(fold.is_usable for fold in own)
         if ripples < _LEAST_RIPPLES:
             share = float(np.mean([fold.clipped for fold in own]))
-            raise PhotoRefused(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
+            raise UselessPhotoError(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
     misfits = {half: misfit_as_milled(coupon, predicted.profiles, folds, half) for half in HALVES}
     if min(misfits.values()) > _AS_MILLED:
         values = {"misfit": min(misfits.values()), "throw_mm": job.spec.optics.throw_mm}
-        raise PhotoRefused(name, CouponFinding("no_fringes", values))
+        raise UselessPhotoError(name, CouponFinding("no_fringes", values))
     if max(misfits.values()) > _WORSE * min(misfits.values()):
         return max(HALVES, key=lambda half: misfits[half]), folds
     fringes = {half: sum(fold.fringe for fold in folds if fold.half == half and fold.is_usable) for half in HALVES}
@@ -298,9 +285,9 @@ def _row_errors(
 
 def _notes(fit: FinishFit, placed: Placed, finished: Half, job: ResolvedJob) -> Iterator[CouponFinding]:
     if finished == "right":
-        yield CouponFinding("right_finished", {})
+        yield CouponFinding("right_finished")
     if placed.registration.mirrored:
-        yield CouponFinding("mirrored", {})
+        yield CouponFinding("mirrored")
     nominal = job.spec.optics.throw_mm
     off = fit.throw_mm - nominal
     if abs(off) > max(_WALL_OFF * nominal, 2 * fit.throw_error_mm):
