@@ -56,19 +56,8 @@ LANGUAGES = tuple(sorted(path.stem for path in FOLDER.glob("languages/*.json")))
 _AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
 
 
-def render_report(
-    report: Mapping[str, Any],
-    *,
-    spec: Mapping[str, Any] | None = None,
-    files: Collection[str] = (),
-    title: str | None = None,
-) -> str:
-    """Return the page as HTML text."""
-    return render_page(describe_setup(report, spec=spec, files=files, title=title))
-
-
 def render_page(setup: Mapping[str, Any], language: str = "en") -> str:
-    """Return the same from what `describe_setup` returns."""
+    """Return the page as HTML text, from what `describe_setup` returns."""
     return _template().render(in_language(setup, language))
 
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from service.job.report.block import CLAMP_MM, BlockSizes, side_view, top_view
 from service.job.report.passes import check_rows, flutes_in_words, order_in_words
-from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_spec
 from service.job.spec.optics import ellipse_mm
 from service.job.spec.tools import load_tools
 from service.wording import describe_misplaced, duration, number, psnr_in_words, size, whole
+from tests.service.job.report.sheet import render_report
 
 SPEC = {
     "preset": "paper",
