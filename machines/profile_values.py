@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping
@@ -32,8 +33,9 @@ class UnreadableFileError(ValueError):
         self.words = words
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a file of data. UnreadableFileError says why it cannot be read."""
+def read_data(path: Path) -> dict[str, Any]:
+    """Return the tables of a file of data, TOML or by its name JSON. UnreadableFileError says why it cannot be read."""
+    kind, parse = ("JSON", json.loads) if path.suffix.lower() == ".json" else ("TOML", tomllib.loads)
     try:
         with path.open("rb") as file:
             raw = file.read(_MOST_BYTES + 1)  # a pipe or a device does not say its size
@@ -41,18 +43,21 @@ def read_toml(path: Path) -> dict[str, Any]:
         words = Phrase("cannot be read: {reason}", reason=error.strerror)
         if path.is_dir():
             words = Phrase("is a folder")
-        elif path.is_symlink() and not path.exists():
-            words = Phrase("is a link to a file that is not there")
+        elif isinstance(error, FileNotFoundError):
+            words = Phrase("is a link to a file that is not there") if path.is_symlink() else Phrase("no such file")
         raise UnreadableFileError(words) from None
     if len(raw) > _MOST_BYTES:
         raise UnreadableFileError(Phrase("is too large; a file of data has at most {most} bytes", most=_MOST_BYTES))
     try:
-        return tomllib.loads(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
+        data = parse(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
     except UnicodeDecodeError:
         raise UnreadableFileError(Phrase("is not UTF-8 text; save it as UTF-8")) from None
     except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
         cause = " ".join(str(error).split())
-        raise UnreadableFileError(Phrase("not valid TOML: {cause}", cause=cause)) from None
+        raise UnreadableFileError(Phrase("not valid {kind}: {cause}", kind=kind, cause=cause)) from None
+    if not isinstance(data, dict):
+        raise UnreadableFileError(Phrase("must hold a table of keys, not {kind}", kind=type(data).__name__))
+    return data
 
 
 class BadValueError(ValueError):

@@ -5,7 +5,6 @@ to the shortest that resolves to the same job.
 from __future__ import annotations
 
 import copy
-import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,8 +15,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from machines.profile import load_profile
+from machines.profile_values import UnreadableFileError, read_data
 from phrases.phrase import Phrase
-from service.errors import SpecError, sentence_of_os_error
+from service.errors import SpecError
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
 from service.job.spec.finish import BEST
@@ -33,7 +33,6 @@ from service.job.spec.resolve import (
 )
 
 RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that a 6 mm ball clears
-_MAX_SPEC_BYTES = 1_000_000
 _INDEX = re.compile(r"\d{1,4}")
 Json = dict[str, Any]
 Place = tuple[str | int, ...]
@@ -116,26 +115,9 @@ def validate_spec(data: Mapping[str, Any]) -> JobSpec:
 def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
     """Read plain data of a .toml or .json file; SpecError names the fault and its line."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
-    except OSError as error:
-        raise SpecError([(given_as, sentence_of_os_error(error, doing=Phrase("cannot read")))]) from None
-    if len(raw) > _MAX_SPEC_BYTES:
-        words = Phrase("{path} is too large; a spec has at most {most} bytes", path=path, most=_MAX_SPEC_BYTES)
-        raise SpecError([(given_as, words)])
-    try:
-        text = raw.decode("utf-8-sig")
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except UnicodeDecodeError:
-        raise SpecError([(given_as, Phrase("{path} is not a text in UTF-8", path=path))]) from None
-    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        words = Phrase("{path} is not valid {kind}: {cause}", path=path, kind=kind, cause=" ".join(str(error).split()))
-        raise SpecError([(given_as, words)]) from None
-    if not isinstance(data, dict):
-        words = Phrase("{path} must hold a table of keys, not {kind}", path=path, kind=type(data).__name__)
-        raise SpecError([(given_as, words)])
-    return data
+        return read_data(path)
+    except UnreadableFileError as error:
+        raise SpecError([(given_as, Phrase("{path}: {cause}", path=path, cause=error.words))]) from None
 
 
 def load_stored_spec(folder: Path) -> JobSpec:

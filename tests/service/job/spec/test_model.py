@@ -291,7 +291,7 @@ def test_a_damaged_spec_file_is_one_line(tmp_path: Path, name: str, content: byt
 
 
 def test_a_spec_file_without_an_end_is_refused() -> None:
-    with pytest.raises(SpecError, match="/dev/zero is too large"):
+    with pytest.raises(SpecError, match="/dev/zero: is too large"):
         resolve_spec(file=Path("/dev/zero"))
 
 
