@@ -19,7 +19,6 @@ from service.job import files as job_files
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.job.page_data.path import PathDrawing
 from service.job.report.figures.path_sample import ContourSample, PathSample
-from service.job.report.setup_pdf import SHOWN, render_setup_pdf
 from service.job.report.setup_sheet import LANGUAGES as SHEET_LANGUAGES
 from service.job.report.setup_sheet import describe_setup, render_page
 from service.job.spec.finish_library import instruct_finishing
@@ -123,6 +122,8 @@ def _part(on_progress: Callable[[float], None], number: int, count: int) -> Call
 
 def run_report(context: StageContext) -> None:
     """Complete the report and write the files; report.json comes last and says that the job is whole."""
+    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # what it stands on is slow to import
+
     notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))
     by_part = {
         part: [sentence.replace(THE_PICTURE, context.picture_name) for sentence in sentences]

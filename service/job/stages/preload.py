@@ -27,7 +27,6 @@ LATER = (
     "service.job.stages.light",
     "service.job.stages.programs",
     "service.job.stages.check",
-    "service.job.stages.check",
     "trimesh",
     "manifold3d",
     *DRAWING,
