@@ -116,11 +116,17 @@ def _changed(data: Any, place: str, changes: dict[str, Any]) -> Any:
 _SCHEMA = JobSpec.model_json_schema()
 
 
-def _another(key: str, value: Any) -> Any:
-    """Near the value, or at the low end of what is allowed."""
+def schema_of(key: str) -> dict[str, Any]:
+    """What the spec's JSON schema says of a dotted key."""
     told = _target(_SCHEMA)
     for step in key.split("."):
         told = _target(told["items"] if step.isdecimal() else told["properties"][step])
+    return told
+
+
+def _another(key: str, value: Any) -> Any:
+    """Near the value, or at the low end of what is allowed."""
+    told = schema_of(key)
     if "enum" in told:
         return next(other for other in told["enum"] if other != value)
     if told["type"] == "boolean":
