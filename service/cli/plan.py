@@ -14,7 +14,7 @@ from service.errors import InputError, SpecError
 from service.job import arrays
 from service.job import files as job_files
 from service.job.errors import translate_errors
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture

@@ -16,8 +16,8 @@ from PIL.PngImagePlugin import PngImageFile
 
 from phrases.phrase import Phrase
 from service.errors import PictureError, printable, sentence_of_os_error
+from service.job.picture import FORMATS, PictureFacts, PictureLimits
 from service.job.picture.layouts import PartsOfFile, PngChunks, TiffLayout, find_chunks, require_known_layout
-from service.job.picture.limits import FORMATS, PictureFacts, PictureLimits
 
 MIN_SIDE = 8
 Point = tuple[float, float]

@@ -38,9 +38,9 @@ from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import AFTER_PASSES, FACE
+from service.job.picture import PictureLimits
 from service.job.picture.decoding import decode_picture
 from service.job.picture.light_png import picture_png
-from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of

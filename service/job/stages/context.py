@@ -22,7 +22,7 @@ from typing import Any, Literal, Self, TypeVar
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase, phrases_in
 from service.job import files as job_files
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import ResolvedJob
 from service.progress import Stopwatch

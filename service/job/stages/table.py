@@ -26,7 +26,7 @@ from service.job.spec.finish import NONE
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
 from service.job.spec.resolve import ResolvedJob, with_plan
 from service.job.stages.order import FileRef, merge_notes, merge_reports
-from service.job.stages.source_state import state_of_sources
+from service.processes.source_tree import state_of_sources
 
 _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps")
 _BENCH = (
@@ -54,6 +54,11 @@ PLAN_S = 12.0
 AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
+_READ_AS_CODE = (
+    ("service.job.report.setup_sheet", "service/job/report/templates"),
+    ("service.job.report.setup_sheet", "service/page/languages"),
+    ("service.job.spec.finish_library", "service/job/spec/finishing.toml"),
+)
 _LIBRARIES = (
     "numpy", "scipy", "numba", "pyamg", "pillow", "trimesh", "manifold3d", "matplotlib", "fonttools", "jinja2",
 )  # fmt: skip
@@ -320,7 +325,7 @@ def stage_key(
     names = outputs if row.sheet else reads(stage, outputs)
     depends = {
         "stage": stage,
-        "sources": state_of_sources(row.function.partition(":")[0]),
+        "sources": state_of_sources(row.function.partition(":")[0], _READ_AS_CODE),
         "libraries": libraries(),
         "spec": {key: part_of(facts, key) for key in row.spec},
         "files": {name: outputs[name].sha256 for name in names},

@@ -22,7 +22,7 @@ from service.job.coupon.photograph import read_photo  # noqa: E402
 from service.job.coupon.programs import keep_coupon  # noqa: E402
 from service.job.files import plain  # noqa: E402
 from service.job.photo.looking import load_predicted_light, look_at  # noqa: E402
-from service.job.picture.limits import PictureLimits  # noqa: E402
+from service.job.picture import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
 from service.processes.child_work import answer_requests  # noqa: E402
 

@@ -20,8 +20,8 @@ from service.errors import InputError, PictureError
 from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.photo.findings import SENTENCES, PhotoFinding, UselessPhotoError
 from service.job.photo.looking import _find_tilt, load_predicted_light, look_at
+from service.job.picture import PictureLimits
 from service.job.picture.light_png import picture_png
-from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import WallPhoto, read_wall_photo
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec

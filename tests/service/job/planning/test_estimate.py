@@ -18,8 +18,7 @@ from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from optics.metrics import psnr_db
 from service.errors import PictureError, SpecError
-from service.job.picture import decoding, reading
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture import OWN_PICTURE, PictureLimits, decoding, reading
 from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import read_picture
 from service.job.picture.resampling import resize

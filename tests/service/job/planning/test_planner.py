@@ -23,7 +23,7 @@ from machines.profile import profile_names
 from optics.irradiance import target_irradiance
 from service.cli.main import run
 from service.errors import SpecError
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures

@@ -16,7 +16,7 @@ from optics.irradiance import target_irradiance
 from service.errors import SpecError
 from service.job import files as job_files
 from service.job.arrays import load_original, load_target
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.preparation import (
     aim_at_picture,

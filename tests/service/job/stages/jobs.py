@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import look_up, with_plan

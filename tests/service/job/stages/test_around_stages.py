@@ -215,7 +215,7 @@ def test_figures_left_out_follow_from_the_cutter_and_are_chosen_anew_for_another
 
 
 def test_an_estimate_counts_them(tmp_path: Path) -> None:
-    from service.job.picture.limits import OWN_PICTURE
+    from service.job.picture import OWN_PICTURE
     from service.job.planning.estimate import estimate
     from tests.service.job.stages.jobs import save_picture
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from optics.heightfield import Array
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
