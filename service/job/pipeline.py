@@ -22,7 +22,7 @@ from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.preload import DRAWING
-from service.job.stages.table import JobSoFar, stage_of
+from service.job.stages.table import JobSoFar, plan, reads, stage_of
 from service.progress import Reporter, Stopwatch
 
 _LAST = "report"
@@ -49,6 +49,15 @@ class FolderJob:
             self.work(lambda context: context.picture_queue.finish())
         stage = stage_of(name)
         self.work(stage.load(), number=stage.number)
+        self._clear_desk(name)
+
+    def _clear_desk(self, done: str) -> None:
+        """Free the memory of what is between stages only, once no later one reads it."""
+        stages = plan(self.spec)
+        later = stages[stages.index(done) + 1 :]
+        wanted = {name for stage in later for name in reads(stage, self.desk)}
+        for name in [one for one in self.desk if one.startswith(".") and one not in wanted]:
+            del self.desk[name]
 
     def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
         """Call a stage's function and add what it makes to the report and the notes."""

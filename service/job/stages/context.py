@@ -145,11 +145,9 @@ class StageContext:
         return self.receive(name, decode) if is_there else None
 
     def receive(self, name: str, decode: Callable[[Path], T]) -> T:
-        """Return what an earlier stage handed over. What is between two stages only leaves the desk, to free its
-        memory.
-        """
+        """Return what an earlier stage handed over."""
         if self.desk is not None and name in self.desk:
-            value: T = self.desk.pop(name) if name.startswith(".") else self.desk[name]
+            value: T = self.desk[name]
             return value
         return decode(self.folder / name)
 

@@ -145,8 +145,6 @@ def choose_passes(context: StageContext) -> None:
     if not context.spec.to_be_planned:
         return
     target = context.receive(TARGET, arrays.load_target)
-    if context.desk is not None:
-        context.desk[TARGET] = target  # the lens is made from it as well
     with context.watch.stage("plan") as on_progress:
         plan = KeptPlans(context.plans).make(context.job, target, on_progress=on_progress)
         report_plan(context, plan)
