@@ -124,7 +124,7 @@ def test_what_a_plan_depends_on_makes_another(tmp_path: Path, monkeypatch: pytes
 def test_other_sources_make_another_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made, plans = fake_plans(monkeypatch), KeptPlans(tmp_path)
     plans.make(JOB, TARGET, at_once=True)
-    monkeypatch.setattr("service.job.stages.table.state_of_sources", lambda module: "changed")
+    monkeypatch.setattr("service.job.stages.table.state_of_sources", lambda module, data: "changed")
     plans.make(JOB, TARGET, at_once=True)
     assert len(made) == 2
 
