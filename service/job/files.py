@@ -57,6 +57,7 @@ _KNOWN = {
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _DRAWING = re.compile(r"pass-\d+\.path|report-[a-z]+\.html")
 _STAGING = ".part"
+_CHUNK_BYTES = 1 << 22
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "phrases", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
@@ -206,10 +207,10 @@ def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:
     return WrittenProgram(file=path.name, sha256=digest.hexdigest(), lines=lines, bytes=size)
 
 
-def read_chunks(path: Path, chunk_bytes: int = 1 << 22) -> Iterator[bytes]:
+def read_chunks(path: Path) -> Iterator[bytes]:
     """Yield the bytes of a file, a few megabytes at a time."""
     with path.open("rb") as file:
-        while chunk := file.read(chunk_bytes):
+        while chunk := file.read(_CHUNK_BYTES):
             yield chunk
 
 

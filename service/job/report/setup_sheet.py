@@ -89,7 +89,6 @@ def describe_setup(
     *,
     spec: Mapping[str, Any] | None = None,
     files: Collection[str] = (),
-    title: str | None = None,
 ) -> dict[str, Any]:
     """Return what the sheet says, by the names in its template.
 
@@ -107,7 +106,7 @@ def describe_setup(
             row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
     return {
-        "title": title or _job_name(report) or Phrase("lens"),
+        "title": _job_name(report) or Phrase("lens"),
         "report": report,
         "optics": table(report.get("optics")),
         "spec": {key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
