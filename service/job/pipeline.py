@@ -74,24 +74,24 @@ class FolderJob:
             desk=self.desk,
         )
         with translate_errors():
-            self.picture_queue.raise_failures()  # of a full disk is told now, not after all that comes next
+            self.picture_queue.raise_failures()  # a full disk is reported now, not after all that comes next
             function(context)
         self.so_far.add({**context.finish_report(), "timings_s": context.watch.timings_s}, context.notes)
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Return the whole chain. Returns what report.json holds."""
+    """Run the whole chain; return what report.json holds."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
             folder_job.run(stage)
             if stage == _LENS[-1]:
-                folder_job.work(_note_shortage)
+                folder_job.work(_warn_of_shortage)
     return folder_job.so_far.report
 
 
 def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Return the lens and its light, no programs; programs of an earlier lens disappear with it."""
+    """Make the lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -111,7 +111,7 @@ def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict
 
             folder_job.desk[job_files.MAP] = load_target(output / job_files.MAP)
             folder_job.work(plan_passes_for_lens)
-        folder_job.work(_note_shortage)
+        folder_job.work(_warn_of_shortage)
         for stage in folder_job.so_far.stages():
             if stage == _LAST:
                 folder_job.work(lambda context: write_solid_block(context, lens))  # the stock may have changed
@@ -121,7 +121,7 @@ def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict
 
 
 def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """Return the light behind the lens in a job's folder, simulated again."""
+    """Simulate the light behind the lens in a job's folder again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
     with _job(output, job, reporter, keep=kept) as folder_job:
@@ -132,7 +132,7 @@ def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> d
     return folder_job.so_far.report
 
 
-def _note_shortage(context: StageContext) -> None:
+def _warn_of_shortage(context: StageContext) -> None:
     from service.job.planning.fit import (
         check_disk_space,  # what it stands on is slow to import: a lens alone does without
     )

@@ -77,7 +77,7 @@ def answer_requests(
 def word_of(work: Callable[[], dict[str, Any]], *, no_memory: Phrase | None = None) -> dict[str, Any]:
     """Return the last word about some work: what it returns, or what it raises.
 
-    no_memory : says that there was too little memory, where that is to be told apart
+    no_memory : says that there was too little memory; None: that is no case of its own
     """
     try:
         word = {"result": work()}

@@ -1,6 +1,5 @@
 """The files that this program keeps: they appear whole or not at all, and are for its own account alone, folders 0700,
-files 0600, whatever umask it is started with. And one server alone has a data folder: its lock ends with its holder,
-however that ends.
+files 0600, under any umask. And one server alone has a data folder: its lock ends with its holder, however that ends.
 
 Only the standard library: the supervisor and the command line use it before anything else is imported.
 """

@@ -87,7 +87,7 @@ def _die_with(supervisor: int) -> None:
 def _send_beats(descriptor: int) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the main thread, which may sleep
     poll = select.poll()
-    poll.register(descriptor, 0)  # the other end closed is told in any case
+    poll.register(descriptor, 0)  # poll reports a closed end in any case
     while not poll.poll(BEAT_S * 1000):
         if healthy():
             try:

@@ -1,5 +1,5 @@
 """What the standard library lacks of Linux: signals when a parent dies, adoption of orphans, who is in a group. And who
-goes first where a computer has too much to do: agents of mills, then servers, then whatever computes.
+goes first where a computer has too much to do: agents of mills, then servers, then what computes.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class UselessPhotoError(PictureError):
         self.finding = finding
 
 
-_FORETOLD = {
+_PREDICTED_AS = {
     "finished": Phrase("as finished"),
     "milled": Phrase("as milled"),
     "designed": Phrase("as designed"),
@@ -100,14 +100,14 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     ),
     "softer": lambda v: Phrase(
         "the light is softer than predicted {how}, by {mm:.2g} mm on the wall (the prediction itself: "
-        "{foretold_mm:.2g} mm): {causes}", **v, how=_FORETOLD[v["foretold"]], causes=_why_softer(v)
+        "{foretold_mm:.2g} mm): {causes}", **v, how=_PREDICTED_AS[v["foretold"]], causes=_why_softer(v)
     ),
     "sharper": lambda v: Phrase(
         "the light is sharper than predicted {how}, by {mm:.2g} mm on the wall: mill and finish did better than "
-        "their figures say", **v, how=_FORETOLD[v["foretold"]]
+        "their figures say", **v, how=_PREDICTED_AS[v["foretold"]]
     ),
     "as_soft_as_foretold": lambda v: Phrase(
-        "the light is as sharp as predicted {how}", how=_FORETOLD[v["foretold"]]
+        "the light is as sharp as predicted {how}", how=_PREDICTED_AS[v["foretold"]]
     ),
     "surface_off": lambda v: Phrase(
         "the surface is off by {peak_to_valley_um:.2g} µm from highest to lowest: {terms}",

@@ -52,7 +52,7 @@ class WitnessFinding:
             error=100 * self.reading.error,
         )
         if dose < 1.0 - _DONE:
-            yield from self._say_what_is_left(dose)
+            yield from self._describe_rest(dose)
         elif dose <= 1.0 + _DONE:
             yield Phrase("stop: it is done")
         elif self.psnr_db is None:
@@ -60,7 +60,7 @@ class WitnessFinding:
         else:
             yield Phrase("too far: stop; the wall shows about {psnr_db:.1f} dB now", psnr_db=self.psnr_db)
 
-    def _say_what_is_left(self, dose: float) -> Iterator[Phrase]:
+    def _describe_rest(self, dose: float) -> Iterator[Phrase]:
         if self.worked is not None:
             left = self.worked * (1.0 / dose - 1.0)
         elif self.minutes is not None:

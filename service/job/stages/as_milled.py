@@ -69,7 +69,7 @@ def run_as_milled(context: StageContext) -> None:
         # A finish takes the marks off: what each of them alone would bring is no advice.
         finishes = context.spec.finish.finishes
         gains = {} if finishes else _gains(context, passes[0][1], heightfield, target, designed, on_progress)
-    _tell(context, target, seen, designed, found, gains)
+    _report_milled(context, target, seen, designed, found, gains)
     _draw(context, target, designed.irradiance, seen.irradiance)
 
 
@@ -175,7 +175,7 @@ def _gains(
     return {cause: score - own for cause, score in scores.items()}
 
 
-def _tell(
+def _report_milled(
     context: StageContext, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
 ) -> None:
     machine, pixel_mm = context.machine, context.spec.optics.screen_size_mm[0] / target.shape[1]

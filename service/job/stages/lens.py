@@ -93,7 +93,7 @@ def run_transport_map(context: StageContext) -> None:
             way["original"] = original
         context.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         context.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
-    _tell_of_design(context, design, target, settings)
+    _report_design(context, design, target, settings)
     if design.flow is not None:
         from service.job.report.figures.lens import flow_png
 
@@ -181,7 +181,7 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
     return tell
 
 
-def _tell_of_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
+def _report_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
     context.report["optics"] = {
         "light": facts_of_light(context.spec),
         "method": context.spec.optics.method,

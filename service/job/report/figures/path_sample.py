@@ -112,8 +112,8 @@ class PathSample:
             side_mm = self.window.x1_mm - self.window.x0_mm
             x_mm, y_mm, _ = start_mm[int(np.argmin(rapid))]
             self.window = square(float(x_mm) - 0.5 * side_mm, float(y_mm) - 0.12 * side_mm, side_mm)
-        self._note_entries(start_mm, rapid)
-        self._note_extremes(start_mm, end_mm, ~rapid)
+        self._count_entries(start_mm, rapid)
+        self._update_extremes(start_mm, end_mm, ~rapid)
         self._keep_rows(start_mm, end_mm, rapid)
         inside = self.window.meets(start_mm, end_mm)
         for kept, chosen in ((self._zoomed_cuts, inside & ~rapid), (self._zoomed_jumps, inside & rapid)):
@@ -143,7 +143,7 @@ class PathSample:
         """Return (k, 3) where rapids end and cutting begins; of more than 2000, every second, fourth, ... one."""
         return np.concatenate(self._entry_points) if self._entry_points else np.zeros((0, 3))
 
-    def _note_entries(self, start_mm: Array, rapid: Mask) -> None:
+    def _count_entries(self, start_mm: Array, rapid: Mask) -> None:
         begins = np.flatnonzero(~rapid & np.concatenate([[self._last_was_rapid], rapid[:-1]]))
         self._last_was_rapid = bool(rapid[-1])
         numbers = self.entries + np.arange(begins.size)
@@ -154,7 +154,7 @@ class PathSample:
             self._entry_stride *= 2
             self._entry_points = [np.concatenate(self._entry_points)[::2]]
 
-    def _note_extremes(self, start_mm: Array, end_mm: Array, cutting: Mask) -> None:
+    def _update_extremes(self, start_mm: Array, end_mm: Array, cutting: Mask) -> None:
         chosen = np.flatnonzero(cutting)
         if not chosen.size:
             return
