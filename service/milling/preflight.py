@@ -25,7 +25,7 @@ from machines.profile import MachineProfile
 from phrases.phrase import Phrase
 from service.errors import sentence_of_os_error
 from service.processes.child import Child, ChildError
-from service.processes.private import forget_oldest, make_private
+from service.processes.files import forget_oldest, make_private
 from service.processes.source_tree import hash_files
 
 _ROOT = Path(__file__).parents[2]

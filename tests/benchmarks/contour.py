@@ -30,7 +30,7 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure

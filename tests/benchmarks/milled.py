@@ -26,8 +26,7 @@ from service.job.files import HEIGHTFIELD, MAP, SPEC
 from service.job.spec.lens_task import branch_of, lens_settings
 from service.job.spec.loading import resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, look_up
 from service.job.stages.as_milled import run_as_milled
 from service.job.stages.context import PictureQueue, StageContext, peak_rss_mb
 from service.progress import QuietReporter, Stopwatch

@@ -32,10 +32,9 @@ from optics.milled import simulate_milled
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.sentences import finish_words
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.timing import Figure
 

@@ -19,7 +19,7 @@ from cam.reading.gcode import MoveBatch, read_program
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile
 from optics.heightfield import Heightfield
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from tests.paper.cases import SIDE_MM, by_transport
 
 SKIN_MM = 0.03  # what the second rough pass leaves

@@ -17,7 +17,7 @@ from tests.adding import TOP, copy_tree, run_in_copy
 _KEY = "slot_feed_share"
 _PASS_KEY = {
     "cam/passes.py": ("    spindle_rpm: float\n", f"    spindle_rpm: float\n    {_KEY}: float = 0.5\n"),
-    "service/job/spec/passes.py": (
+    "service/job/spec/cutting.py": (
         "    flute_length_mm: Annotated[",
         f'    {_KEY}: Annotated[float, Field(ge=0.1, le=1), shown("Feed in a slot")] = 0.5\n'
         "    flute_length_mm: Annotated[",

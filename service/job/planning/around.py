@@ -16,8 +16,7 @@ from cam.posts.dialects import POSTS
 from optics.witness import NoMarksError
 from service.job.files import CUT_OUT, FACE, WITNESS
 from service.job.planning.witness import plan_witness
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of
 
 
 def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:

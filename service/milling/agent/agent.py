@@ -16,7 +16,7 @@ from service.milling.agent.reporting import AuditLog
 from service.milling.agent.settings import AgentSettings
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
-from service.processes.whole_file import write_whole
+from service.processes.files import write_whole
 
 _MOST = 1000
 

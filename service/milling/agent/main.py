@@ -39,7 +39,7 @@ from service.milling.agent.programs import ProgramStore
 from service.milling.agent.reporting import AuditLog, SnapshotFeed
 from service.milling.agent.settings import AgentSettings, report_disk_errors
 from service.milling.connect import Connector
-from service.processes.priority import go_first
+from service.processes.linux import go_first
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)

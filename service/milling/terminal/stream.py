@@ -65,7 +65,7 @@ from service.milling.terminal.printing import (
 )
 from service.milling.terminal.ready import find_interrupted_run, prepare_mill, prepare_plan, reset_silent_mill
 from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
 _BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long

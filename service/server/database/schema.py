@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import sqlalchemy as sa
 
 from service.errors import FailedError, InputError
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.server.database.connection import begin_reading, begin_writing, connect, copy_sqlite, is_sqlite
 from service.server.database.tables import jobs, metadata
 from service.settings import ServerSettings

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phrases.phrase import Phrase
-from service.job.files import is_program, program_order
-from service.job.program_rows import list_programs
+from service.job.files import is_program, list_programs, program_order
 from service.server.database.records import Artifact, Job
 from service.wording import ball, shape_of
 

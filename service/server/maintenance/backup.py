@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.processes.whole_file import open_whole
+from service.processes.files import open_whole
 from service.server.database.connection import copy_sqlite
 from service.settings import ServerSettings
 from service.store.base import MissingObjectError, Store, StoredObject

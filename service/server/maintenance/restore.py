@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.processes.private import lock_folder
+from service.processes.files import lock_folder
 from service.server.database.connection import connect
 from service.server.database.tokens import TokenBook
 from service.server.maintenance.backup import DATABASES, FORMAT, MANIFEST, object_name

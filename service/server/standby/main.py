@@ -19,7 +19,7 @@ from service.http.acceptor import Acceptor
 from service.http.admission import is_stop
 from service.http.uvicorn_protocol import ProblemProtocol, allow_open_files, begin_connection
 from service.processes import lifeline
-from service.processes.priority import go_first
+from service.processes.linux import go_first
 from service.server.fleet.agent_client import AgentLinks
 from service.server.fleet.machine_stops import MachineStops
 from service.server.serving import make_admission, make_config

@@ -12,8 +12,7 @@ from phrases.phrase import Phrase, join
 from service.errors import FailedError, printable
 from service.job.spec.loading import restore_job
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
-from service.job.stages.so_far import JobSoFar
-from service.job.stages.table import shares, stage_key
+from service.job.stages.table import JobSoFar, shares, stage_key
 from service.server.database.claims import STOPPED, Claim, StageClose, StageTry
 from service.server.database.states import JobState, StageState
 from service.server.queue.engine import Fenced

@@ -20,7 +20,7 @@ from service.processes.child import Child, ChildError
 from service.processes.kernel_cache import JOBS, LENSES, ready_mark, use_current_kernels
 
 if TYPE_CHECKING:
-    from service.job.spec.resolved import ResolvedJob
+    from service.job.spec.resolve import ResolvedJob
 
 _PROGRAMS = "programs"
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3

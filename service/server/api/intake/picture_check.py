@@ -8,7 +8,7 @@ from typing import Any
 
 from phrases.phrase import Phrase
 from service.errors import FailedError, PictureError
-from service.job.picture.limits import PictureFacts
+from service.job.picture import PictureFacts
 from service.processes.child import ChildCrashed, ChildDied, ChildError, ChildLate
 from service.processes.kept_child import ChildClosed, KeptChild
 

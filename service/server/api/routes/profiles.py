@@ -13,7 +13,7 @@ from fastapi import APIRouter, Path, Request, Response
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from service.http.schema import phrase_views
-from service.job.spec.minimal import reduce_spec
+from service.job.spec.loading import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
 from service.server.api.access.scopes import Operator, Reader
 from service.server.api.openapi import answers, example

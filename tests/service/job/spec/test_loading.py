@@ -1,7 +1,9 @@
-"""A resolved spec, written as what has to be asked for to get it again."""
+"""Every spec of examples/ is a complete job; a resolved spec, written as what has to be asked for to get it again."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,11 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machines.profile import load_profile
+from service.cli.main import run
 from service.errors import SpecError
-from service.job.spec import minimal as module
-from service.job.spec.loading import resolve_spec
-from service.job.spec.minimal import reduce_spec
+from service.job.spec import loading as module
+from service.job.spec.loading import reduce_spec, resolve_spec
 
+EXAMPLES = Path(__file__).parents[4] / "examples"
+EXAMPLE_SPECS = sorted((EXAMPLES / "specs").glob("*.toml"))
 SIZE = st.floats(10, 300).map(lambda value: round(value, 1))
 PASS = st.fixed_dictionaries(
     {"radius_mm": st.sampled_from([0.5, 3.0]), "pitch_mm": st.sampled_from([0.05, 0.2])},
@@ -39,6 +43,29 @@ SPECS = st.fixed_dictionaries(
         "passes": st.lists(PASS, min_size=1, max_size=2),
     },
 )
+
+
+def test_there_are_some() -> None:
+    assert len(EXAMPLE_SPECS) >= 6
+
+
+@pytest.mark.parametrize("spec", EXAMPLE_SPECS, ids=lambda path: path.stem)
+def test_an_example_is_a_complete_job_that_says_what_it_is(spec: Path) -> None:
+    resolve_spec(file=spec)
+    assert spec.read_text().startswith("# ")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("spec", EXAMPLE_SPECS, ids=lambda path: path.stem)
+def test_an_example_makes_a_lens_without_a_warning(spec: Path, tmp_path: Path) -> None:
+    """With few pixels: what such a lens can show, each example shows: 27 dB is plainly the picture."""
+    picture = EXAMPLES / ("logo.png" if spec.stem == "black" else "camera.png")
+    arguments = ["--spec", str(spec), "--set", "image.pixels=64", "--quiet"]
+    assert run(["design", str(picture), "-o", str(tmp_path / "out"), *arguments]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["warnings"] == []
+    assert report["optics"]["converged"]
+    assert report["optics"]["psnr_db"] > 27
 
 
 def resolved(spec: dict[str, Any]) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""What this program keeps is for its own account alone: folders 0700, files 0600, whatever umask it is started with.
-And one server alone has a data folder: its lock ends with its holder, however that ends.
+"""The files that this program keeps: they appear whole or not at all, and are for its own account alone, folders 0700,
+files 0600, under any umask. And one server alone has a data folder: its lock ends with its holder, however that ends.
 
 Only the standard library: the supervisor and the command line use it before anything else is imported.
 """
@@ -11,9 +11,9 @@ import errno
 import fcntl
 import os
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, BinaryIO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
 
@@ -21,6 +21,31 @@ _OTHERS = 0o077
 # Files that say that a folder is a server's, a worker's or an agent's.
 _DATA = ("serve.lock", "worker.lock", "lock", "token", "causticmill.sqlite", "settings.env")
 _LOCK = "serve.lock"
+
+
+@contextlib.contextmanager
+def open_whole(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Open a file that takes its name once the block has ended well and its bytes are on the disk, in place of one
+    that is there. OSError; where the block or the disk fails nothing is left.
+
+    mode : of the file, less the umask
+    """
+    hidden = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with os.fdopen(os.open(hidden, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode), "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        hidden.replace(path)
+    except BaseException:
+        hidden.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, text: str, mode: int = 0o666) -> None:
+    """Write a file as a whole, in UTF-8. OSError."""
+    with open_whole(path, mode) as file:
+        file.write(text.encode())
 
 
 def keep_private(folder: Path) -> Path:
