@@ -5,13 +5,12 @@ from __future__ import annotations
 import random
 
 import pytest
-from grbl_bench import Bench, Tap, numbered
 
 from machines.clock import make_running_clock
 from machines.driver import CheckMode, CommandDone, Faulted, MillState, Notice, ProgramDone, Stopped
-from machines.grbl.driver import GrblDriver
 from machines.simulated.endpoints import MemoryPort
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL
+from tests.machines.grbl.bench import Bench, Tap, numbered
 
 UNTRUE = ("no answer", "does not confirm", "not understood", "no banner", "restarted by itself")
 TURNS = [b"G1X%.3fY%.3fF1500" % (k % 40, k // 40) for k in range(120)]
@@ -32,9 +31,8 @@ class PausedBench(Bench):
     """Its process is stopped every now and then, for any time."""
 
     def __post_init__(self) -> None:
+        self.link = OwnedLink
         super().__post_init__()
-        self.tap = OwnedLink(MemoryPort(self.mill, baud=self.baud))
-        self.driver = GrblDriver(self.tap, options=self.options)
         self.chance = random.Random(0)
 
     def until_paused(self, done: object, rounds: int = 20_000) -> bool:
@@ -61,7 +59,7 @@ def test_a_life_of_pauses_blames_nobody(seed: int) -> None:
         bench.driver.command(CheckMode(on))
         assert bench.until_paused(lambda state=state: bench.state() is state), bench.driver.status
     assert bench.until_paused(lambda: len(bench.of(CommandDone)) == 2)
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *TURNS, b"G4P3", b"M3S1000", b"G0X0", b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *TURNS, b"G4P3", b"M3S1000", b"G0X0", b"M2"]))
     bench.until_paused(lambda: bench.driver.progress.answered_line > bench.chance.randrange(100))
     bench.driver.hold()
     assert bench.until_paused(lambda: bench.state() is MillState.HELD or bench.of(ProgramDone))
@@ -70,7 +68,7 @@ def test_a_life_of_pauses_blames_nobody(seed: int) -> None:
     assert bench.until_paused(lambda: bench.of(ProgramDone) or bench.of(Faulted))
     assert not bench.blames()
     assert len([cut for cut in bench.mill.recording.cuts() if cut.whole]) >= len(TURNS) - 1
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *TURNS, b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *TURNS, b"M2"]))
     bench.until_paused(lambda: bench.driver.progress.answered_line > 5)
     bench.driver.abort()
     assert bench.until_paused(lambda: bench.of(Stopped))
@@ -83,7 +81,7 @@ def test_a_dead_mill_is_found_by_a_process_that_is_paused(seed: int) -> None:
     bench.chance = random.Random(seed)
     bench.driver.connect()
     assert bench.until_paused(lambda: bench.state() is MillState.IDLE)
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *TURNS * 20, b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *TURNS * 20, b"M2"]))
     bench.until_paused(lambda: bench.driver.progress.answered_line > 10)
     bench.mill._off = True
     assert bench.until_paused(lambda: bench.of(Faulted), rounds=3000)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from grbl_bench import Bench, numbered
 
 from machines.driver import Faulted, ProgramDone
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, numbered
 
 WARM_UP_S = 300
 PROGRAM = (
@@ -19,7 +19,7 @@ PROGRAM = (
 def test_a_long_warm_up_is_no_fault_and_coolant_runs_while_it_cuts(traits: Traits) -> None:
     """Five minutes without an answer are the program's own; where the mill cuts, spindle and coolant are on."""
     bench = Bench(traits).connected()
-    bench.driver.start(iter(numbered(PROGRAM)))
+    bench.start(numbered(PROGRAM))
     firmware, deep = bench.mill.firmware, []
     while not (bench.of(ProgramDone) or bench.of(Faulted)):
         assert bench.mill.now_s < 2 * WARM_UP_S
@@ -35,6 +35,5 @@ def test_a_long_warm_up_is_no_fault_and_coolant_runs_while_it_cuts(traits: Trait
 @pytest.mark.parametrize("traits", [GRBL_11, GRBLHAL], ids=["1.1", "hal"])
 def test_the_end_of_a_program_switches_coolant_off_even_if_it_does_not_say_so(traits: Traits) -> None:
     bench = Bench(traits).connected()
-    bench.driver.start(iter(numbered([line for line in PROGRAM if line not in (b"M9", b"G4P%d" % WARM_UP_S)])))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 120.0)
+    bench.run(numbered([line for line in PROGRAM if line not in (b"M9", b"G4P%d" % WARM_UP_S)]), 120.0)
     assert bench.of(ProgramDone) and bench.mill.firmware.interpreter.coolant == set()

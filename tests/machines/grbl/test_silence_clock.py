@@ -5,12 +5,12 @@ from __future__ import annotations
 import random
 
 import pytest
-from grbl_bench import Bench, Tap, numbered, spiral
 
 from machines.clock import LOOK_S
 from machines.driver import FaultCause, Faulted, MillState, Notice, ProgramDone
 from machines.grbl.timeouts import REPORT_SILENCE_S
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, Tap, numbered, spiral
 
 
 class LateLink(Tap):
@@ -33,11 +33,11 @@ class LateLink(Tap):
         return data
 
 
-def late_bench(seed: int, traits: Traits = GRBL_11) -> Bench:
+def late_bench(seed: int, traits: Traits = GRBL_11, *, begins_s: float = 0.5) -> Bench:
     bench = Bench(traits).connected()
     late = LateLink(bench.tap.port)
     late.chance = random.Random(seed)
-    late.next_late_s = bench.mill.now_s + 0.5
+    late.next_late_s = bench.mill.now_s + begins_s
     bench.tap = bench.driver._port = late
     return bench
 
@@ -51,7 +51,7 @@ def test_nobody_is_blamed_for_our_absence_or_late_answers(seed: int) -> None:
     absences = [chance.choice(lengths) for _ in range(12)]
     bench = late_bench(seed, traits)
     turns = [b"G1X%.3fY%.3fF1500" % (segment_mm * (k % 40), segment_mm * (k // 40)) for k in range(240)]
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *turns, b"G4P3", b"M3S1000", *turns[:40], b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *turns, b"G4P3", b"M3S1000", *turns[:40], b"M2"]))
     for round_ in range(100_000):
         if bench.of(ProgramDone) or bench.of(Faulted):
             break
@@ -64,7 +64,7 @@ def test_nobody_is_blamed_for_our_absence_or_late_answers(seed: int) -> None:
 @pytest.mark.parametrize("absent_s", [0.0, 0.2, 0.45, 5.0])
 def test_a_dead_link_is_found_in_a_bounded_number_of_looks(absent_s: float) -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(3000)[0]))
+    bench.start(spiral(3000)[0])
     bench.pass_time(2.0)
     bench.mill._off = True
     looks = 0
@@ -80,14 +80,10 @@ def test_a_dead_link_is_found_in_a_bounded_number_of_looks(absent_s: float) -> N
 
 def test_a_long_silence_keeps_the_lines_that_the_mill_has_cut() -> None:
     """Longer than our patience, then all of it: the mill stands at the end of a line, and that line counts."""
-    bench = Bench().connected()
-    late = LateLink(bench.tap.port)
-    late.chance = random.Random(1)
-    late.next_late_s = 1e9
-    bench.tap = bench.driver._port = late
+    bench = late_bench(1, begins_s=1e9)
+    late = bench.tap
     lines, points = spiral(300)
-    bench.driver.start(iter(lines))
-    bench.until(lambda: bench.driver.progress.executed_line > 100)
+    bench.start(lines, past_line=100)
     late.late_until_s = bench.mill.now_s + REPORT_SILENCE_S + 1.0
     late.next_late_s = 1e9
     assert bench.until(lambda: bench.of(Faulted), 2 * REPORT_SILENCE_S)

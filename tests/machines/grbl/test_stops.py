@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable
 
 import pytest
-from grbl_bench import Bench, numbered, spiral
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -30,6 +29,7 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError
 from machines.simulated.traits import GRBL_11
+from tests.machines.grbl.bench import Bench, numbered, spiral
 
 CORNER = {"depth_mm": 10, "plate_mm": 1, "wall_x_mm": 1, "wall_y_mm": 1, "cutter_radius_mm": 1, "margin_mm": 8}
 # What a person may do; "hold", "abort" and "jog-cancel" are stops. "write" lets bytes leave, "hear" brings answers.
@@ -106,7 +106,7 @@ def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list
         else:
             TIMES[name](bench)
         if stopped:
-            written = b"".join(data for _, data in bench.tap.written[mark:])
+            written = bench.written(mark)
             assert b"~" not in written and b"\xa3" not in written, (stopped, written)
             if stopped != "jog-cancel":  # which ends a jog; a probe's next line may follow
                 for line in written.translate(None, bytes(range(0x80, 0x100)) + b"?!\x18").split(b"\n"):
@@ -116,10 +116,9 @@ def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list
 def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
     """Seen on a real mill: '!' was put before a '~' that waited, "!~" went out, and the mill ran."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(2.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     reached = bench.mill.recording.count
     session = bench.driver._session  # the driver itself writes it at once
     session.resume(bench.mill.now_s)
@@ -133,10 +132,9 @@ def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
 def test_a_report_from_before_a_hold_confirms_nothing() -> None:
     """Resumed and held again at once: the '!' is lost, and the answer to a '?' before it still says Hold."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(1.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     session, now_s = bench.driver._session, bench.mill.now_s
     session.link.poll_at_s = now_s
     session.tick(now_s)
@@ -164,8 +162,7 @@ def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
     bench = Bench().connected()
     bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=300.0))
     bench.pass_time(0.5)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     assert "hold" in bench.of(CommandDone)[0].failure
     with pytest.raises(NotAllowedError, match=r"G38\.2.*reset"):
         bench.driver.resume()
@@ -179,7 +176,7 @@ def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
 
 def begin_program(bench: Bench) -> None:
     lines, _ = spiral(300)
-    bench.driver.start(iter(lines))
+    bench.start(lines)
 
 
 WHAT_IS_HELD: dict[str, Callable[[Bench], None]] = {
@@ -198,8 +195,7 @@ def test_a_cycle_start_at_the_machine_after_our_hold_is_noticed_and_said(what: s
     bench = Bench().connected()
     WHAT_IS_HELD[what](bench)
     assert bench.until(lambda: bench.mill.firmware.stepper.moving and bench.mill.firmware.stepper.speed > 3.0, 10.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+    bench.hold()
     bench.pass_time(after_s)
     said = len(bench.of(Notice))
     bench.mill.press("start")
@@ -220,8 +216,7 @@ def test_our_own_resume_is_no_cycle_start_at_the_machine() -> None:
     begin_program(bench)
     bench.pass_time(2.0)
     for _ in range(3):
-        bench.driver.hold()
-        assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+        bench.hold()
         bench.driver.resume()
         assert bench.until(lambda: bench.state() is MillState.RUN, 5.0)
         bench.pass_time(1.0)
@@ -231,7 +226,7 @@ def test_our_own_resume_is_no_cycle_start_at_the_machine() -> None:
 def test_a_hold_during_the_handshake_does_not_end_the_link() -> None:
     bench = Bench()
     bench.driver.connect()
-    bench.until(lambda: b"$$" in b"".join(data for _, data in bench.tap.written), 5.0)
+    bench.until(lambda: b"$$" in bench.written(), 5.0)
     bench.driver.hold()
     bench.pass_time(60.0)
     assert bench.state() is MillState.HELD
@@ -254,10 +249,9 @@ def test_a_hold_asked_for_in_an_alarm_does_not_colour_later_jogs() -> None:
 def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
     """Key repeat on a held mill: each press put the next '?' off by 0.05 s, until the link was given up."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(1.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     bench.mill.press("door")  # stays held whatever is pressed
     bench.pass_time(1.0)
     bench.mill.press("close-door")
@@ -275,7 +269,7 @@ def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
 
 def test_an_order_refused_leaves_nothing_behind() -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X50F300", b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", b"G1X50F300", b"M2"]))
     bench.pass_time(1.0)
     with pytest.raises(NotAllowedError):
         bench.driver.resume()
