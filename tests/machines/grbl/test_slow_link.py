@@ -19,6 +19,7 @@ from machines.simulated.endpoints import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
 from tests.machines.grbl.bench import Bench, Tap, numbered, spiral
+from tests.trials.kill_program import facts_of
 
 DELAYS_S = (0.0, 0.3, 0.4, 0.6, 1.0, 1.5)
 
@@ -164,7 +165,7 @@ def test_what_the_link_is_busy_with_is_named_and_not_the_mill() -> None:
 
 
 @pytest.mark.parametrize("delay_s", DELAYS_S)
-def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path: Path, kill_trial: object) -> None:
+def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path: Path) -> None:
     """What the controller is asked before a start fits into the time of an order."""
     path = tmp_path / "p.nc"
     path.write_text("G21G90G94G17G54\nM3S8000\nG0Z5\nG0X1Y1\nG1Z-0.1F200\nG1X5F600\nG0Z5\nM5\nM2\n")
@@ -178,7 +179,7 @@ def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path
         wall_clock=lambda: 1.8e9 + sim.now_s,
         pause=lambda seconds: sim.advance(sim.now_s + seconds),
     )
-    facts = kill_trial.facts_of(path)  # type: ignore[attr-defined]
+    facts = facts_of(path)
 
     def until(done: object) -> None:
         end_s = sim.now_s + 200.0

@@ -18,6 +18,7 @@ from machines.journal.disk import RealDisk, RealFile, ThreadSyncer
 from machines.journal.journal import Journal, decode, encode, read_journal, records_in
 from phrases.phrase import Phrase
 from tests.machines.inline_syncer import InlineSyncer
+from tests.trials.kill_bench import LossyDisk
 
 
 class Clock:
@@ -137,10 +138,10 @@ def test_reopened_after_a_tear_it_goes_on_in_a_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_power_loss_costs_at_most_the_time_between_two_syncs(seed: int, tmp_path: Path, kill_trial: object) -> None:
+def test_power_loss_costs_at_most_the_time_between_two_syncs(seed: int, tmp_path: Path) -> None:
     """Records every 0.1 s, fsync every 0.5 s, files of 600 bytes: what is left is at most 0.6 s old."""
     chance = random.Random(seed)
-    disk = kill_trial.LossyDisk()  # type: ignore[attr-defined]
+    disk = LossyDisk()
     clock = Clock()
     journal = Journal(tmp_path, disk=disk, syncer=InlineSyncer(clock, 0.5), rotate_bytes=600)
     journal.append("start", at=0.0)

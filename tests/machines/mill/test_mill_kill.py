@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from tests.trials.kill_trial import one_kill
+
 
 @pytest.mark.parametrize("seed", range(30))
-def test_every_segment_is_cut_in_order_after_kills_and_power_losses(seed: int, tmp_path: Path, kill_trial: Any) -> None:
-    trial = kill_trial.one_kill(seed, tmp_path)
+def test_every_segment_is_cut_in_order_after_kills_and_power_losses(seed: int, tmp_path: Path) -> None:
+    trial = one_kill(seed, tmp_path)
     assert trial.faults == []
 
 
-def test_the_trials_kill_and_recut(tmp_path: Path, kill_trial: Any) -> None:
+def test_the_trials_kill_and_recut(tmp_path: Path) -> None:
     """Guards the test above: trials in which nothing dies would prove nothing."""
-    trials = [kill_trial.one_kill(seed, tmp_path / str(seed), 60) for seed in range(6)]
+    trials = [one_kill(seed, tmp_path / str(seed), 60) for seed in range(6)]
     assert sum(trial.kills for trial in trials) >= 4
     assert any(trial.recut for trial in trials)

@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from machines.simulated import GRBL_11, MemoryPort, SimulatedMill
+from machines.simulated import GRBL_11, SimulatedMill
+from tests.machines.simulated.terminal import power_up
 
 
 def end_of(*lines: str, traits=GRBL_11) -> tuple[SimulatedMill, list[str]]:
     """Machine after these lines, each waited for, and all answers."""
     mill = SimulatedMill(replace(traits, eeprom_write_s=0.001))
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
-    mill.output()
+    port = power_up(mill, None)
     words = b""
     for line in lines:
         port.write(line.encode() + b"\n")
@@ -76,24 +75,9 @@ def test_program_end_resets_the_modes_that_it_resets():
     assert "[GC:G1 G54 G17 G21 G90 G94 M5 M9 T0 F0 S100]" in words
 
 
-def test_reset_while_held_keeps_the_position():
-    mill, _ = end_of("G1X1F1000")
-    mill.receive(b"G1X50F1000\n")
-    mill.advance(mill.now_s + 1.0)
-    mill.press("hold")
-    mill.advance(mill.now_s + 1.0)
-    at = mill.firmware.physical()
-    mill.press("reset")
-    mill.advance(mill.now_s + 1.0)
-    assert mill.firmware.state == "Idle" and not mill.firmware.position_lost
-    assert mill.firmware.physical() == at and mill.recording.segments[-1].end == at
-
-
 def test_with_13_lengths_are_reported_in_inch_and_settings_stay_in_mm() -> None:
     mill = SimulatedMill(GRBL_11.with_settings({13: 1}))
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
-    mill.output()
+    port = power_up(mill, None)
     port.write(b"G21G1X25.4F2540\nG92X0Z2.54\n")
     mill.advance(1.3)
     port.write(b"?")
