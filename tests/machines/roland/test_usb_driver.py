@@ -23,10 +23,10 @@ from machines.driver import (
 )
 from machines.errors import NotAllowedError, PortError
 from machines.roland.mdx40a import decode_state
-from machines.roland.usb_device import RollingmillDevice, open_mdx40a
+from machines.roland.usb_device import open_mdx40a
 from machines.roland.usb_driver import RolandUsbDriver
 from tests.machines.roland.simulated_blocks import SimulatedAxes
-from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
+from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace, open_simulated
 
 machine = pytest.importorskip("rollingmill.machine")
 usb = pytest.importorskip("rollingmill.usb")
@@ -47,21 +47,22 @@ def square(turns: int) -> list[bytes]:
     return cuts
 
 
-def library_device(mill: SimulatedMdx40a) -> RollingmillDevice:
-    """Our device on rollingmill's link and machine, which think they talk to pyusb."""
-    face = UsbFace(mill)
-    link = usb.MdxUSB(face, 0, face, 2000)
-    return RollingmillDevice(
-        link, machine.MDX40A(link), link_errors=(SimulatedUsbError,), clock=mill.clock, wait=mill.wait
-    )
-
-
 def connect(mill: SimulatedMdx40a, dialect: str = "roland-nc") -> RolandUsbDriver:
-    driver = RolandUsbDriver(library_device(mill), dialect=dialect)
+    driver = RolandUsbDriver(open_simulated(mill), dialect=dialect)
     driver.connect()
     driver.poll(0.5)
     assert driver.status.state is MillState.IDLE, driver.status
     return driver
+
+
+def cutting(turns: int, polls: int) -> tuple[SimulatedMdx40a, RolandUsbDriver]:
+    """A mill in the middle of some turns of a square."""
+    mill = SimulatedMdx40a()
+    driver = connect(mill)
+    driver.start(iter(listing(*square(turns))))
+    for _ in range(polls):
+        driver.poll(0.5)
+    return mill, driver
 
 
 def run(driver: RolandUsbDriver, mill: SimulatedMdx40a, most_s: float = 4000.0) -> list[Event]:
@@ -165,11 +166,7 @@ def test_hold_lets_the_mill_finish_what_it_has_and_resume_skips_nothing() -> Non
 
 
 def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.press_view()
     events = [event for _ in range(200) for event in driver.poll(0.5)]
     assert not any(isinstance(event, Faulted) for event in events)
@@ -180,11 +177,7 @@ def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
 
 
 def test_the_cover_is_an_emergency_stop_named_in_words() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.open_door()
     fault = fault_of(run(driver, mill))
     assert fault.cause is FaultCause.DEVICE
@@ -240,11 +233,7 @@ def test_a_lift_above_the_top_of_the_machine_is_never_sent() -> None:
 
 
 def test_abort_stops_the_mill_and_says_so_when_it_stands() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     before = len(mill.cuts)
     driver.abort()
     assert Stopped(position_kept=True) in run(driver, mill)
@@ -276,11 +265,7 @@ def test_rml_follows_the_user_origin() -> None:
 
 
 def test_a_pulled_cable_is_a_fault_in_words() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.unplugged = True
     fault = fault_of(run(driver, mill))
     assert fault.cause is FaultCause.PORT_LOST
@@ -321,11 +306,7 @@ def test_a_mill_that_pauses_between_its_moves_is_not_done_before_the_last() -> N
 
 
 def test_a_counter_that_jumps_is_a_fault_and_the_mill_is_stopped() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(4):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=4)
     mill.counter += 1000
     assert fault_of(run(driver, mill)).cause is FaultCause.REPLY_COUNT
     cuts = len(mill.cuts)
