@@ -18,7 +18,7 @@ from machines.driver import (
 )
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.commands import JOG_CANCEL
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.settings import ControllerSettings
 from machines.port import Port

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 from machines.driver import FaultCause, Faulted, Notice
 from machines.grbl import replies
-from machines.grbl.codes import POSITION_LOST_ALARMS
 from machines.grbl.commands import CommandChannel
 from machines.grbl.link import GrblLink
-from machines.grbl.resetting import ResetControl
+from machines.grbl.replies import POSITION_LOST_ALARMS
 from machines.grbl.sequences import identify
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, stands
-from machines.grbl.stopping import StopControl
+from machines.grbl.stopping import ResetControl, StopControl
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import HANDSHAKE_SILENCE_S
 from phrases.phrase import NO_WORDS, Phrase

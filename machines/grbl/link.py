@@ -1,16 +1,37 @@
-"""The link to one controller: its phase, who answers, what is known of the mill, what waits to be written."""
+"""The link to a controller: options, phase, who answers, what is known of the mill, what waits to be written."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from machines.driver import Event, FaultCause, Faulted, Restarted, Stopped
-from machines.grbl.options import GrblOptions
 from machines.grbl.replies import Empty, Reply, name_foreign, show
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
 from machines.grbl.view import MachineView
 from phrases.phrase import NO_WORDS, Phrase
+
+DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not say
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrblOptions:
+    """How a link to a GRBL controller is used.
+
+    poll_s, run_poll_s : between status requests, and while a program runs
+    rx_bytes           : receive buffer; None asks $I, and takes DEFAULT_RX_BYTES where that does not say
+    corridor_mm        : how far a reported position may be off the programmed path, on top of rounding, steps and arc
+                         chords ($12)
+    identify_s         : until a port on which nothing like a controller answers is given up
+    """
+
+    poll_s: float = 0.2
+    run_poll_s: float = 0.1
+    rx_bytes: int | None = None
+    corridor_mm: float = 0.010
+    identify_s: float = 6.0
+    dialect: str = "grbl"
+
 
 TOOL_DONE = b"\xa3"
 STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.codes import MillCode
 from machines.driver import DriverFacts, MillState, MillStatus
-from machines.grbl.codes import alarm_words
+from machines.errors import MillCode
 from machines.grbl.commands import CommandChannel
 from machines.grbl.link import SILENT, GrblLink
+from machines.grbl.replies import alarm_words
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import SLOW_LINK_S

@@ -19,7 +19,7 @@ from cam.posts.dialects import GRBL, POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_program
 from cam.surface.stock_grid import StockGrid
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
 

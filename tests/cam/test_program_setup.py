@@ -20,7 +20,7 @@ from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.gcode.interpreter import Interpreter
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
 

@@ -9,7 +9,7 @@ from typing import Any
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, limits_of
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks

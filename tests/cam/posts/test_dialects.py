@@ -18,7 +18,7 @@ from cam.posts.dialects import POSTS
 from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from machines.roland.rml import check_rml
 from service.milling.preflight_child import examine

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from machines.driver import Command, CommandDone, Event, Faulted, MillState, ProgramDone, ProgramLine
 from machines.grbl.driver import GrblDriver
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.simulated.endpoints import MemoryPort
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.mill import SimulatedMill

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from machines.driver import CommandDone, MillState, ProbeCorner, SetZero
 from machines.errors import NotAllowedError
 from machines.grbl.permits import check_command
-from machines.grbl.probing import APART_MM, find_reached_mm, find_zero_mm
+from machines.grbl.sequences import APART_MM, find_reached_mm, find_zero_mm
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.simulated.traits import GRBL_11, CornerPlate

@@ -20,7 +20,7 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import ProgramChangedError
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import BANNER_S

@@ -24,8 +24,7 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
 from machines.journal.journal import Journal, read_journal
-from machines.preflight.limits import AT_PRESENT_ZERO
-from machines.preflight.preflight import Finding
+from machines.preflight.preflight import AT_PRESENT_ZERO, Finding
 from machines.runs import START_CHECKS, Confirmation, RunState
 from machines.simulated import reports
 from phrases.phrase import Phrase

@@ -22,7 +22,7 @@ from cam.posts.dialects import POSTS
 from cam.posts.post import ProgramSetup
 from cam.program import generate_program
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, limits_of
 from machines.preflight.rules import RULES
 from machines.profile import load_profile
 from optics.heightfield import Heightfield

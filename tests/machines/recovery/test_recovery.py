@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
+from machines.errors import MillCode
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader

@@ -22,8 +22,7 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import NotAllowedError, PortError
-from machines.roland.mdx40a import decode_state
-from machines.roland.usb_device import open_mdx40a
+from machines.roland.usb_device import decode_state, open_mdx40a
 from machines.roland.usb_driver import RolandUsbDriver
 from tests.machines.roland.simulated_blocks import SimulatedAxes
 from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace, open_simulated

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from machines.codes import MillCode
+from machines.errors import MillCode
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from machines.preflight.preflight import Preflight
