@@ -36,11 +36,9 @@ from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
-from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
-from cam.surface.rough_surface import RoughSurface, Surface, surface_under
 from cam.surface.stock_grid import StockGrid
-from cam.surface.stock_touch import StockTouch
-from cam.surface.tool_surface import ToolSurface
+from cam.surface.stock_touch import StockTouch, find_reached_share, largest_fitting_radius_mm
+from cam.surface.tool_surface import RoughSurface, Surface, ToolSurface, surface_under
 from optics.heightfield import Heightfield
 from phrases.phrase import Phrase
 

@@ -17,15 +17,13 @@ from itertools import chain
 
 import numpy as np
 
-from cam.checking.clamps import Clamps
 from cam.checking.clearance import Overlaps, witness_of
-from cam.checking.collision import Collisions, shank_of
+from cam.checking.collision import Clamps, Collisions, shank_of
 from cam.checking.engagement import Engagement
 from cam.checking.flat_removal import removal_of
 from cam.checking.move_rules import MoveRules
 from cam.checking.path_quality import Coverage, PathMeasures, PathQuality
-from cam.checking.removal import Drops, deepest
-from cam.checking.windows import Window, place_windows
+from cam.checking.removal import Drops, Window, deepest, place_windows
 from cam.duration import DurationModel, Kinematics
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cam.reading import gcode_parse, rml_parse
-from cam.reading.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
-from cam.reading.gcode_languages import GRBL, LANGUAGES, Language
+from cam.reading.gcode_languages import ALLOWED, GRBL, LANGUAGES, LONG, REFUSALS, Language, ProgramError
 from optics.heightfield import Array
 
 __all__ = [

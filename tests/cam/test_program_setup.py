@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cam.around.outline import trace_paths
+from cam.around.paths import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock

@@ -9,7 +9,7 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
-from cam.around.outline import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
 from cam.checking.check import PassCheck, check_program
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits

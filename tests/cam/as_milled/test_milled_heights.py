@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cam.as_milled.heights import mill_heights
+from cam.as_milled.surface import mill_heights
 from cam.as_milled.tracks import Tracks
 from cam.surface.stock_grid import StockGrid
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cam.checking.clamps import CLEARANCE_MM, Clamps, corners_mm, distances_below_mm
+from cam.checking.collision import CLEARANCE_MM, Clamps, corners_mm, distances_below_mm
 from cam.passes import Clamp
 from tests.cam.checking.test_engagement import batch_of
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from cam.errors import PassValueError
 from cam.passes import Stock, ball_pass
-from cam.surface.cutter import rise_mm
-from cam.surface.rough_surface import RoughSurface
 from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import rise_mm
+from cam.surface.tool_surface import RoughSurface
 from tests.cam.checks import checked
 from tests.cam.conftest import bumps
 

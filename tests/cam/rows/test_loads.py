@@ -16,8 +16,8 @@ from cam.posts.dialects import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import MoveBatch, read_program
 from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, choose_feeds, feed_at_load, measure_cuts
-from cam.surface.cutter import slot_section_mm2
 from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import slot_section_mm2
 from tests.cam.checks import checked
 
 STOCK = Stock(width_mm=12, height_mm=9, thickness_mm=10, margin_mm=3)

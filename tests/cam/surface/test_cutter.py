@@ -11,7 +11,7 @@ from cam.cutters import BALL
 from cam.errors import CamError, PassValueError
 from cam.materials import PMMA
 from cam.passes import PRESETS, PassSpec, ball_pass
-from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
+from cam.surface.stock_touch import find_reached_share, largest_fitting_radius_mm
 
 
 @pytest.mark.parametrize(("radius_mm", "pitch_mm", "cusp_um"), [(3, 0.5, 10.4), (0.5, 0.05, 0.6), (0.5, 0.02, 0.1)])
