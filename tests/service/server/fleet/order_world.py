@@ -48,9 +48,8 @@ from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import MemoryPort
 from service.http.event_hub import Hub
-from service.milling.agent.agent import Agent, ClientKeys
+from service.milling.agent.agent import Agent, ClientKeys, MillAccess
 from service.milling.agent.app import make_app
-from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings
 from service.server.database.connection import connect
