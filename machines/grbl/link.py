@@ -116,6 +116,7 @@ class GrblLink:
     urgent, text : to be written: realtime bytes, and lines of a command
     restart      : a banner that waits for its first report, and whether it ends a stop
     hold_wanted  : a hold was asked for, and nothing since that ends it
+    hold_reports : reports since the last hold; up to 0 they may have been made before it arrived
     paused       : no new line of a program: held, door, or asked for
     offers_reset : nothing answers: it may be a controller after a limit alarm, and a person may send it a reset
     """
@@ -133,6 +134,7 @@ class GrblLink:
     events: list[Event] = field(default_factory=list)
     restart: tuple[str, bool] | None = None
     hold_wanted: bool = False
+    hold_reports: int = 0
     paused: bool = False
     offers_reset: bool = False
     poll_at_s: float = 0.0
@@ -142,6 +144,11 @@ class GrblLink:
     def reports_under_way(self) -> int:
         """Return how many reports may still come that were made before a byte written now arrives."""
         return self.silence.unanswered + int(self.silence.round_trip_s / min(self.options.run_poll_s, QUICK_S))
+
+    @property
+    def hold_under_way(self) -> bool:
+        """Return whether a hold was asked for of which no report says yet what became of it."""
+        return self.hold_wanted and self.hold_reports <= 0
 
     def enter(self, phase: Phase, now_s: float) -> None:
         """Begin a phase; its first '?' and its first look at the clock are due at once."""

@@ -326,8 +326,8 @@ class GrblSession:
         self.stops.resume(now_s)
         self._monitor.note_sign()
 
-    def abort(self, now_s: float) -> None:
-        self.stops.abort(now_s)
+    def abort(self, now_s: float, *, hold_sent: bool = False) -> None:
+        self.stops.abort(now_s, hold_sent=hold_sent)
 
     def command(self, command: Command, now_s: float, require: Require = allow_always) -> None:
         """Begin a command; ends with CommandDone. require : checked again before a later line that acts"""

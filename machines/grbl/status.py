@@ -44,6 +44,8 @@ class StatusReporter:
             return MillState.HELD if stands(report) else MillState.HOLDING
         if state in (MillState.RUN, MillState.JOG) and link.hold_wanted:
             return MillState.HOLDING
+        if state is MillState.IDLE and link.hold_under_way:
+            return MillState.HOLDING  # '!' holds an idle controller as well
         if state is MillState.HELD and not link.hold_wanted and self.streamer.waits_for_person:
             return MillState.TOOL
         if link.paused and state is MillState.CHECK:

@@ -153,9 +153,8 @@ class StopControl:
     commands: CommandChannel
     reporter: StatusReporter
     resets: ResetControl
-    abort_wanted: bool = False  # of a link that was away: carried out with the first report
+    abort_wanted: bool = False  # looked at with the first report: of a link that was away, or asked for during a reset
     _hold_seen: bool = False  # the mill has reported standing since the last hold
-    _hold_reports: int = 0  # reports since then: the first may have been made before it
     _hold_at_s: float = 0.0
     _notified_at_s: float = 0.0
     _stop_at_s: float = 0.0  # when it began to wait for standstill
@@ -164,9 +163,10 @@ class StopControl:
     @property
     def is_quiet(self) -> bool:
         """Nothing moves, and nothing that was sent can make it move."""
-        report = self.link.view.report
-        at_rest = self.link.phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING)
-        return at_rest and report is not None and report.state in ("Idle", "Alarm")
+        link, report = self.link, self.link.view.report
+        if link.phase not in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) or report is None:
+            return False
+        return report.state == "Alarm" or (report.state == "Idle" and not link.hold_under_way)
 
     # ------------------------------------------------------------------ asked for by a person
 
@@ -184,7 +184,7 @@ class StopControl:
             self._hold_command(now_s)
         link.paused = True
         self._hold_seen = False
-        self._hold_reports = -link.reports_under_way
+        self._note_hold()
         self._hold_at_s = link.poll_at_s = now_s
 
     def resume(self, now_s: float) -> None:
@@ -211,19 +211,27 @@ class StopControl:
         link.urgent += (TOOL_DONE if report.state == "Tool" else b"") + (b"" if b"~" in link.urgent else b"~")
         link.poll_at_s = min(link.poll_at_s, now_s + RESUME_POLL_S)  # nobody who presses often postpones it
 
-    def abort(self, now_s: float) -> None:
-        """Hold, and when the mill stands clear the controller's buffers; ends with Stopped."""
+    def abort(self, now_s: float, *, hold_sent: bool = False) -> None:
+        """Hold, and when the mill stands clear the controller's buffers; ends with Stopped.
+
+        hold_sent : a '!' has left already that may still be on its way. It holds an idle controller too, and one that
+                    has just been reset: the abort is not over before a report has shown that none is held.
+        """
         link = self.link
+        if hold_sent:
+            link.hold_wanted = True
+            self._note_hold()
         if link.phase is Phase.CLOSED:
             self.abort_wanted = True
             return
         if link.phase is Phase.HAILING and link.view.report is None:
-            self.abort_wanted = True
+            self.abort_wanted = link.hold_wanted = True
+            self._note_hold()
             link.put_hold()  # a mill that is not heard may hear
             if link.offers_reset:
                 self.resets.begin(ResetSequence.by_a_person(now_s), now_s)
             return
-        self.abort_wanted = False
+        self.abort_wanted = hold_sent and link.phase is Phase.CLEARING
         if link.phase in (Phase.STOPPING, Phase.CLEARING):
             return
         if self.reporter.state is MillState.HOMING:
@@ -236,6 +244,10 @@ class StopControl:
         link.put_hold()
         self.streamer.late_answers = True
         self._begin_stop(now_s)
+
+    def _note_hold(self) -> None:
+        """Note that reports which are under way now say nothing of this hold."""
+        self.link.hold_reports = -self.link.reports_under_way
 
     def _hold_command(self, now_s: float) -> None:
         """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""
@@ -285,10 +297,10 @@ class StopControl:
     def take_report(self, report: Status, now_s: float) -> None:
         """Follow hold, door and cycle start as the mill reports them; while stopping, wait for standstill."""
         link = self.link
-        self._hold_reports += 1
+        link.hold_reports += 1
         if report.state in HELD_STATES:
             link.paused = True
-            self._hold_seen = self._hold_reports > 0
+            self._hold_seen = link.hold_reports > 0
             if link.phase is Phase.IDENTIFYING:
                 self._greet_again(now_s)  # no line is read now
         elif link.hold_wanted and link.phase in (Phase.READY, Phase.STREAMING):

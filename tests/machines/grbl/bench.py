@@ -51,6 +51,10 @@ class Tap:
         self.written.append((self.port.clock(), bytes(data)))
         self.port.write(data)
 
+    def write_realtime(self, data: bytes) -> bool:
+        self.write(data)
+        return True
+
     def wake(self) -> None:
         self.port.wake()
 

@@ -45,9 +45,6 @@ class OddLink(Tap):
             said += self.say(line, self.oks)
         return first + b"".join(line + self.end for line in said)
 
-    def write_realtime(self, data: bytes) -> bool:
-        return self.port.write_realtime(data)
-
 
 def plain(line: bytes, _: int) -> list[bytes]:
     return [line]

@@ -37,10 +37,6 @@ class DelayedLink(Tap):
         self.written.append((self.clock(), bytes(data)))
         self.there.append((self.clock() + self.delay_s, bytes(data)))
 
-    def write_realtime(self, data: bytes) -> bool:
-        self.write(data)
-        return True
-
     def read(self, timeout_s: float) -> bytes:
         mill, end_s = self.port.mill, self.clock() + max(timeout_s, 0.0)
         while True:

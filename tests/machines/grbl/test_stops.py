@@ -25,6 +25,7 @@ from machines.driver import (
     SendBlock,
     SetZero,
     Stopped,
+    TrustPosition,
     Unlock,
 )
 from machines.errors import NotAllowedError
@@ -274,3 +275,49 @@ def test_an_order_refused_leaves_nothing_behind() -> None:
     with pytest.raises(NotAllowedError):
         bench.driver.resume()
     assert bench.driver._session.link.urgent.count(b"~") == 0
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.01, 0.25, 1.0])
+@pytest.mark.parametrize("between", [None, "?"])
+def test_an_abort_after_a_hold_of_an_idle_mill_leaves_it_idle(later_s: float, between: str | None) -> None:
+    """The '!' of the hold is on its way: what the mill said before it is no proof that it stays idle."""
+    bench = Bench().connected()
+    bench.driver.command(TrustPosition())
+    if between:  # a report from before the hold is still to come
+        bench.driver._session.link.poll_at_s = bench.mill.now_s
+        write(bench)
+    bench.driver.hold()
+    assert bench.state() is MillState.HOLDING
+    bench.pass_time(later_s)
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 5.0)
+    bench.pass_time(3.0)
+    assert bench.state() is MillState.IDLE and bench.mill.firmware.state == "Idle"
+    assert bench.of(Stopped) == [Stopped(position_kept=True)]
+
+
+def test_a_hold_that_was_lost_on_an_idle_mill_ends_with_the_next_report() -> None:
+    bench = Bench().connected()
+    bench.driver._session.hold(bench.mill.now_s)
+    bench.driver._session.link.urgent.clear()  # its wire is cut
+    bench.pass_time(1.0)
+    assert bench.state() is MillState.IDLE
+
+
+@pytest.mark.parametrize("phase", ["streaming", "stopping", "clearing", "hailing", "identifying", "ready"])
+@pytest.mark.parametrize("first", ["hold", "abort"])
+def test_an_abort_asked_for_in_any_phase_of_another_stop_leaves_no_mill_held(phase: str, first: str) -> None:
+    """Its '!' leaves at once, from any thread: it may reach a controller that has just been reset."""
+    bench = Bench().connected()
+    begin_program(bench)
+    bench.pass_time(1.0)
+    if first == "hold":
+        bench.hold()
+    if phase != "streaming":
+        bench.driver.abort()
+        assert bench.until(lambda: bench.driver._session.link.phase.value == phase, 5.0)
+    assert bench.driver.urge("abort")
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 5.0)
+    bench.pass_time(5.0)
+    assert bench.state() is MillState.IDLE and bench.mill.firmware.state == "Idle", bench.driver.status

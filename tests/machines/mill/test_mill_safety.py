@@ -106,6 +106,15 @@ def test_abort_stops_a_jog_although_a_parked_run_waits(shop: Shop) -> None:
     assert shop.bench.sim.physical_mm == before and before[0] < 20.0
 
 
+def test_an_abort_after_a_hold_takes_a_parked_run_back_and_leaves_the_mill_idle(shop: Shop) -> None:
+    """At once: the mill has not yet said that it holds."""
+    shop.mill.hold()
+    shop.mill.abort()
+    assert shop.state is RunState.ABORTED
+    shop.pass_s(3.0)
+    assert shop.mill.status.state is MillState.IDLE
+
+
 def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Shop) -> None:
     shop.started()
     shop.disk.room = False
@@ -348,7 +357,7 @@ def test_a_program_that_would_begin_on_a_slant_is_started_only_from_over_what_it
     shop.bench.command_done(Jog((10.0, 10.0, 0.0), 2000.0))
     shop.mill.start(run_id, YES)
     shop.mill.hold()
-    shop.mill.close()
+    shop.mill.close(detach=True)
 
 
 def test_a_program_that_begins_in_machine_coordinates_asks_for_a_homed_mill(shop: Shop) -> None:
