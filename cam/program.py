@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain
 from math import inf
 
 import numpy as np
@@ -53,35 +52,6 @@ LEAST_REACHED = 0.9
 """A finishing ball that touches less of the surface than this makes no lens."""
 
 
-def generate_program(
-    heightfield: Heightfield,
-    spec: PassSpec,
-    stock: Stock,
-    *,
-    stock_top: StockGrid,
-    post: Dialect,
-    safe_z_mm: float = SAFE_Z_MM,
-    slope_error_rad: float = SLOPE_ERROR_RAD,
-    on_progress: Progress | None = None,
-) -> Iterator[bytes]:
-    """Return the pass as one program: text in pieces of about a megabyte; memory does not grow with the program's
-    length.
-
-    Raises CutterTooLargeError, StockTooThinError, SafeHeightError or PassValueError before the first piece.
-    """
-    parts = generate_parts(
-        heightfield,
-        spec,
-        stock,
-        stock_top=stock_top,
-        post=post,
-        safe_z_mm=safe_z_mm,
-        slope_error_rad=slope_error_rad,
-        on_progress=on_progress,
-    )
-    return chain.from_iterable(parts)
-
-
 def generate_parts(
     heightfield: Heightfield,
     spec: PassSpec,
@@ -100,6 +70,9 @@ def generate_parts(
     on_progress: Progress | None = None,
 ) -> Iterator[Iterator[bytes]]:
     """Return the pass as one program after the other, each within the limits; read each to its end before the next.
+
+    Text comes in pieces of about a megabyte; memory does not grow with the program. Raises CutterTooLargeError,
+    StockTooThinError, SafeHeightError or PassValueError before the first piece.
 
     step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts

@@ -129,7 +129,7 @@ class Tracks:
     def of_program(
         cls, batches: Iterable[MoveBatch], *, radius_mm: float, step_mm: float = 0.0, noise: Noise | None = None
     ) -> Tracks:
-        """Return the tracks of a program as `cam.reading.gcode.read_program` gives it.
+        """Return the tracks of a program as `cam.reading.gcode.read_parts` gives it.
 
         step_mm : of every axis, 0 for none
         noise   : height errors of the machine; None for none

@@ -18,14 +18,13 @@ probability exp(-A / cell area).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from cam.checking.clearance import Overlaps, SurfaceWitness
+from cam.checking.clearance import Overlaps
 from cam.checking.track_gaps import Gap, Progress, TipRegion, TrackGaps
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
@@ -154,15 +153,6 @@ class PathQuality:
         add_turns(points, on, self._judged, last, self._pitch_mm, self._sums)
         keep = max(0, last - _CONTEXT)
         self._tail_points, self._tail_on, self._judged = points[keep:].copy(), on[keep:].copy(), last - keep
-
-
-def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec: PassSpec) -> PathMeasures:
-    """Return the measures of a whole program, from `cam.reading.gcode.read_program`."""
-    quality = PathQuality(heightfield, spec)
-    witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
-    for batch in batches:
-        quality.add(batch, witness.overlaps(batch))
-    return quality.measure()
 
 
 @njit(cache=True, nogil=True)

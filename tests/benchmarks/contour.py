@@ -23,7 +23,6 @@ from cam.checking.check import PassCheck, check_program
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.planning.shop import pitches_mm
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile
 from optics.design import design_lens
@@ -34,6 +33,7 @@ from service.job.spec.kinematics import kinematics_of
 from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import generate_program
 
 LENSES = ("camera", "astronaut", "logo")
 FINISH = replace(PAPER_PASSES[2], strategy="contour")

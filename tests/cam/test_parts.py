@@ -17,11 +17,12 @@ from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL, POSTS
 from cam.program import generate_parts
-from cam.reading.gcode import LANGUAGES, read_program
+from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
 from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
+from tests.cam.programs import read_program
 
 SAFE_Z = 5.0
 FRAME = PassFrame(

@@ -15,9 +15,10 @@ from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, Sto
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import CHUNK_BYTES, generate_program, pass_paths
+from cam.program import CHUNK_BYTES, pass_paths
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
+from tests.cam.programs import generate_program
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "tiny-pass.nc"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"

@@ -18,11 +18,12 @@ from cam.passes import Stock
 from cam.posts.dialects import POSTS, find_unsupported
 from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
-from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts
 from machines.gcode.interpreter import Interpreter
 from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
+from tests.cam.programs import read_program
 
 DIALECTS = sorted(POSTS)
 SAFE_Z = 5.0

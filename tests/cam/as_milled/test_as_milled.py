@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
+from cam.as_milled.rows import sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Tracks
-from cam.reading.gcode import read_program
 from optics.heightfield import Heightfield
 from tests.cam.facet_points import rms, spread_over
+from tests.cam.programs import read_program, row_tracks
 
 SIDE_MM = 2.0
 

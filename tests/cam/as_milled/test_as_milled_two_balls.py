@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from tests.cam.as_milled.test_as_milled import SIDE_MM, facets_of, lens
 from tests.cam.facet_points import spread_over
+from tests.cam.programs import row_tracks
 
 BIG, SMALL = (2.5, 0.1), (0.5, 0.05)
 """Radius and pitch. On a slope of 0.6 tips that touch one place lie 1 mm apart."""

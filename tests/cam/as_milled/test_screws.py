@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.as_milled.height_map import map_departure
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.tracks import Screws
 from optics.heightfield import Heightfield
+from tests.cam.programs import row_tracks
 
 amplitudes = st.tuples(*3 * [st.floats(0.0, 0.02)])
 leads = st.tuples(*3 * [st.floats(0.5, 8.0)])

@@ -18,13 +18,13 @@ from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
 from cam.passes import Clamp, PassSpec, Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.reading import gcode
-from cam.reading.gcode import ProgramError, read_program
+from cam.reading.gcode import ProgramError
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_left import StockLeft, _deepest_in, find_excess
 from optics.heightfield import Heightfield
 from tests.cam.checks import MILL
+from tests.cam.programs import generate_program, read_program
 
 WIDTH, HEIGHT, RADIUS, PITCH, SAFE = 6.0, 4.0, 0.5, 0.1, 5.0
 STOCK = Stock(width_mm=WIDTH, height_mm=HEIGHT, thickness_mm=10, margin_mm=2)

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cam.checking.path_quality import PathQuality, measure_program
+from cam.checking.path_quality import PathQuality
 from cam.passes import ball_pass
-from cam.reading.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Heightfield
+from tests.cam.programs import measure_program, read_program
 
 SIDE, PITCH, RADIUS = 6.0, 0.1, 0.5
 SPEC = ball_pass("finish", radius_mm=RADIUS, pitch_mm=PITCH, stock_to_leave_mm=0.0, step_down_mm=0.1)

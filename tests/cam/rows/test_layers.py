@@ -15,8 +15,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program, pass_paths
-from cam.reading.gcode import read_program
+from cam.program import pass_paths
 from cam.rows.entries import RAMP_SLOPE, enter, make_ramp
 from cam.rows.layers import Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
@@ -24,6 +23,7 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
+from tests.cam.programs import generate_program, read_program
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2)
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.errors import CamError
-from cam.reading.gcode import read_program
 from machines.errors import ProgramRefusedError
 from machines.gcode import scan as scan_module
 from machines.gcode import tally
@@ -20,6 +19,7 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState, Step
 from machines.gcode.program import piece_digest
 from machines.gcode.scan import ProgramScan, ScanBatch
+from tests.cam.programs import read_program
 from tests.machines.gcode.conftest import WRONG_LINES, programs
 
 RATES = (5000.0, 5000.0, 1500.0)
