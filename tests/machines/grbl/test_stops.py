@@ -29,6 +29,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import NotAllowedError
+from machines.grbl.states import FROM_EVERYWHERE, MOVES, Phase, may_move
 from machines.simulated.traits import GRBL_11
 from tests.machines.grbl.bench import Bench, numbered, spiral
 
@@ -321,3 +322,14 @@ def test_an_abort_asked_for_in_any_phase_of_another_stop_leaves_no_mill_held(pha
     assert bench.until(lambda: bench.of(Stopped), 5.0)
     bench.pass_time(5.0)
     assert bench.state() is MillState.IDLE and bench.mill.firmware.state == "Idle", bench.driver.status
+
+
+def test_every_phase_is_in_the_table_and_can_be_left_and_reached() -> None:
+    assert set(MOVES) == set(Phase)
+    reached = set().union(*MOVES.values()) | FROM_EVERYWHERE
+    assert reached == set(Phase)
+
+
+def test_a_program_starts_only_from_ready_and_a_stop_ends_in_a_reset_or_a_new_epoch() -> None:
+    assert [phase for phase in Phase if may_move(phase, Phase.STREAMING)] == [Phase.READY]
+    assert MOVES[Phase.STOPPING] == {Phase.CLEARING}

@@ -30,6 +30,7 @@ from machines.simulated import reports
 from phrases.phrase import Phrase
 from tests.machines.inline_syncer import InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
+from tests.trials.kill_trial import one_kill
 
 
 def test_a_run_to_its_end(shop: Shop) -> None:
@@ -371,3 +372,16 @@ def test_journal_marks_come_at_least_every_second(tmp_path: Path) -> None:
     assert max(gaps) <= 1.0
     assert InlineSyncer(lambda: 0.0).failure == ""
     shop.mill.close()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_every_segment_is_cut_in_order_after_kills_and_power_losses(seed: int, tmp_path: Path) -> None:
+    trial = one_kill(seed, tmp_path)
+    assert trial.faults == []
+
+
+def test_the_trials_kill_and_recut(tmp_path: Path) -> None:
+    """Guards the test above: trials in which nothing dies would prove nothing."""
+    trials = [one_kill(seed, tmp_path / str(seed), 60) for seed in range(6)]
+    assert sum(trial.kills for trial in trials) >= 4
+    assert any(trial.recut for trial in trials)
