@@ -1,4 +1,4 @@
-"""Shank and flutes against stock that stands, and the cutter against clamps: by brute force, and named in the finding."""
+"""Shank and flutes against stock that stands, and the cutter against clamps: by brute force, and what is said."""
 
 from __future__ import annotations
 
