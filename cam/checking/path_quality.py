@@ -48,7 +48,7 @@ _CLOSE_MM = 1e-3  # of the contact: the gradient there changes by that times the
 class PathMeasures:
     """A path on the surface of a lens.
 
-    entries        : times it comes onto the surface after a rapid; lifts: how often it came back
+    entries        : times it comes onto the surface after a rapid
     rapids_inside  : rapids that go across or down below the top of the block
     length_ratio   : length x pitch / area of the aperture
     aligned_share  : of the length on slopes above 1 %, what runs within 15 degrees of the contour line
@@ -56,7 +56,6 @@ class PathMeasures:
     """
 
     entries: int
-    lifts: int
     rapids_inside: int
     length_mm: float
     length_ratio: float
@@ -111,7 +110,6 @@ class PathQuality:
         length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
         return PathMeasures(
             entries=self.entries,
-            lifts=max(0, self.entries - 1),
             rapids_inside=self.rapids_inside,
             length_mm=length,
             length_ratio=length * self._pitch_mm / (self._size_mm[0] * self._size_mm[1]),

@@ -118,7 +118,7 @@ def _path_figures(verdict: PassCheck) -> Iterator[Figure]:
     where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; {gap.bare_share:.1e} of the area beyond half a pitch; asked: 1.02"
     nominal_s = verdict.path_length_mm / FEED_MM_PER_S
     yield Figure(
-        "  entries, lifts, rapids inside", path.entries, "", f"{path.lifts}, {path.rapids_inside}; asked: 1, 0, 0"
+        "  entries, lifts, rapids inside", path.entries, "", f"{path.entries - 1}, {path.rapids_inside}; asked: 1, 0, 0"
     )
     yield Figure("  widest gap between tracks, everywhere", gap.width_mm / FINISH.pitch_mm, "pitches", where)
     yield Figure("  length x pitch / area", path.length_ratio, "", f"{path.length_mm / 1000:.0f} m; asked: 1.30 (1.18)")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.drip.driver import BYTES_AFTER_STOP, DripDriver, DripOptions
+from machines.drip.driver import BYTES_AFTER_STOP, DripDriver
 from machines.drip.feed import ByteFeed, Pace
 from machines.driver import (
     Event,
@@ -52,8 +52,8 @@ def run(driver: DripDriver, most_s: float = 900.0) -> list[Event]:
     raise AssertionError(f"not done after {most_s} s: {driver.status}")
 
 
-def connect(control: SimulatedControl, link: LinkSettings, **options: float) -> DripDriver:
-    driver = DripDriver(control, link, options=DripOptions(**options))  # type: ignore[arg-type]
+def connect(control: SimulatedControl, link: LinkSettings) -> DripDriver:
+    driver = DripDriver(control, link)
     driver.connect()
     driver.poll(0.0)
     return driver
@@ -272,19 +272,6 @@ def test_tape_marks_of_the_file_are_not_doubled_and_nothing_follows_the_last() -
     behind = connect(slow_control(), LINK)
     behind.start(iter([*body, ProgramLine(4, 90, b"%"), ProgramLine(5, 92, b"G00Z5.")]))
     assert isinstance(run(behind)[-1], Faulted)
-
-
-@pytest.mark.parametrize("nulls", [0, 3, 40])
-def test_the_control_may_stop_listening_behind_the_last_tape_mark(nulls: int) -> None:
-    """It says DC3 at `%` and never DC1 again: blank tape behind it must not keep the program from ending."""
-    control = slow_control()
-    driver = connect(control, LINK, leader_nulls=nulls, trailer_nulls=nulls)
-    lines = program(10)
-    driver.start(iter(lines))
-    assert ProgramDone() in run(driver)
-    text = bytes(control.received)
-    assert text.startswith(bytes(nulls) + on_wire(lines))
-    assert text.rstrip(b"\0") == bytes(nulls) + on_wire(lines)
 
 
 def test_a_pulled_cable_is_a_fault_and_not_an_exception() -> None:

@@ -24,7 +24,6 @@ class SimulatedSerialMill(SimulatedPort):
     margin_bytes: int = 64
     fifo_bytes: int = 16
     command_s: float = 0.05
-    error: int = 0
 
     received: bytearray = field(default_factory=bytearray)
     executed: list[bytes] = field(default_factory=list)
@@ -35,8 +34,6 @@ class SimulatedSerialMill(SimulatedPort):
     _next_byte_s: float = inf
     _command_ends_s: float = inf
     _after_cts: int = 0
-    _replies: bytes = b""
-    _escape: bytes = b""
 
     @property
     def cts(self) -> bool:
@@ -54,14 +51,13 @@ class SimulatedSerialMill(SimulatedPort):
     def read(self, timeout_s: float) -> bytes:
         self.require_plugged()
         end_s = self.now_s + max(timeout_s, 1e-6)
-        while not self._replies and not self._woken:
+        while not self._woken:
             at_s = min(self._next_byte_s, self._command_ends_s, end_s)
             self._step(at_s)
             if at_s >= end_s:
                 break
         self._woken = False
-        data, self._replies = self._replies, b""
-        return data
+        return b""
 
     def run_dry(self) -> None:
         while min(self._next_byte_s, self._command_ends_s) < inf:
@@ -90,27 +86,8 @@ class SimulatedSerialMill(SimulatedPort):
         self._schedule()
 
     def _arrive(self, byte: int) -> None:
-        if byte == 0x1B or self._escape:
-            self._escape += bytes([byte])
-            if len(self._escape) == 3:
-                self._control(self._escape)
-                self._escape = b""
-            return
         if len(self._buffer) >= self.buffer_bytes:
             self.overruns += 1
-            self.error = 16
             return
         self.received.append(byte)
         self._buffer.append(byte)
-
-    def _control(self, code: bytes) -> None:
-        match code:
-            case b"\x1b.B":
-                self._replies += b"%d\r" % (self.buffer_bytes - len(self._buffer))
-            case b"\x1b.E":
-                self._replies += b"%d\r" % self.error
-                self.error = 0
-            case b"\x1b.K":
-                self._buffer.clear()
-            case _:
-                pass
