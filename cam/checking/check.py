@@ -3,7 +3,7 @@
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
-stated, what stands beside them (`collision`), and the clamps (`clamps`).
+stated, what stands beside them, and the clamps (`collision`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
