@@ -17,10 +17,9 @@ from machines.gcode.dialects import RML
 from phrases.phrase import Phrase
 
 if TYPE_CHECKING:
-    from machines.port import Port
+    from machines.port import SerialPort
     from machines.profile import LinkSettings
 
-OS_QUEUE_BYTES = 4096  # what a tty may hold beside what we know of, where the port cannot tell
 _QUEUED = 64
 _UNDER_WIRE_RATE = 0.98
 
@@ -37,23 +36,10 @@ FACTS = DriverFacts(
 class RolandSerialDriver(OneWayDriver):
     """machines.driver.Driver for RML-1 or NC text over a line with RTS/CTS."""
 
-    def __init__(
-        self,
-        port: Port,
-        link: LinkSettings,
-        *,
-        dialect: str = RML,
-        planner_blocks: int = 0,
-    ):
-        self._unsent_of_port = getattr(port, "unsent_bytes", None)
-        hidden = 0 if self._unsent_of_port else OS_QUEUE_BYTES
-        super().__init__(
-            port,
-            facts=FACTS,
-            pace=Pace(_UNDER_WIRE_RATE * link.wire_bytes_per_s, _QUEUED),
-            buffer_bytes=None if link.rx_bytes is None else link.rx_bytes + hidden,
-            planner_blocks=planner_blocks,
-        )
+    def __init__(self, port: SerialPort, link: LinkSettings, *, dialect: str = RML, planner_blocks: int = 0):
+        pace = Pace(_UNDER_WIRE_RATE * link.wire_bytes_per_s, _QUEUED)
+        super().__init__(port, facts=FACTS, pace=pace, buffer_bytes=link.rx_bytes, planner_blocks=planner_blocks)
+        self._count_unsent_of_port = port.unsent_bytes
         self._line_end = b"\n" if dialect == RML else b"\r\n"
 
     def _encode(self, line: ProgramLine) -> bytes:
@@ -65,11 +51,11 @@ class RolandSerialDriver(OneWayDriver):
         return line.text + self._line_end
 
     def _count_unsent(self, now_s: float) -> int:
-        return max(self._pace.count_queued(now_s), self._unsent_of_port() if self._unsent_of_port else 0)
+        return max(self._pace.count_queued(now_s), self._count_unsent_of_port())
 
     def _may_send(self) -> bool:
         """Return whether the tty has let go of what it had: while CTS is down nothing more is put on top."""
-        return self._unsent_of_port is None or self._unsent_of_port() < _QUEUED
+        return self._count_unsent_of_port() < _QUEUED
 
     def _turn(self) -> float:
         wait_s = super()._turn()

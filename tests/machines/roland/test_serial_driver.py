@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from machines.driver import Event, Faulted, MillState, ProgramDone, ProgramLine, Stopped
 from machines.profile import LinkSettings
-from machines.roland.serial_driver import OS_QUEUE_BYTES, RolandSerialDriver
+from machines.roland.serial_driver import RolandSerialDriver
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
 LINK = LinkSettings(driver="roland-serial", baud=9600, flow="rtscts", rx_bytes=2048)
@@ -68,14 +68,6 @@ def test_hold_lets_out_no_more_than_the_little_that_waits_in_the_port() -> None:
     driver.resume()
     run(driver, mill)
     assert len(mill.received) == sum(len(line.text) + 1 for line in program(500))
-
-
-def test_a_port_that_cannot_tell_what_it_holds_makes_the_driver_more_careful() -> None:
-    class Mute:
-        unsent_bytes = None
-
-    driver = RolandSerialDriver(Mute(), LINK)  # type: ignore[arg-type]
-    assert driver.status.buffer_bytes == 2048 + OS_QUEUE_BYTES
 
 
 def test_abort_ends_the_sending_and_says_that_the_position_is_not_known() -> None:
