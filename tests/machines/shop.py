@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from machines.driver import MillState
-from machines.journal.disk import RealDisk, RealFile
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunState
+from tests.machines.disks import FullDisk
 from tests.trials.kill_bench import Bench
 from tests.trials.kill_program import facts_of
 
@@ -18,27 +16,6 @@ YES = Confirmation("ann", START_CHECKS)
 YES_ALL = Confirmation("ann", RECOVER_CHECKS)
 LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200"]
 LINES += [f"X{10 + i / 2:g}Y{10 + i % 2}{'F600' if i == 1 else ''}" for i in range(1, 80)] + ["G0 Z5", "M5", "M2"]
-
-
-class FullDisk(RealDisk):
-    """room: whether anything can be written; before_write: what happens while a write is waited for."""
-
-    room = True
-    before_write: Callable[[], object] = staticmethod(lambda: None)
-
-    def create(self, path: Path) -> RealFile:
-        disk = self
-
-        class File(RealFile):
-            def write(self, data: bytes) -> None:
-                disk.before_write()
-                if not disk.room:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-                super().write(data)
-
-        if not self.room:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return File(path)
 
 
 class Shop:

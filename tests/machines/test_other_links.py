@@ -22,8 +22,8 @@ from machines.roland.serial_driver import RolandSerialDriver
 from machines.roland.usb_driver import RolandUsbDriver
 from machines.runs import START_CHECKS, Confirmation, RunState
 from service.milling.preflight import run_preflight
+from tests.machines.disks import InlineSyncer
 from tests.machines.drip.simulated_control import SimulatedControl
-from tests.machines.inline_syncer import InlineSyncer
 from tests.machines.roland.simulated_device import SimulatedMdx40a, open_simulated
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 

@@ -28,7 +28,7 @@ from machines.preflight.preflight import AT_PRESENT_ZERO, Finding
 from machines.runs import START_CHECKS, Confirmation, RunState
 from machines.simulated import reports
 from phrases.phrase import Phrase
-from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.disks import ROOM, InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 from tests.trials.kill_trial import one_kill
 
@@ -287,7 +287,7 @@ def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Pat
 
 def test_a_full_disk_holds_the_mill_and_resume_tries_again(shop: Shop) -> None:
     shop.started()
-    shop.disk.room = False
+    shop.disk.room = 0
     shop.bench.until_state(MillState.HELD)
     assert "no space left" in shop.mill.snapshot.run.words
     before = shop.cuts
@@ -295,16 +295,16 @@ def test_a_full_disk_holds_the_mill_and_resume_tries_again(shop: Shop) -> None:
         shop.mill.resume()
     shop.pass_s(20.0)
     assert shop.cuts == before
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.mill.resume()
     shop.until(RunState.FINISHED)
 
 
 def test_nothing_starts_without_a_journal(shop: Shop) -> None:
-    shop.disk.room = False
+    shop.disk.room = 0
     with pytest.raises(JournalError):
         shop.mill.start(shop.id, YES)
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.pass_s(5.0)
     assert shop.cuts == 0 and shop.state is RunState.PARKED
     shop.mill.start(shop.id, YES)

@@ -22,6 +22,7 @@ from machines.mill.thread import MillThread
 from machines.preflight.preflight import Bounds, Preflight
 from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
+from tests.machines.disks import ROOM
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
 LONG_MOVES = [*LINES[:5], *(f"G1 X{10 + 40 * (i % 2)} F600" for i in range(1, 40)), "G0 Z5", "M2"]
@@ -117,7 +118,7 @@ def test_an_abort_after_a_hold_takes_a_parked_run_back_and_leaves_the_mill_idle(
 
 def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Shop) -> None:
     shop.started()
-    shop.disk.room = False
+    shop.disk.room = 0
     shop.bench.until_state(MillState.HELD)
     for _ in range(3):
         shop.bench.sim.press("start")
@@ -126,7 +127,7 @@ def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Sho
     cuts = shop.cuts
     shop.pass_s(20.0)
     assert shop.cuts == cuts
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.mill.resume()
     shop.until(RunState.FINISHED)
 

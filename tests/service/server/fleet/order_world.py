@@ -59,7 +59,7 @@ from service.server.fleet.orders import Controls, Orders
 from service.server.fleet.registry import KnownMachine
 from service.server.fleet.stops import Stops
 from service.settings import ServerSettings
-from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.disks import InlineSyncer
 from tests.service.server.fleet.order_network import MessageNetwork
 from tests.service.server.fleet.order_people import CHECKS, MACHINE, People
 
