@@ -24,6 +24,7 @@ from cam.checking.sweep import STRIKE
 from cam.passes import Clamp, ball_pass
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checking.test_engagement import batch_of
+from tests.cam.lenses import make_lens
 
 SPEC = replace(
     ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4),
@@ -92,7 +93,7 @@ def test_a_wall_the_flutes_have_cut_does_not_count():
     assert shank_of(replace(SPEC, flute_length_mm=None)) is None
 
 
-def test_before_any_work_the_lens_alone_is_asked(make_lens):
+def test_before_any_work_the_lens_alone_is_asked():
     """A ridge 1 mm high with sides of slope 1: a thick shank strikes it, a slim one and longer flutes do not."""
     ridge = make_lens(lambda x, y: -0.1 - np.minimum(np.abs(x - 4.0), 1.0) + 0 * y)
     short = replace(SPEC, flute_length_mm=0.5)

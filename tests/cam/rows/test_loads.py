@@ -19,6 +19,7 @@ from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, choose_feeds
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import slot_section_mm2
 from tests.cam.checks import checked
+from tests.cam.lenses import make_bumps
 from tests.cam.programs import generate_program, read_program
 
 STOCK = Stock(width_mm=12, height_mm=9, thickness_mm=10, margin_mm=3)
@@ -27,9 +28,8 @@ FINE = ball_pass("rough", radius_mm=1.0, pitch_mm=0.1, stock_to_leave_mm=0.1, st
 
 @pytest.fixture(scope="module")
 def hills():
-    from tests.cam.conftest import bumps
 
-    return bumps(5, relief_mm=2.0, width_mm=12.0, height_mm=9.0, spread_mm=2.0)
+    return make_bumps(5, relief_mm=2.0, width_mm=12.0, height_mm=9.0, spread_mm=2.0)
 
 
 @pytest.mark.parametrize("radius_mm", [0.5, 3.0])
