@@ -193,7 +193,7 @@ import json
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
 from cam.posts.writers import create_writer
-from cam.reading.gcode import LANGUAGES, ProgramError, read_program
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts
 from machines.gcode.interpreter import Interpreter
 from service.errors import SpecError
 from service.job.spec.loading import resolve_job
@@ -204,13 +204,13 @@ writer = create_writer(POSTS[job.machine.dialect])
 path = [rapid((0, 0, 5)), cut([(0, 0, 0.12345), (2, 1, -0.5)], 300), rapid((2, 1, 5))]
 text = writer.start(("tiny",), rpm=12000, safe_z_mm=5.0, setup=setup_of(job.machine))
 text += b"".join(piece for part in path for piece in writer.write(part)) + writer.end(safe_z_mm=5.0)
-batches = list(read_program([text], LANGUAGES["mach"]))
+batches = list(read_parts([[text]], LANGUAGES["mach"]))
 mill = Interpreter(dialect="mach")
 steps = [mill.take(line) for line in text.splitlines()]
 faults = []
 for line in ("G1X0.00001Y0F1", "G5.1Q1"):
     try:
-        list(read_program([f"{line}\\n".encode()], LANGUAGES["mach"]))
+        list(read_parts([[f"{line}\\n".encode()]], LANGUAGES["mach"]))
     except ProgramError as error:
         faults.append(str(error))
 try:

@@ -15,7 +15,7 @@ from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -33,6 +32,7 @@ from service.progress import QuietReporter, Stopwatch
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import generate_program
 
 FINISH = "passes.2."
 STILL = ("machine.step_mm=0.000001", "machine.z_noise_mm=0")

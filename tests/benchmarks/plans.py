@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.as_milled.rows import row_tracks, tip_error_mm
+from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Tracks
 from cam.contour.path import contour_path
@@ -37,6 +37,7 @@ from service.job.spec.loading import resolve_job
 from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import row_tracks
 
 NAMES = ("camera", "logo")
 MILL = ("machine.step_mm=0.002", "machine.z_noise_mm=0.0005")

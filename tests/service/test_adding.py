@@ -30,7 +30,7 @@ use_current_kernels()
 import json, sys
 import numpy as np
 from cam.posts.dialects import POSTS
-from cam.program import generate_program
+from cam.program import generate_parts
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from service.errors import SpecError
@@ -58,7 +58,7 @@ stock = cam_stock_of(job.spec)
 
 def program_of(job):
     (spec,) = cam_passes_of(job.spec)
-    return b"".join(generate_program(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"]))
+    return b"".join(next(generate_parts(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"])))
 
 print(json.dumps({
     "row": JobSpec.model_json_schema()["$defs"]["PassRow"]["properties"][KEY],

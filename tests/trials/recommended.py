@@ -20,7 +20,7 @@ from cam.checking.removal import RemovalGrid
 from cam.duration import DurationModel
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import profile_names
 from service.job import pipeline
 from service.job.files import files_of_pass, read_chunks

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cam.as_milled.heights import mill_heights
 from cam.as_milled.rows import tip_error_mm
-from cam.as_milled.surface import MilledSurface
+from cam.as_milled.surface import MilledSurface, mill_heights
 from cam.as_milled.tracks import Noise, Tracks
 from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts

@@ -7,8 +7,14 @@ from contextlib import suppress
 
 import numpy as np
 
-from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
-from cam.around.paths import make_cut_out_paths, make_facing_paths, make_witness_paths
+from cam.around.paths import (
+    ALLOWANCE_MM,
+    aperture_corners,
+    make_cut_out_paths,
+    make_facing_paths,
+    make_witness_paths,
+    offset_loop,
+)
 from cam.around.specs import CutOut
 from cam.moves import Array
 from cam.moves import Path as ToolPath

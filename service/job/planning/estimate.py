@@ -25,7 +25,7 @@ from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.posts.dialects import POSTS
-from cam.surface.rough_surface import left_by_flat
+from cam.surface.tool_surface import left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius

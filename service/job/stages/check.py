@@ -12,7 +12,7 @@ from typing import Any
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, limits_of
 from phrases.phrase import Phrase
 from service.errors import FailedError
 from service.job import files as job_files

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cam.around.check import AroundCheck
-from cam.around.outline import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
 from cam.checking.check import PassCheck, check_program
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits

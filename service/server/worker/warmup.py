@@ -106,7 +106,7 @@ def _warm_lenses(folder: Path) -> None:
 def _warm_jobs(folder: Path) -> None:
     from PIL import Image
 
-    from machines.preflight.limits import limits_of
+    from machines.preflight.preflight import limits_of
     from service.job.pipeline import design
     from service.milling.preflight_child import examine
     from service.progress import QuietReporter

@@ -14,8 +14,7 @@ import pytest
 
 from machines.errors import ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import limits_of, placement_problems
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import Preflight, limits_of, placement_problems
 from machines.profile import MachineProfile, load_profile
 from service.milling import preflight as module
 from service.milling.preflight import PreflightError, run_preflight

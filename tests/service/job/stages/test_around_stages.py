@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cam.reading.gcode import read_program
 from machines.profile import load_profile
 from service.errors import ServiceError, SpecError
 from service.job.files import is_program, page_in, program_order, programs_in_order
@@ -20,6 +19,7 @@ from service.job.report.setup_sheet import LANGUAGES
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import cut_out_of, facing_task_of, look_up, without_derived
 from service.job.stages.table import plan
+from tests.cam.programs import read_program
 from tests.service.job.report.sheet import render_report
 from tests.service.job.report.test_sheet_in_languages import said_past_the_tables
 from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec

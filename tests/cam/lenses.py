@@ -6,21 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
 from optics.heightfield import Heightfield
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def lens(z: Surface, *, width_mm: float = 8.0, height_mm: float = 6.0, per_mm: int = 10) -> Heightfield:
+def make_lens(z: Surface, *, width_mm: float = 8.0, height_mm: float = 6.0, per_mm: int = 10) -> Heightfield:
     """The function z(x, y) on a vertex grid over an aperture."""
     x = np.linspace(0, width_mm, round(width_mm * per_mm) + 1)
     y = np.linspace(0, height_mm, round(height_mm * per_mm) + 1)
     return Heightfield(x_mm=x, y_mm=y, z_mm=z(x[None, :], y[:, None]) + 0 * x[None, :] * y[:, None])
 
 
-def bumps(seed: int, *, relief_mm: float, width_mm: float = 8.0, height_mm: float = 6.0, spread_mm: float = 1.5):
+def make_bumps(seed: int, *, relief_mm: float, width_mm: float = 8.0, height_mm: float = 6.0, spread_mm: float = 1.5):
     """A smooth random lens whose highest vertex is 0.1 mm below the top of the stock."""
     rng = np.random.default_rng(seed)
 
@@ -33,10 +32,10 @@ def bumps(seed: int, *, relief_mm: float, width_mm: float = 8.0, height_mm: floa
         total -= total.min()
         return total * relief_mm / total.max() - relief_mm - 0.1
 
-    return lens(z, width_mm=width_mm, height_mm=height_mm)
+    return make_lens(z, width_mm=width_mm, height_mm=height_mm)
 
 
-def highest_ball(spline, cx: float, cy: float, radius_mm: float, samples: int = 401) -> float:
+def brute_force(spline, cx: float, cy: float, radius_mm: float, samples: int = 401) -> float:
     """Centre height of a ball lowered onto the surface, by brute force over the footprint: never too high."""
     u = np.linspace(-1, 1, samples) * radius_mm * 0.9999
     dx, dy = np.meshgrid(u, u)
@@ -82,23 +81,3 @@ class SlowMill:
         if np.array_equal(start[:2], to_mm[:2]):
             self.deepest_plunge_mm = max(self.deepest_plunge_mm, taken)
         self.top_mm[j, i] = after
-
-
-@pytest.fixture
-def make_lens():
-    return lens
-
-
-@pytest.fixture
-def make_bumps():
-    return bumps
-
-
-@pytest.fixture
-def brute_force():
-    return highest_ball
-
-
-@pytest.fixture
-def slow_mill():
-    return SlowMill

@@ -1,10 +1,52 @@
-"""A journal's syncer in simulated time."""
+"""Disks that can be full or broken, a clock that a test moves, and a journal's syncer in simulated time."""
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
+from pathlib import Path
 
-from machines.journal.disk import SYNC_EVERY_S, File, os_words
+from machines.journal.disk import SYNC_EVERY_S, File, RealDisk, RealFile, os_words
+
+ROOM = 1 << 40
+
+
+class Clock:
+    def __init__(self, now_s: float = 0.0) -> None:
+        self.now_s = now_s
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class FullDisk(RealDisk):
+    """room: bytes that can still be written; before_write: what happens while a write is waited for."""
+
+    room = ROOM
+    sync_fails = False
+    before_write: Callable[[], object] = staticmethod(lambda: None)
+
+    def create(self, path: Path) -> RealFile:
+        disk = self
+
+        class File(RealFile):
+            def write(self, data: bytes) -> None:
+                disk.before_write()
+                if disk.room < len(data):
+                    super().write(data[: disk.room])
+                    disk.room = 0
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                disk.room -= len(data)
+                super().write(data)
+
+            def sync(self) -> None:
+                if disk.sync_fails:
+                    raise OSError(errno.EIO, "Input/output error")
+                super().sync()
+
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return File(path)
 
 
 class InlineSyncer:
