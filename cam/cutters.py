@@ -1,7 +1,7 @@
 """Shapes of end mills as numbers: a flat disc with a rounded corner, between a flat end mill and a ball.
 
 The underside of such a cutter rises from its tip as a quarter of a circle of the corner's radius, beyond the flat part.
-A shape says where stock is taken off. A flat cutter only roughs the block (`cam.surface.rough_surface`): a lens is made
+A shape says where stock is taken off. A flat cutter only roughs the block (`cam.surface.tool_surface`): a lens is made
 by balls (`cam.surface.contact`).
 """
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain
 from math import inf
 
 import numpy as np
@@ -36,11 +35,9 @@ from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
-from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
-from cam.surface.rough_surface import RoughSurface, Surface, surface_under
 from cam.surface.stock_grid import StockGrid
-from cam.surface.stock_touch import StockTouch
-from cam.surface.tool_surface import ToolSurface
+from cam.surface.stock_touch import StockTouch, find_reached_share, largest_fitting_radius_mm
+from cam.surface.tool_surface import RoughSurface, Surface, ToolSurface, surface_under
 from optics.heightfield import Heightfield
 from phrases.phrase import Phrase
 
@@ -53,35 +50,6 @@ SHAPED_SLOPE_ERROR_RAD = 8e-3
 CHUNK_BYTES = 1_000_000
 LEAST_REACHED = 0.9
 """A finishing ball that touches less of the surface than this makes no lens."""
-
-
-def generate_program(
-    heightfield: Heightfield,
-    spec: PassSpec,
-    stock: Stock,
-    *,
-    stock_top: StockGrid,
-    post: Dialect,
-    safe_z_mm: float = SAFE_Z_MM,
-    slope_error_rad: float = SLOPE_ERROR_RAD,
-    on_progress: Progress | None = None,
-) -> Iterator[bytes]:
-    """Return the pass as one program: text in pieces of about a megabyte; memory does not grow with the program's
-    length.
-
-    Raises CutterTooLargeError, StockTooThinError, SafeHeightError or PassValueError before the first piece.
-    """
-    parts = generate_parts(
-        heightfield,
-        spec,
-        stock,
-        stock_top=stock_top,
-        post=post,
-        safe_z_mm=safe_z_mm,
-        slope_error_rad=slope_error_rad,
-        on_progress=on_progress,
-    )
-    return chain.from_iterable(parts)
 
 
 def generate_parts(
@@ -102,6 +70,9 @@ def generate_parts(
     on_progress: Progress | None = None,
 ) -> Iterator[Iterator[bytes]]:
     """Return the pass as one program after the other, each within the limits; read each to its end before the next.
+
+    Text comes in pieces of about a megabyte; memory does not grow with the program. Raises CutterTooLargeError,
+    StockTooThinError, SafeHeightError or PassValueError before the first piece.
 
     step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts

@@ -293,7 +293,6 @@ CUTTER_RADIUS_MM = (0.01, 50.0)
 MARGIN_MM = (0.0, 1000.0)
 BESIDE_MM = (1.0, 100.0)  # up, aside and down to where the side of a plate is touched
 OVERRIDE_PERCENT = (10, 200)  # of feed and spindle
-ZERO_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
 
 def _open_grbl(profile: MachineProfile, url: str) -> Driver:
     from machines.grbl.driver import GrblDriver
-    from machines.grbl.options import GrblOptions
+    from machines.grbl.link import GrblOptions
     from machines.port import open_port
 
     options = GrblOptions(rx_bytes=profile.link.rx_bytes, dialect=profile.dialect)

@@ -65,7 +65,7 @@ def port_names() -> tuple[str, ...]:
     return tuple(sorted(stable_name(str(port.device)) for port in list_ports.comports()))
 
 
-def open_port(url: str, link: LinkSettings) -> Port:
+def open_port(url: str, link: LinkSettings) -> SerialPort:
     """Open a link exclusively. PortError says what is wrong and what to do."""
     name = url if "://" in url else stable_name(url)
     if name.startswith(("socket://", "rfc2217://")):

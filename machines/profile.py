@@ -28,7 +28,7 @@ from machines.profile_values import (
     number,
     one_of,
     pair,
-    read_toml,
+    read_data,
     text,
     triple,
     whole,
@@ -309,6 +309,6 @@ def _require_base(name: str, extends: object, sources: Mapping[str, str], trail:
 
 def _read(file: str) -> dict[str, Any]:
     try:
-        return read_toml(Path(file))
+        return read_data(Path(file))
     except UnreadableFileError as error:
         raise ProfileError(file, error.words) from None

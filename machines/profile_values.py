@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping
@@ -32,8 +33,9 @@ class UnreadableFileError(ValueError):
         self.words = words
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a file of data. UnreadableFileError says why it cannot be read."""
+def read_data(path: Path) -> dict[str, Any]:
+    """Return the tables of a file of data, TOML or by its name JSON. UnreadableFileError says why it cannot be read."""
+    kind, parse = ("JSON", json.loads) if path.suffix.lower() == ".json" else ("TOML", tomllib.loads)
     try:
         with path.open("rb") as file:
             raw = file.read(_MOST_BYTES + 1)  # a pipe or a device does not say its size
@@ -41,18 +43,21 @@ def read_toml(path: Path) -> dict[str, Any]:
         words = Phrase("cannot be read: {reason}", reason=error.strerror)
         if path.is_dir():
             words = Phrase("is a folder")
-        elif path.is_symlink() and not path.exists():
-            words = Phrase("is a link to a file that is not there")
+        elif isinstance(error, FileNotFoundError):
+            words = Phrase("is a link to a file that is not there") if path.is_symlink() else Phrase("no such file")
         raise UnreadableFileError(words) from None
     if len(raw) > _MOST_BYTES:
         raise UnreadableFileError(Phrase("is too large; a file of data has at most {most} bytes", most=_MOST_BYTES))
     try:
-        return tomllib.loads(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
+        data = parse(raw.decode("utf-8-sig"))  # some editors begin a file with a mark
     except UnicodeDecodeError:
         raise UnreadableFileError(Phrase("is not UTF-8 text; save it as UTF-8")) from None
     except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
         cause = " ".join(str(error).split())
-        raise UnreadableFileError(Phrase("not valid TOML: {cause}", cause=cause)) from None
+        raise UnreadableFileError(Phrase("not valid {kind}: {cause}", kind=kind, cause=cause)) from None
+    if not isinstance(data, dict):
+        raise UnreadableFileError(Phrase("must hold a table of keys, not {kind}", kind=type(data).__name__))
+    return data
 
 
 class BadValueError(ValueError):
@@ -155,20 +160,23 @@ def one_of(*values: object) -> Rule:
     return Rule(take, ", ".join(f"'{v}'" if isinstance(v, str) else f"{v:g}" for v in values))
 
 
-def text(most: int) -> Rule:
-    def take(value: Any) -> str:
-        if not isinstance(value, str) or not value.isprintable() or not len(value) <= most:
-            raise ValueError
-        return value
+def text(most: int, *, least: int = 0) -> Rule:
+    """Return the rule for a text without blanks around it. least : 0 or 1"""
 
+    def take(value: Any) -> str:
+        if not isinstance(value, str) or not value.isprintable() or not least <= len(value.strip()) <= most:
+            raise ValueError
+        return value.strip()
+
+    if least:
+        return Rule(take, Phrase("text on one line, 1 to {most} characters", most=most))
     return Rule(take, Phrase("text on one line, at most {most} characters", most=most))
 
 
 def flag() -> Rule:
-    return Rule(_flag, "true, false")
+    def take(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise TypeError
+        return value
 
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
+    return Rule(take, Phrase("true or false"))

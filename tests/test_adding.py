@@ -60,7 +60,7 @@ def test_a_material_is_added_in_one_file(tmp_path: Path) -> None:
         SCHEMA
         + """
 from service.job.planning.planner import shop_of
-from service.job.report.setup_sheet import render_report
+from service.job.report.setup_sheet import describe_setup, render_page
 
 jobs = [resolve_job(overrides=["preset=draft", f"stock.material={name}"]) for name in ("pmma", "ice")]
 print(json.dumps({
@@ -68,7 +68,7 @@ print(json.dumps({
     "index": [job.spec.optics.refractive_index for job in jobs],
     "spindle_rpm": [job.spec.passes[0].spindle_rpm for job in jobs],
     "planned": shop_of(jobs[1]).material.name,
-    "sheet": render_report({}, spec=jobs[1].spec.plain()),
+    "sheet": render_page(describe_setup({}, spec=jobs[1].spec.plain())),
 }))
 """
     )
@@ -193,24 +193,24 @@ import json
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
 from cam.posts.writers import create_writer
-from cam.reading.gcode import LANGUAGES, ProgramError, read_program
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts
 from machines.gcode.interpreter import Interpreter
 from service.errors import SpecError
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolved import setup_of
+from service.job.spec.resolve import setup_of
 
 job = resolve_job(overrides=["machine.profile=shed"])
 writer = create_writer(POSTS[job.machine.dialect])
 path = [rapid((0, 0, 5)), cut([(0, 0, 0.12345), (2, 1, -0.5)], 300), rapid((2, 1, 5))]
 text = writer.start(("tiny",), rpm=12000, safe_z_mm=5.0, setup=setup_of(job.machine))
 text += b"".join(piece for part in path for piece in writer.write(part)) + writer.end(safe_z_mm=5.0)
-batches = list(read_program([text], LANGUAGES["mach"]))
+batches = list(read_parts([[text]], LANGUAGES["mach"]))
 mill = Interpreter(dialect="mach")
 steps = [mill.take(line) for line in text.splitlines()]
 faults = []
 for line in ("G1X0.00001Y0F1", "G5.1Q1"):
     try:
-        list(read_program([f"{line}\\n".encode()], LANGUAGES["mach"]))
+        list(read_parts([[f"{line}\\n".encode()]], LANGUAGES["mach"]))
     except ProgramError as error:
         faults.append(str(error))
 try:
@@ -244,7 +244,7 @@ from cam.around.paths import make_facing_paths
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import GRBL
 from cam.surface.stock_grid import StockGrid
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.resolve import cam_stock_of, facing_task_of
 
 def face(shape):

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cam.around.outline import segment_distances
+from cam.around.paths import segment_distances
 from cam.around.specs import BESIDE_MM, CutOut, Facing, WitnessCut
-from cam.checking.clamps import Clamps
-from cam.checking.findings import Finding
+from cam.checking.collision import Clamps
 from cam.checking.flat_removal import removal_of
-from cam.checking.move_rules import describe_spindle_off
+from cam.checking.move_rules import Finding, describe_spindle_off
 from cam.cutters import BALL, CUTTERS, CutterShape
 from cam.duration import DurationModel, Kinematics
 from cam.moves import Array

@@ -13,9 +13,21 @@ import math
 import numpy as np
 from numba import njit
 
-from cam.as_milled.chords import gather
-from cam.as_milled.neighbours import FACTS, WIDEST, are_crossed, set_frame, shown, turn_to_frame
-from cam.as_milled.strips import MOST_PARTS, STEEPEST, bend, facets_of_strip, strip_of_chord, strip_of_corner
+from cam.as_milled.strips import (
+    FACTS,
+    MOST_PARTS,
+    STEEPEST,
+    WIDEST,
+    are_crossed,
+    bend,
+    facets_of_strip,
+    set_frame,
+    shown,
+    strip_of_chord,
+    strip_of_corner,
+    turn_to_frame,
+)
+from cam.as_milled.tracks import gather
 from optics.heightfield import spline_jet
 
 _ROOM = 4096  # neighbours of one chord

@@ -10,7 +10,7 @@ import numpy as np
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Screws, Tracks
 from cam.moves import Array
-from cam.passes import Direction, Stock, ball_pass
+from cam.passes import Direction
 from cam.rows.raster import Rows, continuous_rows, map_in_order, turn_lens
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule
 from cam.surface.tool_surface import ToolSurface
@@ -21,28 +21,11 @@ _PLACES = (0.3, 0.7)  # of either side: the middles of samples
 _SAMPLE_MM, _SAMPLE_PITCHES = 10.0, 150.0  # side of a sample; no more than a quarter of the lens's
 
 
-def row_tracks(
-    heightfield: Heightfield,
-    *,
-    radius_mm: float,
-    pitch_mm: float,
-    direction: Direction = "x",
-    decimals: int = DECIMALS,
-    slope_error_rad: float = SLOPE_ERROR_RAD,
-) -> Tracks:
-    """Return rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
-    lens = heightfield if direction == "x" else turn_lens(heightfield)
-    stock = Stock(width_mm=lens.width_mm, height_mm=lens.height_mm, thickness_mm=1.0, margin_mm=0.0)
-    spec = ball_pass("rows", radius_mm=radius_mm, pitch_mm=pitch_mm, stock_to_leave_mm=0.0, step_down_mm=radius_mm)
-    surface, rule = ToolSurface.over(lens, radius_mm=radius_mm), _rule(lens, radius_mm, slope_error_rad)
-    return _tracks(surface, Rows.over(stock, spec), rule, direction, decimals)
-
-
-def _rule(lens: Heightfield, radius_mm: float, slope_error_rad: float) -> VertexRule:
+def make_rule(lens: Heightfield, radius_mm: float, slope_error_rad: float) -> VertexRule:
     return finish_rule(slope_error_rad, min(lens.dx_mm, radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
 
 
-def _tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direction, decimals: int) -> Tracks:
+def make_tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direction, decimals: int) -> Tracks:
     tips = np.concatenate(list(continuous_rows(surface, rows, rule)))
     tips[:, 2] = np.round(tips[:, 2], decimals)
     if direction == "y":
@@ -76,13 +59,13 @@ def sample_facets(
     """
     lens = heightfield if direction == "x" else turn_lens(heightfield)
     touched = find_touched_surface(heightfield, radius_mm, direction) if surface is None else surface
-    rule = _rule(lens, radius_mm, slope_error_rad)
+    rule = make_rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
 
     def sample(numbered: tuple[int, Rows]) -> Array:
         number, rows = numbered
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
-        tracks = _tracks(touched, rows, rule, direction, decimals)
+        tracks = make_tracks(touched, rows, rule, direction, decimals)
         tracks = tracks if screws is None else tracks.divide(screws.longest_mm)
         tracks = tracks.made_by(step_mm=step_mm, noise=noise, screws=screws)
         milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, step_mm=step_mm)

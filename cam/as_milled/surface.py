@@ -1,18 +1,24 @@
-"""The milled surface as a whole: parts that can be made one by one, in any order, by any thread."""
+"""The milled surface as a whole: parts that can be made one by one, in any order, by any thread.
+
+Where facets are too many and a map is wanted, its heights are found on a grid.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.as_milled.chords import Chords, sort_chords
 from cam.as_milled.facets import facets_of
 from cam.as_milled.stepping import Spread, measure_spread
-from cam.as_milled.tracks import Tracks
+from cam.as_milled.tracks import Chords, Tracks, sort_chords
+from cam.checking.removal import RemovalGrid
 from cam.moves import Array
+from cam.reading.gcode import MoveBatch
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 
 CHORDS_PER_PART = 20_000
@@ -83,3 +89,48 @@ class MilledSurface:
         last = min(first + CHORDS_PER_PART, self.chords.joined.size)
         lengths_mm = self.reach_mm, _LONGEST_MM, self.crossed_mm
         return np.asarray(facets_of(self.chords, first, last, self.lens, *lengths_mm, self.steps_within))
+
+
+_SHARES = 2
+_AT_ONCE = 20_000  # moves between two looks at how high the stock still is
+
+
+def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
+    """Return what the balls of these tracks leave of the stock, exact at the centres of its cells.
+
+    before : best little above the surface: then the balls have little to go over
+    """
+    stock = before
+    with ThreadPoolExecutor(max_workers=_SHARES) as pool:
+        for one in tracks:
+            for chain in _chains(one):
+                grid = RemovalGrid(stock, radius_mm=one.radius_mm, shares=_SHARES)
+                for first in range(0, len(chain) - 1, _AT_ONCE):
+                    batch = _batch(chain[first : first + _AT_ONCE + 1])
+                    grid.refresh()
+                    list(pool.map(grid.sweep, [batch] * _SHARES, range(_SHARES)))
+                    grid.finish_batch(batch)
+                grid.cut_at_rest()
+                stock = replace(before, top_mm=grid.top_mm)
+    return stock
+
+
+def _chains(tracks: Tracks) -> list[Array]:
+    """Return the tips of each unbroken way."""
+    begins = np.flatnonzero(~tracks.joined)
+    return [chain for chain in np.split(tracks.tips_mm, begins[begins > 0]) if len(chain) > 1]
+
+
+def _batch(tips_mm: Array) -> MoveBatch:
+    count = len(tips_mm) - 1
+    return MoveBatch(
+        points_mm=np.ascontiguousarray(tips_mm),
+        is_rapid=np.zeros(count, dtype=np.bool_),
+        feed_mm_per_min=np.ones(count),
+        line=np.arange(1, count + 1, dtype=np.int64),
+        spindle_on=np.ones(count, dtype=np.bool_),
+        pause_s=np.full(count, -1.0),
+        lines_read=0,
+        bytes_read=0,
+        ended=False,
+    )

@@ -3,7 +3,7 @@
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
 fine windows, contact with the exact surface move by move (`clearance`), track spacing (`path_quality`),
 time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
-stated, what stands beside them (`collision`), and the clamps (`clamps`).
+stated, what stands beside them, and the clamps (`collision`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
 the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
@@ -17,15 +17,13 @@ from itertools import chain
 
 import numpy as np
 
-from cam.checking.clamps import Clamps
 from cam.checking.clearance import Overlaps, witness_of
-from cam.checking.collision import Collisions, shank_of
+from cam.checking.collision import Clamps, Collisions, shank_of
 from cam.checking.engagement import Engagement
 from cam.checking.flat_removal import removal_of
 from cam.checking.move_rules import MoveRules
 from cam.checking.path_quality import Coverage, PathMeasures, PathQuality
-from cam.checking.removal import Drops, deepest
-from cam.checking.windows import Window, place_windows
+from cam.checking.removal import Drops, Window, deepest, place_windows
 from cam.duration import DurationModel, Kinematics
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts

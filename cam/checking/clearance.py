@@ -15,7 +15,7 @@ from numba import njit
 
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
-from cam.surface.cutter import rise_mm
+from cam.surface.stock_touch import rise_mm
 from optics.heightfield import Array, Heightfield, spline_jet
 
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end

@@ -1,22 +1,28 @@
-"""What stands above the cutting edges: does the shank, or the end of the flutes, meet stock that is left?
+"""What must not be met: stock by the shank or the end of the flutes, and clamps by any part of the cutter.
 
 The cutter is a ball, flutes as wide as the ball up to flute_length_mm above the tip, and a shank of shank_radius_mm
 above them. At no move may stock within the wider of the two stand higher than the flutes reach: within the ball's
 radius it would be cut by what has no edge, beyond it the shank strikes it. The stock is that of the moment, as the
 simulation has it (cam.checking.sweep); only what is stated of a cutter can be checked.
+
+For clamps the cutter counts as a cylinder from its tip up, as wide as its edges or its shank, whichever is wider.
+Nothing of the stock is needed: a move is near a clamp where the part of it below the clamp's top comes near the box,
+seen from above.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from cam.checking.findings import Finding
+from cam.checking.move_rules import Finding
 from cam.checking.removal import Drops, RemovalGrid
 from cam.checking.sweep import STRIKE, STRIKE_CELL
-from cam.passes import PassSpec
+from cam.passes import Clamp, PassSpec
 from cam.reading.gcode import MoveBatch
-from cam.surface.rough_surface import find_highest, surface_under
-from optics.heightfield import Heightfield
+from cam.surface.tool_surface import find_highest, surface_under
+from optics.heightfield import Array, Heightfield
 from phrases.phrase import Phrase
 
 RUB_MM = 0.01
@@ -80,3 +86,93 @@ def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
         return at_most_mm
     surface = surface_under(heightfield, spec)
     return float((highest_mm - surface.tip_rows_mm(x_mm, y_mm)).max()) - flutes_mm
+
+
+CLEARANCE_MM = 1.0
+"""Of air beside and above a clamp: it is set by hand, and its screw stands out."""
+
+
+class Clamps:
+    """Gathers the moves of one program that come near one of the clamps."""
+
+    def __init__(self, clamps: tuple[Clamp, ...], *, radius_mm: float, shank_radius_mm: float | None = None) -> None:
+        self._clamps, self._keep_mm = clamps, max(radius_mm, shank_radius_mm or 0.0) + CLEARANCE_MM
+        self._near = [Finding(says=partial(self._say, number)) for number in range(len(clamps))]
+
+    def _say(self, number: int, into_mm: float) -> Phrase:
+        return Phrase(
+            "comes {into_mm:.3f} mm too near the clamp stock.clamps.{number} (allowed: {keep_mm:g} mm from the "
+            "cutter's axis, or {above_mm:g} mm above it): move the clamp or widen stock.margin_mm",
+            into_mm=into_mm,
+            number=number,
+            keep_mm=self._keep_mm,
+            above_mm=CLEARANCE_MM,
+        )
+
+    def add(self, batch: MoveBatch) -> None:
+        for clamp, finding in zip(self._clamps, self._near, strict=True):
+            into_mm = self._keep_mm - distances_below_mm(batch.start_mm, batch.end_mm, clamp, self._keep_mm)
+            finding.note_moves(into_mm > 0, into_mm, batch.line, batch.end_mm)
+
+    @property
+    def faults(self) -> list[Phrase]:
+        return [sentence for finding in self._near for sentence in finding.sentences]
+
+
+def corners_mm(clamp: Clamp) -> tuple[Array, Array]:
+    """Return the box's lower left and upper right corners, each (2,)."""
+    low = np.array([clamp.x_mm, clamp.y_mm])
+    return low, low + np.array([clamp.width_mm, clamp.depth_mm])
+
+
+def distances_below_mm(start_mm: Array, end_mm: Array, clamp: Clamp, most_mm: float) -> Array:
+    """Return how near each straight move (n, 3) comes to the box, seen from above, where the tip is lower than its top
+    and the clearance; inf for moves that stay higher, or farther away than most_mm.
+    """
+    low, high = corners_mm(clamp)
+    top_mm = clamp.height_mm + CLEARANCE_MM
+    found = np.full(len(start_mm), np.inf)
+    least, greatest = np.minimum(start_mm, end_mm), np.maximum(start_mm, end_mm)
+    near = ((least[:, :2] <= high + most_mm) & (greatest[:, :2] >= low - most_mm)).all(axis=1)
+    moves = np.flatnonzero(near & (least[:, 2] < top_mm))
+    if moves.size:
+        found[moves] = _distances_mm(*_parts_below(start_mm[moves], end_mm[moves], top_mm), low, high)
+    return found
+
+
+def _parts_below(start: Array, end: Array, top_mm: float) -> tuple[Array, Array]:
+    """Return the ends (n, 2), seen from above, of the part of each move that lies below top_mm; there is one."""
+    rise = end[:, 2] - start[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = np.clip((top_mm - start[:, 2]) / rise, 0.0, 1.0)
+    first = np.where(start[:, 2] > top_mm, crossing, 0.0)[:, None]
+    last = np.where(end[:, 2] > top_mm, crossing, 1.0)[:, None]
+    way = (end - start)[:, :2]
+    return start[:, :2] + first * way, start[:, :2] + last * way
+
+
+def _distances_mm(start: Array, end: Array, low: Array, high: Array) -> Array:
+    """Return the distance of each stretch (n, 2) from the rectangle; 0 where they meet.
+
+    Apart, they are nearest at an end of the stretch or at a corner of the rectangle.
+    """
+    corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    ends = [np.linalg.norm(np.maximum(np.maximum(low - p, p - high), 0.0), axis=1) for p in (start, end)]
+    way = end - start
+    length2 = np.maximum((way**2).sum(axis=1), np.finfo(float).tiny)
+    away = []
+    for corner in corners:
+        along = np.clip(((corner - start) * way).sum(axis=1) / length2, 0.0, 1.0)
+        away.append(np.linalg.norm(start + along[:, None] * way - corner, axis=1))
+    return np.where(_meet(start, way, low, high), 0.0, np.minimum.reduce(ends + away))
+
+
+def _meet(start: Array, way: Array, low: Array, high: Array) -> np.ndarray:
+    """Whether a stretch passes through the rectangle: it is between both pairs of sides at once."""
+    still = way == 0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        one, other = (low - start) / way, (high - start) / way
+    inside = (start >= low) & (start <= high)
+    enters = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
+    leaves = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
+    return (enters <= leaves) & (leaves >= 0.0) & (enters <= 1.0)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from cam.checking.findings import Finding
+from cam.checking.move_rules import Finding
 from cam.checking.removal import Drops
 from cam.checking.sweep import LEFT, REACH, RIGHT
 from cam.passes import PassSpec

@@ -18,14 +18,13 @@ probability exp(-A / cell area).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from cam.checking.clearance import Overlaps, SurfaceWitness
+from cam.checking.clearance import Overlaps
 from cam.checking.track_gaps import Gap, Progress, TipRegion, TrackGaps
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
@@ -49,7 +48,7 @@ _CLOSE_MM = 1e-3  # of the contact: the gradient there changes by that times the
 class PathMeasures:
     """A path on the surface of a lens.
 
-    entries        : times it comes onto the surface after a rapid; lifts: how often it came back
+    entries        : times it comes onto the surface after a rapid
     rapids_inside  : rapids that go across or down below the top of the block
     length_ratio   : length x pitch / area of the aperture
     aligned_share  : of the length on slopes above 1 %, what runs within 15 degrees of the contour line
@@ -57,7 +56,6 @@ class PathMeasures:
     """
 
     entries: int
-    lifts: int
     rapids_inside: int
     length_mm: float
     length_ratio: float
@@ -112,7 +110,6 @@ class PathQuality:
         length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
         return PathMeasures(
             entries=self.entries,
-            lifts=max(0, self.entries - 1),
             rapids_inside=self.rapids_inside,
             length_mm=length,
             length_ratio=length * self._pitch_mm / (self._size_mm[0] * self._size_mm[1]),
@@ -154,15 +151,6 @@ class PathQuality:
         add_turns(points, on, self._judged, last, self._pitch_mm, self._sums)
         keep = max(0, last - _CONTEXT)
         self._tail_points, self._tail_on, self._judged = points[keep:].copy(), on[keep:].copy(), last - keep
-
-
-def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec: PassSpec) -> PathMeasures:
-    """Return the measures of a whole program, from `cam.reading.gcode.read_program`."""
-    quality = PathQuality(heightfield, spec)
-    witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
-    for batch in batches:
-        quality.add(batch, witness.overlaps(batch))
-    return quality.measure()
 
 
 @njit(cache=True, nogil=True)

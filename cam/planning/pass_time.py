@@ -19,8 +19,7 @@ from cam.passes import Direction, PassSpec, Strategy
 from cam.planning.row_slopes import tooth_slopes_rad
 from cam.rows.entries import RAMP_SLOPE
 from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
-from cam.surface.cutter import concave_curvature
-from cam.surface.stock_touch import dilate
+from cam.surface.stock_touch import concave_curvature, dilate
 from optics.heightfield import Array, Heightfield
 
 _SAMPLES = 160  # along a side of the lens

@@ -152,18 +152,6 @@ class NoPlanError(ValueError):
         self.left_out = left_out
 
 
-def make_plan(
-    shop: Shop, lenses: Mapping[float, LensForm], light: Light, goal: Goal, *, fillings: Mapping[float, Filled]
-) -> Plan:
-    """Choose among all candidates.
-
-    lenses   : by radius of the finishing ball; a tool without one is not considered
-    fillings : by radius, of balls that leave valleys filled; a smaller one may take out what they leave
-    """
-    candidates, left_out = find_candidates(shop, lenses, light, fillings=fillings)
-    return plan_among(candidates, left_out, light, goal, shop=shop, lenses=lambda: lenses)
-
-
 def find_candidates(
     shop: Shop,
     lenses: Mapping[float, LensForm],

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cam.reading import gcode_parse, rml_parse
-from cam.reading.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
-from cam.reading.gcode_languages import GRBL, LANGUAGES, Language
+from cam.reading.gcode_languages import ALLOWED, GRBL, LANGUAGES, LONG, REFUSALS, Language, ProgramError
 from optics.heightfield import Array
 
 __all__ = [
@@ -26,7 +25,6 @@ __all__ = [
     "MoveBatch",
     "ProgramError",
     "read_parts",
-    "read_program",
 ]
 
 LINE_LIMIT = 79  # bytes before the line end that GRBL 1.1 holds; more than any control needs
@@ -70,11 +68,6 @@ class MoveBatch:
     @property
     def end_mm(self) -> Array:
         return self.points_mm[1:]
-
-
-def read_program(chunks: Iterable[bytes], language: Language = GRBL) -> Iterator[MoveBatch]:
-    """Yield moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
-    yield from read_parts([chunks], language)
 
 
 def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> Iterator[MoveBatch]:

@@ -1,5 +1,5 @@
 """What each control reads, as its manual has it: known here apart from what our posts write, so that neither trusts the
-other.
+other; and why a line of a program is refused, in one sentence each.
 """
 
 from __future__ import annotations
@@ -8,6 +8,110 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
+from cam.errors import CamError
+from phrases.phrase import Phrase
+
+ALLOWED = (
+    "G0 G1 G4 G17 G20 G21 G40 G49 G53 to G59 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
+    "comments in ( ) and after ;"
+)
+ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
+
+(
+    LONG,
+    NO_LETTER,
+    NO_NUMBER,
+    WRONG_WORD,
+    REPEATED,
+    OPEN_COMMENT,
+    NO_FEED,
+    BAD_FEED,
+    NO_MOTION,
+    BLIND,
+    BAD_DWELL,
+    NO_SPEED,
+    AFTER_END,
+    PERCENT,
+    ARC,
+    DWELL_MOVES,
+    GROUP_TWICE,
+    USELESS_P,
+    PERCENT_PLACE,
+    BAD_NAME,
+    NEEDS_POINT,
+    DECIMALS_LEFT_OUT,
+    TWO_DIGITS_ONLY,
+    USELESS_WORD,
+    NO_COMMAND,
+    BAD_NUMBERS,
+    NO_SEMICOLON,
+    RELATIVE,
+    NO_VELOCITY,
+    ALONE,
+    BAD_OFFSET,
+    OFFSET_CHANGES,
+    RAISED_WRONG,
+) = range(1, 34)
+
+REFUSALS = {
+    LONG: Phrase("a line may have at most 79 characters"),
+    NO_LETTER: Phrase("a word starts with a letter; allowed: {words}", words=ALLOWED),
+    NO_NUMBER: Phrase("a letter must be followed by a plain decimal number of at most 17 digits"),
+    WRONG_WORD: Phrase("a word that is not allowed here; allowed: {words}", words=ALLOWED),
+    REPEATED: Phrase("the same word is on the line twice"),
+    OPEN_COMMENT: Phrase("a comment that opens with ( must close with ) on the same line"),
+    NO_FEED: Phrase("G1 needs a feed: give F above 0 mm/min on this line or before"),
+    BAD_FEED: Phrase("a feed must be above 0 mm/min"),
+    NO_MOTION: Phrase("coordinates need G0 or G1 on this line or before"),
+    BLIND: Phrase(
+        "the position is not known yet: first G0 Z to the safe height, or G53 G0 Z, then G0 X Y, absolute (G90)"
+    ),
+    BAD_DWELL: Phrase("G4 needs P (seconds), 0 or more (on some controls X or F instead)"),
+    NO_SPEED: Phrase("M3 needs a speed: give S above 0 rpm on this line or before"),
+    AFTER_END: Phrase("nothing may follow M2 or M30"),
+    PERCENT: Phrase("no % marks in this dialect (GRBL answers error:1); delete the line"),
+    ARC: Phrase("arcs (G2, G3) are not read; write them as short G1 lines"),
+    DWELL_MOVES: Phrase("G4 must stand alone, without a motion"),
+    GROUP_TWICE: Phrase("two words of one modal group on the line (such as G0 and G1)"),
+    USELESS_P: Phrase("P belongs to G4"),
+    PERCENT_PLACE: Phrase("% must stand alone, on the first line of the program and after its end"),
+    BAD_NAME: Phrase(
+        "a program's name must be O and 1 to 16 letters or digits, alone on its line before the first move"
+    ),
+    NEEDS_POINT: Phrase(
+        "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)"
+    ),
+    DECIMALS_LEFT_OUT: Phrase("more decimals than this control takes"),
+    TWO_DIGITS_ONLY: Phrase("this control takes G and M words with two digits only (G01, not G1)"),
+    USELESS_WORD: Phrase("H belongs to G15 and G16, Q to G64 or G5.1"),
+    RAISED_WRONG: Phrase(
+        "machine coordinates are allowed only for G0 Z, absolute (G90), to raise the head before it moves across"
+    ),
+    ALONE: Phrase("G5.1 must stand alone with Q, G8 with P: 1 for on, 0 for off"),
+    BAD_OFFSET: Phrase("G15 needs H, the work offset, 1 to 6"),
+    OFFSET_CHANGES: Phrase("a program must use one work offset and name it before its first move"),
+    NO_COMMAND: Phrase("not a command that is read here; allowed: {words}", words=ALLOWED_RML),
+    BAD_NUMBERS: Phrase("the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)"),
+    NO_SEMICOLON: Phrase("each command ends with ; on its own line"),
+    RELATIVE: Phrase(
+        "after ^PR and until ^PA only Z0,0,n, straight up, is allowed; a move across only after Z0,0,10500, at "
+        "that height"
+    ),
+    NO_VELOCITY: Phrase("a move needs a speed: V, from 0.1 to 50 mm/s"),
+}
+
+
+class ProgramError(CamError):
+    """A line that may not run. Attributes: line (from 1), text, reason."""
+
+    def __init__(self, line: int, text: bytes, reason: Phrase) -> None:
+        shown = text.strip(b"\r\n").decode("ascii", "backslashreplace")
+        self.line = line
+        self.text = shown if len(shown) <= 100 else shown[:97] + "..."
+        self.reason = reason
+        super().__init__(Phrase('line {line}, "{text}": {reason}', line=line, text=self.text, reason=reason))
+
 
 DWELL_P, DWELL_X, DWELL_F = range(3)
 TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, COOLANT, PRECISE, RULES = range(11)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cam.reading.gcode_errors import (
+from cam.reading.gcode_languages import (
     AFTER_END,
     ALONE,
     ARC,
@@ -13,10 +13,17 @@ from cam.reading.gcode_errors import (
     BAD_FEED,
     BAD_NAME,
     BAD_OFFSET,
+    BLENDS,
     BLIND,
+    COOLANT,
+    DECIMALS,
     DECIMALS_LEFT_OUT,
+    DWELL,
+    DWELL_F,
     DWELL_MOVES,
+    DWELL_X,
     GROUP_TWICE,
+    LETTERS,
     LONG,
     NEEDS_POINT,
     NO_FEED,
@@ -25,29 +32,20 @@ from cam.reading.gcode_errors import (
     NO_NUMBER,
     NO_SPEED,
     OFFSET_CHANGES,
+    OFFSETS_BY_H,
     OPEN_COMMENT,
     PERCENT,
     PERCENT_PLACE,
+    POINTED,
+    PRECISE,
     RAISED_WRONG,
     REPEATED,
+    TAPE,
+    TWO_DIGITS,
     TWO_DIGITS_ONLY,
     USELESS_P,
     USELESS_WORD,
     WRONG_WORD,
-)
-from cam.reading.gcode_languages import (
-    BLENDS,
-    COOLANT,
-    DECIMALS,
-    DWELL,
-    DWELL_F,
-    DWELL_X,
-    LETTERS,
-    OFFSETS_BY_H,
-    POINTED,
-    PRECISE,
-    TAPE,
-    TWO_DIGITS,
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:

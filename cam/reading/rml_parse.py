@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cam.reading.gcode_errors import (
+from cam.reading.gcode_languages import (
     AFTER_END,
     BAD_NUMBERS,
     BLIND,

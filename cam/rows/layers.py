@@ -25,8 +25,8 @@ from cam.rows.entries import Pocket, enter, leave
 from cam.rows.loads import Runs, choose_feeds, choose_link_feeds, measure_cuts
 from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
 from cam.rows.vertices import rough_sag_mm, thin_pieces, thin_points
-from cam.surface.rough_surface import Surface
 from cam.surface.stock_touch import StockTouch
+from cam.surface.tool_surface import Surface
 from phrases.phrase import Phrase
 
 SKIM_MM = 0.05

@@ -27,7 +27,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
-from cam.surface.cutter import slot_section_mm2
+from cam.surface.stock_touch import slot_section_mm2
 
 LOAD_SHARE = 0.42
 """Stock a minute, as a share of what a slot one step-down deep gives at the whole feed. At half the feed (SLOT_FEED) it

@@ -21,9 +21,8 @@ from cam.moves import Array, Path
 from cam.passes import PassSpec, Stock
 from cam.rows.vertices import TICKS_PER_MM, VertexRule, march_row, most_vertices, thin_points
 from cam.surface.contact import touch
-from cam.surface.rough_surface import RoughSurface
 from cam.surface.stock_grid import StockGrid
-from cam.surface.tool_surface import ToolSurface
+from cam.surface.tool_surface import RoughSurface, ToolSurface
 from optics.heightfield import Heightfield
 
 THREADS = 2

@@ -5,12 +5,11 @@ the kernel stops at DC3 what is still in its queue, but not what is in the adapt
 stop. An old control has room for few bytes after its DC3. So the port runs without handshake and this driver keeps so
 little under way that in every case at most 16 bytes arrive after DC3:
 
-    queued (8) + what a pace of at most 6 bytes per `latency_s` lets out before DC3 is seen + the byte on the wire
+    queued (8) + what a pace of at most 6 bytes per 4 ms lets out before DC3 is seen + the byte on the wire
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from machines.drip.feed import Pace
@@ -37,6 +36,7 @@ DC1, DC3 = 0x11, 0x13
 BYTES_AFTER_STOP = 16
 _QUEUED = 8
 _BEFORE_SEEN = 6
+_SEEN_AFTER_S = 0.004  # longest time until a byte from the control is seen here (USB adapter, scheduler)
 _UNDER_WIRE_RATE = 0.98  # clocks of two UARTs may differ by 2 %: the queue must not grow over hours
 _QUIET_AFTER_S = 60.0
 _TAPE_MARK = b"%"
@@ -49,17 +49,6 @@ FACTS = DriverFacts(
     position="none",
     tried_on="only a simulated control (in memory and on a pty); never a real Okuma or other DNC control",
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DripOptions:
-    """leader_nulls, trailer_nulls : blank tape before and after the program, for controls that want it
-    latency_s : longest time a byte from the control takes to be seen here (USB adapter, scheduler); the pace follows
-    """
-
-    leader_nulls: int = 0
-    trailer_nulls: int = 0
-    latency_s: float = 0.004
 
 
 def refuse_text(text: bytes) -> Phrase | None:
@@ -77,16 +66,9 @@ def refuse_text(text: bytes) -> Phrase | None:
 class DripDriver(OneWayDriver):
     """machines.driver.Driver over DC1/DC3; `port` must be open without any handshake of its own."""
 
-    def __init__(self, port: Port, link: LinkSettings, *, options: DripOptions | None = None, planner_blocks: int = 0):
-        self._options = options or DripOptions()
-        rate = min(_UNDER_WIRE_RATE * link.wire_bytes_per_s, _BEFORE_SEEN / self._options.latency_s)
-        super().__init__(
-            port,
-            facts=FACTS,
-            pace=Pace(rate, _QUEUED),
-            buffer_bytes=link.rx_bytes,
-            planner_blocks=planner_blocks,
-        )
+    def __init__(self, port: Port, link: LinkSettings, *, planner_blocks: int = 0):
+        pace = Pace(min(_UNDER_WIRE_RATE * link.wire_bytes_per_s, _BEFORE_SEEN / _SEEN_AFTER_S), _QUEUED)
+        super().__init__(port, facts=FACTS, pace=pace, buffer_bytes=link.rx_bytes, planner_blocks=planner_blocks)
         self._open = False  # the last word of the control was DC1
         self._ever_open = False
         self._since_s = 0.0
@@ -121,7 +103,7 @@ class DripDriver(OneWayDriver):
     def _make_envelope(self) -> tuple[bytes, bytes]:
         self._ever_open, self._said_quiet, self._tape_ended = self._open, False, False
         self._since_s = self._port.clock()
-        return bytes(self._options.leader_nulls) + b"%\r\n", b"%" + bytes(self._options.trailer_nulls)
+        return b"%\r\n", _TAPE_MARK
 
     def _encode(self, line: ProgramLine) -> bytes:
         reason = refuse_text(line.text)
@@ -166,8 +148,6 @@ class DripDriver(OneWayDriver):
 
     def _stop(self, now_s: float) -> None:
         self._open, self._since_s = False, now_s
-        if self._feed is not None and self._feed.beyond_lines:
-            self._feed.drop_rest()  # it has its '%' and will not ask for the blank tape behind it
 
     def _tick(self, now_s: float) -> None:
         waiting = self._feed is not None and not self._feed.finished and not self._held and not self._open

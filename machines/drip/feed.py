@@ -49,15 +49,6 @@ class ByteFeed:
         """Every byte has been handed over."""
         return self._ended and not self._pending
 
-    @property
-    def beyond_lines(self) -> int:
-        """Bytes handed over of the tail."""
-        return max(0, self.handed_bytes - self._total) if self._ended else 0
-
-    def drop_rest(self) -> None:
-        """Hand over nothing more: the far end has stopped listening."""
-        self._ended, self._pending = True, b""
-
     def take(self, most: int) -> bytes:
         """Return the next bytes, at most `most`; b"" at the end. Reads one block ahead, so that `finished` is known."""
         while len(self._pending) <= most and not self._ended:

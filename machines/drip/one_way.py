@@ -73,9 +73,6 @@ class OneWayDriver:
     def _tick(self, now_s: float) -> None:
         """Do what is due on every turn of a poll."""
 
-    def _abort_bytes(self) -> bytes:
-        return b""
-
     def _describe_running(self) -> Phrase:
         return Phrase("sending; this link does not show what the machine does with the bytes")
 
@@ -190,12 +187,6 @@ class OneWayDriver:
     def abort(self) -> None:
         if self.status.state is MillState.DISCONNECTED:
             raise NotAllowedError(Phrase("the link is lost: stop the machine at its own panel"))
-        try:
-            if data := self._abort_bytes():
-                self._port.write(data)
-        except PortError as error:
-            self._lose(error.words)
-            return
         self._end_stream()
         words = Phrase(
             "sending has ended; the machine may still execute {held}: reset it at its own panel",

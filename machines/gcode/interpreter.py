@@ -12,8 +12,7 @@ import re
 from machines.errors import MachineError, ProgramRefusedError
 from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
-from machines.gcode.modal import ModalState, Position, state_of, vector_of
-from machines.gcode.step import Arc, Step
+from machines.gcode.modal import Arc, ModalState, Position, Step, state_of, vector_of
 from machines.gcode.text import BadTextError, shown, split_words, strip_block
 from phrases.phrase import Phrase
 

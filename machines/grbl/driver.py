@@ -18,9 +18,10 @@ from machines.driver import (
 )
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.commands import JOG_CANCEL
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.settings import ControllerSettings
+from machines.grbl.states import Phase
 from machines.port import Port
 
 FEED_HOLD = b"!"
@@ -33,6 +34,7 @@ class GrblDriver:
         self._port = port
         self._session = GrblSession(options, wire_bytes_per_s=port.wire_bytes_per_s)
         self.failure: MachineError | None = None  # why the link is given up
+        self._urged = False  # a '!' has left that the session does not know of
 
     @property
     def facts(self) -> DriverFacts:
@@ -106,9 +108,12 @@ class GrblDriver:
 
         An abort of a mill that stands idle needs none: '!' would leave it in Hold.
         """
+        if stop == "jog-cancel":
+            return self._port.write_realtime(JOG_CANCEL)
         if stop == "abort" and self._session.stops.is_quiet:
             return True
-        return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
+        self._urged = True  # before the byte is there: the owner's own call may come at once
+        return self._port.write_realtime(FEED_HOLD)
 
     def start(self, lines: Iterator[ProgramLine], require: Require = allow_always) -> None:
         """Stream these blocks. Read the first of them from the disk before the last check of the order."""
@@ -124,6 +129,7 @@ class GrblDriver:
         self._send_order(first, require)
 
     def hold(self) -> None:
+        self._urged = self._urged and self._session.link.phase is Phase.CLEARING  # the session knows of it otherwise
         self._session.hold(self._port.clock())
         self._write_urgent()
 
@@ -133,7 +139,8 @@ class GrblDriver:
         self._send_order(self._session.output(self._port.clock()), require)
 
     def abort(self) -> None:
-        self._session.abort(self._port.clock())
+        hold_sent, self._urged = self._urged, False
+        self._session.abort(self._port.clock(), hold_sent=hold_sent)
         self._write_urgent()
 
     def _write_urgent(self) -> None:

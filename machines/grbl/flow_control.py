@@ -13,7 +13,7 @@ from collections import deque
 from math import inf
 from typing import Generic, TypeVar
 
-from machines.grbl.options import DEFAULT_RX_BYTES
+from machines.grbl.link import DEFAULT_RX_BYTES
 
 Item = TypeVar("Item")
 

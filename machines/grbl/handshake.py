@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 from machines.driver import FaultCause, Faulted, Notice
 from machines.grbl import replies
-from machines.grbl.codes import POSITION_LOST_ALARMS
 from machines.grbl.commands import CommandChannel
 from machines.grbl.link import GrblLink
-from machines.grbl.resetting import ResetControl
+from machines.grbl.replies import POSITION_LOST_ALARMS
 from machines.grbl.sequences import identify
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, stands
-from machines.grbl.stopping import StopControl
+from machines.grbl.stopping import ResetControl, StopControl
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import HANDSHAKE_SILENCE_S
 from phrases.phrase import NO_WORDS, Phrase
@@ -63,7 +62,8 @@ class Handshake:
         self._banner, link.controller = banner, banner.partition("[")[0].strip()
         link.urgent.clear()
         link.text.clear()
-        link.hold_wanted = link.paused = self.stops.abort_wanted = False
+        link.hold_wanted = link.paused = False
+        self.stops.abort_wanted = self.stops.abort_wanted and reset is not None
         streamer.echoes = streamer.late_answers = False
         commands.banner_due_s, commands.held_line = 0.0, ""
         commands.override.end(Phrase("the controller restarted"))
@@ -95,6 +95,8 @@ class Handshake:
         link.view.take(report)
         link.greeting.recognised = True
         link.report_restart()
+        if link.greeting.banner and report.state in ("Idle", "Alarm") and not link.hold_under_way:
+            self.stops.abort_wanted = False  # the reset that it was asked for in has done it
         if self.stops.abort_wanted:
             self.stops.abort(now_s)
         elif link.hold_wanted and not stands(report):

@@ -1,16 +1,37 @@
-"""The link to one controller: its phase, who answers, what is known of the mill, what waits to be written."""
+"""The link to a controller: options, phase, who answers, what is known of the mill, what waits to be written."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from machines.driver import Event, FaultCause, Faulted, Restarted, Stopped
-from machines.grbl.options import GrblOptions
 from machines.grbl.replies import Empty, Reply, name_foreign, show
 from machines.grbl.states import Phase, may_move
 from machines.grbl.timeouts import SilenceClock
 from machines.grbl.view import MachineView
 from phrases.phrase import NO_WORDS, Phrase
+
+DEFAULT_RX_BYTES = 128  # GRBL 1.1 on an Uno, the smallest in the field; FluidNC's $I does not say
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrblOptions:
+    """How a link to a GRBL controller is used.
+
+    poll_s, run_poll_s : between status requests, and while a program runs
+    rx_bytes           : receive buffer; None asks $I, and takes DEFAULT_RX_BYTES where that does not say
+    corridor_mm        : how far a reported position may be off the programmed path, on top of rounding, steps and arc
+                         chords ($12)
+    identify_s         : until a port on which nothing like a controller answers is given up
+    """
+
+    poll_s: float = 0.2
+    run_poll_s: float = 0.1
+    rx_bytes: int | None = None
+    corridor_mm: float = 0.010
+    identify_s: float = 6.0
+    dialect: str = "grbl"
+
 
 TOOL_DONE = b"\xa3"
 STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
@@ -95,6 +116,7 @@ class GrblLink:
     urgent, text : to be written: realtime bytes, and lines of a command
     restart      : a banner that waits for its first report, and whether it ends a stop
     hold_wanted  : a hold was asked for, and nothing since that ends it
+    hold_reports : reports since the last hold; up to 0 they may have been made before it arrived
     paused       : no new line of a program: held, door, or asked for
     offers_reset : nothing answers: it may be a controller after a limit alarm, and a person may send it a reset
     """
@@ -112,6 +134,7 @@ class GrblLink:
     events: list[Event] = field(default_factory=list)
     restart: tuple[str, bool] | None = None
     hold_wanted: bool = False
+    hold_reports: int = 0
     paused: bool = False
     offers_reset: bool = False
     poll_at_s: float = 0.0
@@ -121,6 +144,11 @@ class GrblLink:
     def reports_under_way(self) -> int:
         """Return how many reports may still come that were made before a byte written now arrives."""
         return self.silence.unanswered + int(self.silence.round_trip_s / min(self.options.run_poll_s, QUICK_S))
+
+    @property
+    def hold_under_way(self) -> bool:
+        """Return whether a hold was asked for of which no report says yet what became of it."""
+        return self.hold_wanted and self.hold_reports <= 0
 
     def enter(self, phase: Phase, now_s: float) -> None:
         """Begin a phase; its first '?' and its first look at the clock are due at once."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from machines.codes import MillCode
 from machines.driver import (
     CheckMode,
     Command,
@@ -21,9 +20,9 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.errors import NotAllowedError, WrongStateError
-from machines.grbl.overrides import find_refusal
-from machines.grbl.probing import find_reached_mm
+from machines.errors import MillCode, NotAllowedError, WrongStateError
+from machines.grbl.commands import find_refusal
+from machines.grbl.sequences import find_reached_mm
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.grbl.streaming import PLAIN

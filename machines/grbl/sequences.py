@@ -2,10 +2,15 @@
 
 One line at a time, the next only after the answer: settings and offsets are written to EEPROM, and while that is
 written the controller hears nothing, so such lines must never be part of a counted stream.
+
+Plates are touched from above alone, or on the block's corner from above, from the left and from the front. Every move
+has an end of its own. The zeros of a corner are set in one line, when all three touches are known: a sequence that ends
+before that leaves all of them as they were.
 """
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import replace
 
 from machines.driver import (
@@ -18,6 +23,7 @@ from machines.driver import (
     ReadSettings,
     SendBlock,
     SetZero,
+    Triple,
     Unlock,
 )
 from machines.grbl import replies
@@ -25,6 +31,7 @@ from machines.grbl.asking import (
     BLOCK_S,
     OFFSET_TAG,
     PARSER_TAG,
+    PROBE_TAG,
     REPLY_S,
     VERSION_TAG,
     Answer,
@@ -37,10 +44,186 @@ from machines.grbl.asking import (
     ask_twice,
     require_ok,
 )
-from machines.grbl.probing import leave_probing, probe_corner, probe_z
 from machines.grbl.settings import ControllerSettings, read_settings
 from machines.grbl.timeouts import longest_homing_s
 from phrases.phrase import Phrase
+
+BACK_MM = 1.0  # from the fast touch to where the slow one begins
+SLOW_MM_PER_MIN = 25.0
+APART_MM = 0.2  # of the two touches at most: one that is farther off was something else
+_Triple = Generator[Ask | WaitStill, Answer, Triple]
+_Touch = Generator[Ask | WaitStill, Answer, tuple[Triple, bool]]
+_Length = Generator[Ask | WaitStill, Answer, float]
+
+
+def probe_z(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
+    """Go down until contact; then set the zero so that the *contact point*, not the place after braking, has its Z."""
+    contact_mm = yield from _keep_modes(_probe_height(command, settings))
+    fresh, reported = yield from ask_offsets(settings)
+    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": reported}, fresh, vouched="Z")
+
+
+def probe_corner(command: ProbeCorner, settings: ControllerSettings) -> CommandSequence:
+    """Touch Z, X, Y of the plate, each fast, then slowly; then set their zeros at once, from where the tool stands."""
+    contact_mm = yield from _keep_modes(_probe_corner(command, settings))
+    fresh, reported = yield from ask_offsets(settings)
+    return Outcome({"contact_machine_mm": list(contact_mm), "offsets": reported}, fresh, vouched="XYZ")
+
+
+def _keep_modes(probing: _Triple) -> _Triple:
+    """Restore the modes after probing, also after a failure. An alarm ends this sequence: see `leave_probing`."""
+    modes = require_ok((yield Ask(b"$G", expect=PARSER_TAG)))
+    restore = _words_to_restore(_parser_state(modes))
+    try:
+        contact_mm = yield from probing
+    except SequenceFailedError:
+        yield Ask(restore)  # the first failure is reported
+        raise
+    require_ok((yield Ask(restore)))
+    return contact_mm
+
+
+def leave_probing(modes: str) -> Generator[Ask | WaitStill, Answer, None]:
+    """Leave the modes of a probe that ended in an alarm, when the controller takes lines again.
+
+    G91 and G38 outlive alarm and unlocking: a line of axis words alone would probe from where the tool stands.
+    modes : [GC:] words from before the probe
+    """
+    if any(word.startswith("G38") for word in _parser_state((yield Ask(b"$G", expect=PARSER_TAG))).split()):
+        require_ok((yield Ask(_words_to_restore(modes))))
+
+
+def _probe_height(command: ProbeZ, settings: ControllerSettings) -> _Triple:
+    contact_mm = yield from _touch("Z", -abs(command.depth_mm), command.feed_mm_per_min, settings.unit_mm)
+    height_mm = command.plate_mm + (yield from _stand())[2] - contact_mm[2]
+    require_ok((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
+    require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
+    require_ok((yield WaitStill()))
+    return contact_mm
+
+
+def _probe_corner(command: ProbeCorner, settings: ControllerSettings) -> _Triple:
+    contact_mm = yield from _touch_corner(command, settings.unit_mm)
+    zero_mm = find_zero_mm(command, contact_mm)
+    at_mm = yield from _stand()
+    words = "".join(f"{axis}{at - zero:.4f}" for axis, at, zero in zip("XYZ", at_mm, zero_mm, strict=True))
+    require_ok((yield Ask(f"G21G10L20P0{words}".encode())))
+    return contact_mm
+
+
+def find_zero_mm(command: ProbeCorner, contact_mm: Triple) -> Triple:
+    """Return the work zero in machine coordinates of a plate that was touched at these."""
+    x, y, z = contact_mm
+    inside_mm = command.cutter_radius_mm + command.margin_mm
+    return x + inside_mm + command.wall_x_mm, y + inside_mm + command.wall_y_mm, z - command.plate_mm
+
+
+def find_reached_mm(command: ProbeCorner, start_mm: Triple) -> tuple[tuple[float, float], ...]:
+    """Return the least and greatest coordinate of each axis that the probing of a corner may reach from there."""
+    x, y, z = start_mm
+    lowest_mm = z - command.depth_mm - max(command.below_mm, BACK_MM)
+    aside_mm = command.aside_mm
+    return (x - aside_mm, x + BACK_MM), (y - aside_mm, y + BACK_MM), (lowest_mm, z + command.retract_mm)
+
+
+def _touch_corner(command: ProbeCorner, unit_mm: float) -> _Triple:
+    """Return where the plate was touched; the tool ends over the place where it began."""
+    start_mm = yield from _stand()
+    top_mm = yield from _touch_twice("Z", -command.depth_mm, command.feed_mm_per_min, unit_mm)
+    over_mm, sides_mm = top_mm + command.retract_mm, []
+    yield from _go("Z", over_mm)
+    for axis, begun_mm in zip("XY", start_mm, strict=False):
+        yield from _go(axis, begun_mm - command.aside_mm)
+        yield from _lower(command, unit_mm)
+        side_mm = yield from _touch_twice(axis, command.aside_mm, command.feed_mm_per_min, unit_mm)
+        sides_mm.append(side_mm)
+        yield from _go(axis, side_mm - BACK_MM)
+        yield from _go("Z", over_mm)
+        yield from _go(axis, begun_mm)
+    return sides_mm[0], sides_mm[1], top_mm
+
+
+def _lower(command: ProbeCorner, unit_mm: float) -> Generator[Ask | WaitStill, Answer, None]:
+    """Go down beside the plate; a contact on that way is none of the plate's side."""
+    down_mm = -command.retract_mm - command.below_mm
+    _, touched = yield from _probe("G38.3", "Z", down_mm, command.feed_mm_per_min, unit_mm)
+    if touched:
+        raise SequenceFailedError(
+            Phrase(
+                "the tool touched on its way down beside the plate: begin nearer to the corner, or go further "
+                "aside; no zero is set"
+            )
+        )
+
+
+def _touch_twice(axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: float) -> _Length:
+    """Return the machine coordinate of the contact, the second, slower one."""
+    back_mm, k = (BACK_MM if by_mm > 0.0 else -BACK_MM), "XYZ".index(axis)
+    fast_mm = (yield from _touch(axis, by_mm, feed_mm_per_min, unit_mm))[k]
+    yield from _go(axis, fast_mm - back_mm)
+    slow_mm = (yield from _touch(axis, 2.0 * back_mm, min(feed_mm_per_min, SLOW_MM_PER_MIN), unit_mm))[k]
+    if abs(slow_mm - fast_mm) > APART_MM:
+        raise SequenceFailedError(
+            Phrase(
+                "{axis} was touched at {fast_mm:.3f} and at {slow_mm:.3f} mm: no zero is set",
+                axis=axis,
+                fast_mm=fast_mm,
+                slow_mm=slow_mm,
+            )
+        )
+    return slow_mm
+
+
+def _touch(axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: float) -> _Triple:
+    """Return where the probe has touched, in machine coordinates."""
+    contact_mm, touched = yield from _probe("G38.2", axis, by_mm, feed_mm_per_min, unit_mm)
+    if not touched:
+        raise SequenceFailedError(Phrase("the probe did not touch: no zero is set"))
+    return contact_mm
+
+
+def _probe(code: str, axis: str, by_mm: float, feed_mm_per_min: float, unit_mm: float) -> _Touch:
+    seconds = 20.0 + 3.0 * abs(by_mm) / feed_mm_per_min * 60.0
+    line = f"G21G91{code}{axis}{by_mm:.4f}F{feed_mm_per_min:.1f}"
+    return _read_probe(require_ok((yield Ask(line.encode(), seconds, PROBE_TAG))), unit_mm)
+
+
+def _go(axis: str, to_mm: float) -> Generator[Ask | WaitStill, Answer, None]:
+    """Go straight to a machine coordinate, and stand there."""
+    require_ok((yield Ask(f"G21G90G53G0{axis}{to_mm:.4f}".encode(), BLOCK_S)))
+    require_ok((yield WaitStill()))
+
+
+def _stand() -> _Triple:
+    """Return where the mill stands, in machine coordinates."""
+    still = require_ok((yield WaitStill()))
+    if still.machine_mm is None:
+        raise SequenceFailedError(Phrase("the controller reports no machine position: no zero is set"))
+    return still.machine_mm
+
+
+def _parser_state(answer: Answer) -> str:
+    """Return the words of [GC:]; "" if it did not come."""
+    return read_settings(answer.heard).parser_state
+
+
+def _words_to_restore(parser_state: str) -> bytes:
+    """Return a line that restores units and distance mode, as [GC:] reported them, and ends probing."""
+    words = parser_state.split()
+    return ("G0" + ("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
+
+
+def _read_probe(answer: Answer, unit_mm: float) -> tuple[Triple, bool]:
+    """Return where a probing move has ended, and whether by a contact."""
+    for reply in answer.heard:
+        if isinstance(reply, replies.Push) and reply.tag == PROBE_TAG:
+            place, _, success = reply.body.rpartition(":")
+            try:
+                x, y, z = (float(part) * unit_mm for part in place.split(",")[:3])
+            except ValueError:
+                break
+            return (x, y, z), success == "1"
+    raise SequenceFailedError(Phrase("the controller does not tell where the probe touched: no zero is set"))
 
 
 def identify(banner: str) -> CommandSequence:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machines.codes import MillCode
 from machines.driver import DriverFacts, MillState, MillStatus
-from machines.grbl.codes import alarm_words
+from machines.errors import MillCode
 from machines.grbl.commands import CommandChannel
 from machines.grbl.link import SILENT, GrblLink
+from machines.grbl.replies import alarm_words
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Streamer
 from machines.grbl.timeouts import SLOW_LINK_S
@@ -44,6 +44,8 @@ class StatusReporter:
             return MillState.HELD if stands(report) else MillState.HOLDING
         if state in (MillState.RUN, MillState.JOG) and link.hold_wanted:
             return MillState.HOLDING
+        if state is MillState.IDLE and link.hold_under_way:
+            return MillState.HOLDING  # '!' holds an idle controller as well
         if state is MillState.HELD and not link.hold_wanted and self.streamer.waits_for_person:
             return MillState.TOOL
         if link.paused and state is MillState.CHECK:

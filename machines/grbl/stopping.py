@@ -1,24 +1,143 @@
 """How the mill is stopped: '!' before everything else, a reset only at standstill: in motion it loses the position.
 
-Nothing that is not written yet may start motion after a stop.
+Nothing that is not written yet may start motion after a stop. A reset goes out again until the banner: one that nobody
+has answered is none.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from machines.driver import FaultCause, Faulted, MillState, Notice, Stopped
 from machines.errors import NotAllowedError
-from machines.grbl.codes import CRITICAL_ALARMS, alarm_words
 from machines.grbl.commands import CommandChannel
 from machines.grbl.link import TOOL_DONE, GrblLink
-from machines.grbl.replies import Status
-from machines.grbl.resetting import ResetControl, ResetSequence
+from machines.grbl.replies import CRITICAL_ALARMS, Status, alarm_words
 from machines.grbl.states import HELD_STATES, Phase, detail_words, stands
 from machines.grbl.status import StatusReporter
 from machines.grbl.streaming import Streamer
-from machines.grbl.timeouts import HOLD_S
+from machines.grbl.timeouts import BANNER_S, HOLD_S, PERSON_S
 from phrases.phrase import Phrase
+
+BUSY_S = 0.05  # between status requests while the mill is being stopped
+RESET = b"\x18"
+# After ALARM:1 and ALARM:2 GRBL 1.1 stands still for 500 ms, forgets a reset that came meanwhile, says so and waits.
+MESSAGE = "Reset to continue"
+MESSAGE_S = 0.6  # where the message is lost on the way
+AGAIN_S = 0.25
+SLOW_AFTER_S, SLOW_S = 10.0, 1.0  # an emergency stop that is still pressed, a mill without power: ask less often
+
+
+class ResetSequence:
+    """One reset on its way. `take` gives the byte whenever it is due; the banner ends the sequence from outside."""
+
+    def __init__(self, now_s: float, *, first_s: float = 0.0, again_s: float = inf, ours: bool = True) -> None:
+        """ours: sent to a mill that stands, so that the position is kept"""
+        self.ours = ours
+        self.sent = 0
+        self.due_s = now_s + first_s
+        self._again_s = again_s
+        self._begun_s = now_s
+
+    @staticmethod
+    def at_standstill(now_s: float) -> ResetSequence:
+        """Reset once: where no banner comes, the session looks again whether the mill stands."""
+        return ResetSequence(now_s)
+
+    @staticmethod
+    def after_critical_alarm(now_s: float) -> ResetSequence:
+        """Reset when the controller has said that it waits for one, or must have; then until it hears."""
+        return ResetSequence(now_s, first_s=MESSAGE_S, again_s=AGAIN_S)
+
+    @staticmethod
+    def by_a_person(now_s: float) -> ResetSequence:
+        """Reset a controller that answers nothing: whether it stands is not known, so the position is not kept."""
+        return ResetSequence(now_s, again_s=AGAIN_S, ours=False)
+
+    @property
+    def repeats(self) -> bool:
+        return self._again_s < inf
+
+    def take_message(self, now_s: float) -> None:
+        """Note that the controller says that it waits."""
+        if self.repeats:
+            self.due_s = now_s
+
+    def take(self, now_s: float) -> bytes:
+        """Return the byte if it is due, else nothing."""
+        if now_s < self.due_s:
+            return b""
+        self.sent += 1
+        slow = self.repeats and now_s > self._begun_s + SLOW_AFTER_S
+        self.due_s = now_s + (SLOW_S if slow else self._again_s)
+        return RESET
+
+
+@dataclass(slots=True, eq=False)
+class ResetControl:
+    """Owns the reset under way, in Phase.CLEARING: planner and receive buffer are emptied by it."""
+
+    link: GrblLink
+    streamer: Streamer
+    _sequence: ResetSequence | None = None
+
+    @property
+    def sequence(self) -> ResetSequence | None:
+        """The reset under way."""
+        return self._sequence if self.link.phase is Phase.CLEARING else None
+
+    def begin(self, sequence: ResetSequence, now_s: float) -> None:
+        """Put a reset on its way, or another one in its place. Of what waits to be written only '!' goes before it."""
+        link = self.link
+        self.streamer.end()
+        link.text.clear()
+        link.urgent = bytearray((b"!" if b"!" in link.urgent else b"") + sequence.take(now_s))
+        if link.phase is not Phase.CLEARING:
+            link.enter(Phase.CLEARING, now_s)
+        self._sequence = sequence
+        link.poll_at_s = now_s + BUSY_S
+
+    def begin_for_person(self, now_s: float) -> None:
+        """Carry out a reset that a person asks for: of a mill that stands, or of one that answers nothing."""
+        reset = ResetSequence.by_a_person if self.link.offers_reset else ResetSequence.at_standstill
+        self.begin(reset(now_s), now_s)
+
+    def take_message(self, words: str, now_s: float) -> None:
+        """Pass a message on; after a critical alarm one says that the controller waits for a reset."""
+        link, sequence = self.link, self.sequence
+        link.events.append(Notice(Phrase("controller: {words}", words=words)))
+        if words != MESSAGE:
+            return
+        if sequence is not None and sequence.repeats:
+            sequence.take_message(now_s)
+        elif link.phase is Phase.HAILING:  # its ALARM: line came before our time
+            self.begin(ResetSequence.after_critical_alarm(now_s), now_s)
+            self.take_message(words, now_s)
+
+    def watch(self, now_s: float) -> bool:
+        """Look at the clock. True: of a reset that is sent once no banner has come; whether the mill stands is open."""
+        link, sequence = self.link, self.sequence
+        waited_s = link.silence.waited_s - link.silence.late_s
+        if sequence is None:
+            return False
+        if not sequence.repeats:
+            return waited_s > BANNER_S
+        if not sequence.ours and waited_s > PERSON_S:
+            words = Phrase(
+                "nothing answers, not even {count} resets: mill off, another port, or another baud rate",
+                count=sequence.sent,
+            )
+            link.close(words, now_s, FaultCause.DEVICE)
+        elif waited_s > BANNER_S and not link.silence.notified:
+            link.silence.notified = True
+            words = Phrase(
+                "no answer to {count} resets after the alarm: is an emergency stop pressed, is the mill without power?",
+                count=sequence.sent,
+            )
+            link.events.append(Notice(words))
+        return False
+
 
 RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
@@ -34,9 +153,8 @@ class StopControl:
     commands: CommandChannel
     reporter: StatusReporter
     resets: ResetControl
-    abort_wanted: bool = False  # of a link that was away: carried out with the first report
+    abort_wanted: bool = False  # looked at with the first report: of a link that was away, or asked for during a reset
     _hold_seen: bool = False  # the mill has reported standing since the last hold
-    _hold_reports: int = 0  # reports since then: the first may have been made before it
     _hold_at_s: float = 0.0
     _notified_at_s: float = 0.0
     _stop_at_s: float = 0.0  # when it began to wait for standstill
@@ -45,9 +163,10 @@ class StopControl:
     @property
     def is_quiet(self) -> bool:
         """Nothing moves, and nothing that was sent can make it move."""
-        report = self.link.view.report
-        at_rest = self.link.phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING)
-        return at_rest and report is not None and report.state in ("Idle", "Alarm")
+        link, report = self.link, self.link.view.report
+        if link.phase not in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) or report is None:
+            return False
+        return report.state == "Alarm" or (report.state == "Idle" and not link.hold_under_way)
 
     # ------------------------------------------------------------------ asked for by a person
 
@@ -65,7 +184,7 @@ class StopControl:
             self._hold_command(now_s)
         link.paused = True
         self._hold_seen = False
-        self._hold_reports = -link.reports_under_way
+        self._note_hold()
         self._hold_at_s = link.poll_at_s = now_s
 
     def resume(self, now_s: float) -> None:
@@ -92,19 +211,27 @@ class StopControl:
         link.urgent += (TOOL_DONE if report.state == "Tool" else b"") + (b"" if b"~" in link.urgent else b"~")
         link.poll_at_s = min(link.poll_at_s, now_s + RESUME_POLL_S)  # nobody who presses often postpones it
 
-    def abort(self, now_s: float) -> None:
-        """Hold, and when the mill stands clear the controller's buffers; ends with Stopped."""
+    def abort(self, now_s: float, *, hold_sent: bool = False) -> None:
+        """Hold, and when the mill stands clear the controller's buffers; ends with Stopped.
+
+        hold_sent : a '!' has left already that may still be on its way. It holds an idle controller too, and one that
+                    has just been reset: the abort is not over before a report has shown that none is held.
+        """
         link = self.link
+        if hold_sent:
+            link.hold_wanted = True
+            self._note_hold()
         if link.phase is Phase.CLOSED:
             self.abort_wanted = True
             return
         if link.phase is Phase.HAILING and link.view.report is None:
-            self.abort_wanted = True
+            self.abort_wanted = link.hold_wanted = True
+            self._note_hold()
             link.put_hold()  # a mill that is not heard may hear
             if link.offers_reset:
                 self.resets.begin(ResetSequence.by_a_person(now_s), now_s)
             return
-        self.abort_wanted = False
+        self.abort_wanted = hold_sent and link.phase is Phase.CLEARING
         if link.phase in (Phase.STOPPING, Phase.CLEARING):
             return
         if self.reporter.state is MillState.HOMING:
@@ -117,6 +244,10 @@ class StopControl:
         link.put_hold()
         self.streamer.late_answers = True
         self._begin_stop(now_s)
+
+    def _note_hold(self) -> None:
+        """Note that reports which are under way now say nothing of this hold."""
+        self.link.hold_reports = -self.link.reports_under_way
 
     def _hold_command(self, now_s: float) -> None:
         """End a command, for a held controller reads no line; the handshake begins anew when the mill is let go."""
@@ -166,10 +297,10 @@ class StopControl:
     def take_report(self, report: Status, now_s: float) -> None:
         """Follow hold, door and cycle start as the mill reports them; while stopping, wait for standstill."""
         link = self.link
-        self._hold_reports += 1
+        link.hold_reports += 1
         if report.state in HELD_STATES:
             link.paused = True
-            self._hold_seen = self._hold_reports > 0
+            self._hold_seen = link.hold_reports > 0
             if link.phase is Phase.IDENTIFYING:
                 self._greet_again(now_s)  # no line is read now
         elif link.hold_wanted and link.phase in (Phase.READY, Phase.STREAMING):

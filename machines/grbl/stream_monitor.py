@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machines.driver import FaultCause, Notice, ProgramDone
-from machines.grbl.codes import error_words
 from machines.grbl.flow_control import Pacer
 from machines.grbl.link import GrblLink
-from machines.grbl.replies import Status, is_boot_text, show
+from machines.grbl.replies import Status, error_words, is_boot_text, show
 from machines.grbl.states import HELD_STATES, Phase
 from machines.grbl.stopping import StopControl
 from machines.grbl.streaming import Flight, Stream, Streamer, name_line

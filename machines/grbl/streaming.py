@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from machines.driver import ProgramLine, StreamProgress
 from machines.errors import MachineError, ProgramChangedError
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
-from machines.gcode.step import Step
+from machines.gcode.modal import ModalState, Step
 from machines.grbl.flow_control import AnswerCount, SendWindow, usable_bytes
 from machines.grbl.link import GrblLink
 from machines.grbl.states import Phase

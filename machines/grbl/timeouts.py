@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from math import sqrt
 
 from machines.clock import RunningTime
-from machines.gcode.step import Step
+from machines.gcode.modal import Step
 from machines.grbl.settings import ControllerSettings
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks

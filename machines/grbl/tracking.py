@@ -17,8 +17,7 @@ from enum import Enum
 from itertools import islice
 
 from machines.driver import Triple
-from machines.gcode.modal import Position
-from machines.gcode.step import Step
+from machines.gcode.modal import Position, Step
 
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
 # (reference/machines.md, 1).

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from machines.driver import Triple
-from machines.grbl.codes import POSITION_LOST_ALARMS, SPINDLE_ON_ALARMS
-from machines.grbl.replies import Status
+from machines.grbl.replies import POSITION_LOST_ALARMS, SPINDLE_ON_ALARMS, Status
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings, list_frame_changes
 from machines.grbl.states import stands
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from machines.codes import MillCode
 from machines.driver import (
     CheckMode,
     Command,
@@ -30,11 +29,11 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.errors import JournalError, NotAllowedError, WrongStateError
+from machines.errors import JournalError, MillCode, NotAllowedError, WrongStateError
 from machines.gcode.text import strip_block
 from machines.mill.link import get_settings
 from machines.mill.orders import NOBODY, Caller, Order
-from machines.mill.unattended import UnattendedRuns
+from machines.mill.run_control import UnattendedRuns
 from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 

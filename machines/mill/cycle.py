@@ -23,8 +23,7 @@ from machines.driver import (
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.commands import Commands
 from machines.mill.link import AWAY, get_settings
-from machines.mill.run_control import RunControl
-from machines.mill.unattended import UnattendedRuns
+from machines.mill.run_control import RunControl, UnattendedRuns
 from machines.mill.view import MillContext
 from phrases.phrase import Phrase
 

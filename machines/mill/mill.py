@@ -4,8 +4,8 @@ Nothing here moves the mill by itself. A lost link is opened again with growing 
 unasked are questions and a hold or an abort that somebody had asked for while the link was away. Every start and every
 recovery needs a person's confirmation.
 
-The parts: `link` and `run_store` hold what there is, `run_control` the run that is streamed, `unattended` the runs
-whose mill went on alone; `commands` sends what is asked for beside a run, `cycle` reads the driver, `starting` starts
+The parts: `link` and `run_store` hold what there is, `run_control` the run that is streamed and the runs whose mill
+went on alone; `commands` sends what is asked for beside a run, `cycle` reads the driver, `starting` starts
 and recovers; `view` has what they share, log and snapshot. `Mill` puts them together and carries out orders.
 """
 
@@ -17,18 +17,16 @@ from pathlib import Path
 from typing import TypeVar
 
 from machines.clock import make_running_clock
-from machines.codes import MillCode
 from machines.driver import Command, Driver, JogCancel, MillState, MillStatus
-from machines.errors import MachineError, NotAllowedError
+from machines.errors import MachineError, MillCode, NotAllowedError
 from machines.journal.journal import Journal
 from machines.mill.commands import Commands
 from machines.mill.cycle import MillCycle
 from machines.mill.link import MillLink
 from machines.mill.orders import Caller, Order, OrderGate, Stop
-from machines.mill.run_control import RunControl
+from machines.mill.run_control import RunControl, UnattendedRuns
 from machines.mill.run_store import RunStore
 from machines.mill.starting import RecoveryPlanner, RunStarter
-from machines.mill.unattended import UnattendedRuns
 from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPublisher
 from machines.preflight.preflight import Preflight
 from machines.recovery.plan_model import RecoveryPlan, Reentry

@@ -11,8 +11,7 @@ from machines.driver import MillStatus, StreamProgress
 from machines.errors import JournalError
 from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
-from machines.preflight.limits import AT_PRESENT_ZERO
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import AT_PRESENT_ZERO, Preflight
 from machines.runs import LIVE, RunReport, RunState, move_state
 
 MARK_EVERY_S = 0.5

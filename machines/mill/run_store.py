@@ -17,16 +17,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from machines.codes import MillCode
 from machines.driver import MillStatus
-from machines.errors import JournalError, NotAllowedError
+from machines.errors import JournalError, MillCode, NotAllowedError
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
 from machines.journal.disk import os_words
 from machines.journal.journal import Journal, JournalContent, read_journal
 from machines.mill.run import OWNER_LOST, Run
-from machines.preflight.limits import AT_PRESENT_ZERO
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import AT_PRESENT_ZERO, Preflight
 from machines.recovery.needs import position_doubt
 from machines.recovery.plan_model import Present
 from machines.runs import RECOVERABLE, RunReport, RunState

@@ -20,8 +20,7 @@ from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
 from machines.mill.run import Run
-from machines.preflight.limits import placement_problems, work_zero_mm
-from machines.preflight.preflight import Bounds, Preflight
+from machines.preflight.preflight import Bounds, Preflight, placement_problems, work_zero_mm
 from machines.preflight.way_in import WAY_IN, find_risk, read_from_place, read_way_in
 from phrases.phrase import Phrase
 

@@ -10,15 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from machines.codes import MillCode
 from machines.driver import Driver, MillState, ProgramLine, TrustPosition, allow_always
-from machines.errors import JournalError, MachineError, NotAllowedError, WrongStateError
+from machines.errors import JournalError, MachineError, MillCode, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
 from machines.mill.link import get_settings
 from machines.mill.orders import Order, OrderRefusedError, Refusal
 from machines.mill.run import Run
-from machines.mill.run_control import RunControl
+from machines.mill.run_control import STILL_S, RunControl, UnattendedRuns
 from machines.mill.start_checks import (
     Placement,
     check_file,
@@ -28,9 +27,8 @@ from machines.mill.start_checks import (
     program_placement,
     recovery_placement,
 )
-from machines.mill.unattended import STILL_S, UnattendedRuns
 from machines.mill.view import MillContext
-from machines.preflight.limits import top_of_travel_mm
+from machines.preflight.preflight import top_of_travel_mm
 from machines.recovery.plan_model import Present, RecoveryPlan, Reentry
 from machines.recovery.planner import plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState

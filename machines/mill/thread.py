@@ -14,8 +14,7 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from machines.clock import LOOK_S, Timeout
-from machines.codes import MillCode
-from machines.errors import MachineError, NotAllowedError
+from machines.errors import MachineError, MillCode, NotAllowedError
 from machines.mill.mill import Mill
 from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
 from machines.mill.view import MillSnapshot

@@ -1,12 +1,19 @@
-"""What is known of a program before it may run: extents, feeds, time, index, warnings. Plain data, kept as JSON."""
+"""What is known of a program before it may run, as plain data kept as JSON: extents, feeds, time, index, warnings.
+
+And the limits that it is held against: the profile's figures, and the controller's own where it has reported them.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
+from machines.driver import Triple
 from machines.gcode.program import ProgramIndex
+from machines.grbl.settings import ControllerSettings
+from machines.profile import MachineProfile
 from phrases.phrase import Phrase, phrases_in, restore
 
 
@@ -112,3 +119,128 @@ def _bounds_from_plain(plain: Any) -> Bounds | None:
         return None
     (a, b, c), (d, e, f) = plain
     return Bounds((a, b, c), (d, e, f))
+
+
+AT_PRESENT_ZERO = "at the present work zero"
+"""So begins a warning that holds until the work zero is set again."""
+
+_AXES = "XYZ"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillLimits:
+    """Travel, speeds and link of one mill; part of the cache key of a pre-flight.
+
+    bytes_per_s : of the wire; None where blocks do not go over a paced serial line
+    homing : machine coordinates mean something
+    safe_z_mm, top_z_mm, work_offset : as in `machines.profile.MachineProfile`
+    mist   : the controller is built with M7; None if it has not said
+    """
+
+    profile: str
+    dialect: str
+    travel_mm: Triple
+    max_rate_mm_per_min: Triple
+    acceleration_mm_per_s2: Triple
+    junction_deviation_mm: float
+    planner_blocks: int
+    lines_per_s: float
+    bytes_per_s: float | None
+    spindle_rpm: tuple[float, float]
+    safe_z_mm: float
+    homing: bool = False
+    top_z_mm: float | None = None
+    work_offset: int = 1
+    mist: bool | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> MillLimits:
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+        return MillLimits(**values)
+
+
+def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
+    """Return the profile's figures with those of the controller in their place, as far as it has reported them."""
+    reported = settings or ControllerSettings()
+    fastest = reported.number(30)
+    slowest = reported.number(31)
+    spindle = (slowest or 0.0, fastest) if fastest else profile.spindle_rpm
+    return MillLimits(
+        profile=profile.name,
+        dialect=profile.dialect,
+        travel_mm=_usable(reported.travel_mm) or profile.travel_mm,
+        max_rate_mm_per_min=_usable(reported.max_rate_mm_per_min) or profile.max_rate_mm_per_min,
+        acceleration_mm_per_s2=_usable(reported.acceleration_mm_per_s2) or profile.acceleration_mm_per_s2,
+        junction_deviation_mm=reported.number(11) or profile.junction_deviation_mm,
+        planner_blocks=max(2, reported.planner_blocks or profile.planner_blocks),
+        lines_per_s=profile.lines_per_s,
+        bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
+        spindle_rpm=spindle,
+        safe_z_mm=profile.safe_z_mm,
+        homing=profile.homing,
+        top_z_mm=profile.top_z_mm,
+        work_offset=profile.work_offset,
+        mist=reported.mist,
+    )
+
+
+def warn_at_present_zero(problem: Phrase) -> Phrase:
+    """Return the warning that begins with AT_PRESENT_ZERO."""
+    return Phrase("at the present work zero {problem}", problem=problem)
+
+
+def _usable(triple: Triple | None) -> Triple | None:
+    return triple if triple is not None and min(triple) > 0 else None
+
+
+def work_zero_mm(offsets: Mapping[str, Sequence[float]], wcs: str) -> Triple | None:
+    """Return the work zero in machine coordinates, from the controller's offsets; None where they do not give it."""
+    if wcs not in offsets:
+        return None
+    reported = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
+    x, y, z = (sum(float(one[axis]) for one in reported) for axis in range(3))
+    return x, y, z
+
+
+def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
+    """Return the highest machine Z; None where it is not known."""
+    return None if settings is None or settings.reach_mm is None else settings.reach_mm[2][1]
+
+
+def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[Phrase, ...]:
+    """Return where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
+
+    To be asked right before a start: offsets change when the work is zeroed. Empty also where nothing can be said:
+    travel or offsets not known, or the machine has no homing.
+    """
+    reach_mm, offsets = settings.reach_mm, settings.offsets
+    if reach_mm is None or not offsets or not (settings.homing or settings.soft_limits):
+        return ()
+    problems = []
+    for frame, bounds in program.bounds_by_frame.items():
+        zero_mm = (0.0, 0.0, 0.0) if frame == "machine" else work_zero_mm(offsets, frame)
+        if zero_mm is None:
+            continue
+        for axis, name in enumerate(_AXES):
+            least, most = bounds.least_mm[axis], bounds.most_mm[axis]
+            if least is None or most is None:
+                continue
+            shift = zero_mm[axis]
+            low, high = reach_mm[axis]
+            if least + shift < low - 1e-6 or most + shift > high + 1e-6:
+                problems.append(
+                    Phrase(
+                        "{axis} would go from {least_mm:.3f} to {most_mm:.3f} mm in machine coordinates ({frame}); "
+                        "the machine reaches {low_mm:g} to {high_mm:g}",
+                        axis=name,
+                        least_mm=least + shift,
+                        most_mm=most + shift,
+                        frame=frame,
+                        low_mm=low,
+                        high_mm=high,
+                    )
+                )
+    return tuple(problems)

@@ -17,8 +17,7 @@ from math import hypot, isfinite, isnan
 from machines.errors import ProgramRefusedError
 from machines.gcode import tally
 from machines.gcode.dialects import DIALECTS, Dialect
-from machines.preflight.limits import MillLimits
-from machines.preflight.preflight import Bounds, Finding
+from machines.preflight.preflight import Bounds, Finding, MillLimits
 from machines.preflight.way_in import WAY_IN, Motion, find_risk, is_raised
 from phrases.phrase import Phrase
 

@@ -14,8 +14,7 @@ from math import inf
 from typing import NamedTuple
 
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
-from machines.gcode.step import Step
+from machines.gcode.modal import ModalState, Step
 from machines.gcode.text import split_words, strip_block
 from machines.preflight.preflight import Bounds
 from phrases.phrase import Phrase

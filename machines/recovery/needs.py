@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
+from machines.errors import MillCode
 from machines.grbl.view import has_kept_count
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan_model import Need, Present

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from machines.codes import MillCode
 from machines.driver import MillStatus, ProgramLine, Triple
+from machines.errors import MillCode
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings, list_frame_changes
 from phrases.phrase import Phrase, phrases_in

@@ -19,8 +19,7 @@ from machines.gcode.dialects import DIALECTS
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
-from machines.preflight.limits import work_zero_mm
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import Preflight, work_zero_mm
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, compare_offsets, find_needs, position_doubt, zero_back
 from machines.recovery.plan_model import Present, RecoveryPlan, Reentry, describe_refusal

@@ -18,7 +18,7 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState, Position
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings
-from machines.preflight.limits import work_zero_mm
+from machines.preflight.preflight import work_zero_mm
 from machines.recovery.needs import OFFSET_TOLERANCE_MM
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer

@@ -18,11 +18,9 @@ from machines.driver import FaultCause, ProgramLine, Require, Triple
 from machines.errors import MachineError, PortError
 from machines.gcode.dialects import RML
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
-from machines.gcode.step import Step
-from machines.roland.mdx40a import COUNTER_MODULUS, Mdx40aDevice
-from machines.roland.rml import RmlInterpreter
-from machines.roland.rml_commands import RmlFault, parse
+from machines.gcode.modal import ModalState, Step
+from machines.roland.rml import RmlFault, RmlInterpreter, parse
+from machines.roland.usb_device import COUNTER_MODULUS, Mdx40aDevice
 from phrases.phrase import Phrase
 
 NEAR_MM = 0.01  # reports are in 0.001 mm, a step is 0.002 mm; closer than the finest pitch of rows in use (0.02 mm)

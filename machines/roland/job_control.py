@@ -21,7 +21,7 @@ from machines.driver import (
 )
 from machines.errors import MachineError, PortError
 from machines.roland.block_feed import BlockFeed, FeedFault
-from machines.roland.mdx40a import DeviceState, Mdx40aDevice, read_work_origin_mm, to_work_mm
+from machines.roland.usb_device import DeviceState, Mdx40aDevice, read_work_origin_mm, to_work_mm
 from phrases.phrase import NO_WORDS, Phrase, join
 
 _STILL_S = 0.6  # three reports without motion

@@ -29,7 +29,7 @@ from machines.driver import (
 )
 from machines.errors import MachineError, NotAllowedError, PortError
 from machines.roland.job_control import JobControl
-from machines.roland.mdx40a import PING_ERROR, Mdx40aDevice, check_command_set, to_work_mm
+from machines.roland.usb_device import PING_ERROR, Mdx40aDevice, check_command_set, to_work_mm
 from phrases.phrase import Phrase
 
 FACTS = DriverFacts(

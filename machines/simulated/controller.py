@@ -3,19 +3,66 @@
 A line that has to wait (room in the planner, an empty buffer, a dwell, `~`) is a generator that yields what it waits
 for; everything that happens lets it go on through `go_on`. Only then is its `ok` sent and the next line looked at.
 
-The probe's circuit is closed by a plane under the tool, or by a plate on the front left corner of a block.
+The recording holds the path that was really cut, in physical coordinates. The probe's circuit is closed by a plane
+under the tool, or by a plate on the front left corner of a block.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from math import hypot, inf
+from typing import NamedTuple
 
 from machines.simulated.interpreter import ZERO, SimulatedInterpreter, Triple
 from machines.simulated.motion import Stepper
 from machines.simulated.planner import PlannedBlock
-from machines.simulated.recording import CutSegment, Recording
 from machines.simulated.traits import Traits
+
+
+class CutSegment(NamedTuple):
+    """One executed block, or the part of it between two stops.
+
+    start, end : mm, physical: relative to where the tool stood at the first power-up, whatever MPos says
+    rapid      : G0 (homing and jogs count as rapid: they are not part of a program)
+    feed       : programmed feed in mm/min as it was planned (before overrides)
+    spindle_on : at the end of this segment
+    line       : count of lines the firmware has received, of the line this block came from (N word if one was given)
+    at_s       : simulated time of its end
+    whole      : the block was executed to its end
+    kind       : "program", "jog", "probe", "homing" or "slip" (steps lost in a stop without deceleration)
+    """
+
+    start: Triple
+    end: Triple
+    rapid: bool
+    feed: float
+    spindle_on: bool
+    line: int
+    at_s: float
+    whole: bool
+    kind: str
+
+
+class Recording:
+    """Collects cut segments in a list, and hands each to `on_block` if there is one (for long soaks: keep=False)."""
+
+    def __init__(self, on_block: Callable[[CutSegment], None] | None = None, *, keep: bool = True) -> None:
+        self.on_block = on_block
+        self.keep = keep
+        self.segments: list[CutSegment] = []
+        self.count = 0
+
+    def add(self, segment: CutSegment) -> None:
+        self.count += 1
+        if self.keep:
+            self.segments.append(segment)
+        if self.on_block is not None:
+            self.on_block(segment)
+
+    def cuts(self) -> list[CutSegment]:
+        """Return program motion at feed, in order."""
+        return [s for s in self.segments if s.kind == "program" and not s.rapid]
+
 
 _NOISE_MM = 1e-10
 _STEPS = 60  # halves the way until it is below what a double tells

@@ -31,18 +31,16 @@ _MOST_WAITING = 65536
 class MemoryPort:
     """Implements machines.port.Port. No time passes but in `read`, which ends as soon as something has come.
 
-    baud      : of the host's side; None: no pacing. Not the mill's: both sides read garbage
-    latency_s : a USB adapter hands bytes over so much after the first of them
+    baud : of the host's side; None: no pacing. Not the mill's: both sides read garbage
     """
 
-    def __init__(self, mill: SimulatedMill, baud: int | None = 115200, *, latency_s: float = 0.0) -> None:
+    def __init__(self, mill: SimulatedMill, baud: int | None = 115200) -> None:
         self.url = "memory://mill"
         if not mill.connected:
             raise PortError(self.url, "no such port: the cable is unplugged")
         self.mill = mill
         self.wire_bytes_per_s = baud / _BITS_PER_BYTE if baud else None
         self._garbage = baud is not None and baud != mill.traits.baud
-        self._latency_s = latency_s
         self._cable = mill.cable
         self._woken = threading.Event()
         self._closed = False
@@ -59,8 +57,6 @@ class MemoryPort:
         data = mill.output()
         if not data and not self._woken.is_set():
             mill.advance(mill.now_s + max(timeout_s, 0.0), until_output=True)
-            if self._latency_s and mill.output_s() <= mill.now_s:
-                mill.advance(mill.now_s + self._latency_s)
             data = mill.output()
         self._woken.clear()
         if not data:

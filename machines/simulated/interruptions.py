@@ -4,8 +4,7 @@ door, sleep, jog cancel and overrides.
 
 from __future__ import annotations
 
-from machines.simulated.controller import Controller
-from machines.simulated.recording import CutSegment
+from machines.simulated.controller import Controller, CutSegment
 
 PROBING = (4, 5)
 

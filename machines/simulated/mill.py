@@ -11,9 +11,9 @@ from collections.abc import Callable
 from heapq import heappop, heappush
 from math import inf
 
+from machines.simulated.controller import Recording
 from machines.simulated.faults import Fault, Faults, FaultWire
 from machines.simulated.firmware import Firmware
-from machines.simulated.recording import Recording
 from machines.simulated.serial_side import SerialSide
 from machines.simulated.traits import GRBL_11, Traits
 

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Mapping
 from math import inf
 
 from machines.simulated.blocks import carry_out_gcode
-from machines.simulated.controller import NEVER, Controller, Task
+from machines.simulated.controller import NEVER, Controller, CutSegment, Task
 from machines.simulated.interpreter import Triple
 from machines.simulated.interruptions import PROBING, cut_off, open_door, stop_spindle
-from machines.simulated.recording import CutSegment
 from machines.simulated.reports import status_report
 from machines.simulated.words import GcodeError
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from service.errors import FailedError, InputError
-from service.processes.priority import go_first
+from service.processes.linux import go_first
 
 _DEFAULT_MACHINE = "grbl"
 

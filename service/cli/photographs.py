@@ -51,10 +51,10 @@ def draw_coupon(
             raise InputError(
                 f"{wrong[0]}: not allowed with --photo, for a test piece made earlier; allowed: -o DIR, --quiet"
             )
-        from service.job.coupon import findings, measuring, piece
+        from service.job.coupon import findings, piece
 
         with report_progress(quiet) as reporter:
-            result = measuring.measure_coupon(photo, output, reporter=reporter)
+            result = findings.measure_coupon(photo, output, reporter=reporter)
         if not quiet:
             for line in findings.print_findings(result):
                 print(line)

@@ -14,7 +14,7 @@ from service.errors import InputError, SpecError
 from service.job import arrays
 from service.job import files as job_files
 from service.job.errors import translate_errors
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
@@ -22,7 +22,7 @@ from service.job.planning.sentences import blur_warnings, reasons
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
 from service.job.spec.model import JobSpec, refuse_several_aims
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.job.spec.tools import load_tools
 from service.wording import RECOGNISABLE_DB, align, duration, psnr_in_words
 

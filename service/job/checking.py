@@ -15,7 +15,7 @@ from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
@@ -23,8 +23,7 @@ from service.job import files as job_files
 from service.job.arrays import load_heightfield
 from service.job.planning.witness import plan_witness
 from service.job.spec.loading import load_stored_job, resolve_job
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
 from service.milling.preflight_child import examine
@@ -95,7 +94,7 @@ def check_programs(
             try:
                 broken = [words for one in paths for words in examine(one, limits, reached).faults]
             except ProgramRefusedError as error:  # no mill is sent it
-                verdicts.append(_judge_unreadable(path, [str(error)]))
+                verdicts.append(_make_unreadable_verdict(path, [str(error)]))
                 break
         with watch.stage(f"check {path.name}") as reached:
             try:
@@ -106,7 +105,7 @@ def check_programs(
                     assert job is not None  # nothing else knows of these
                     result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that no mill should be given
-                verdicts.append(_judge_unreadable(path, broken or [str(error)]))
+                verdicts.append(_make_unreadable_verdict(path, broken or [str(error)]))
                 break
         stock_top = result.stock_top
         verdicts.append(
@@ -130,7 +129,7 @@ def _require_programs(paths: Sequence[Path]) -> None:
             raise InputError(f"{path}: there is no such program")
 
 
-def _judge_unreadable(path: Path, faults: Sequence[str]) -> Verdict:
+def _make_unreadable_verdict(path: Path, faults: Sequence[str]) -> Verdict:
     faults = [" ".join(fault.split()) for fault in faults]
     return Verdict(program=path, ok=False, faults=tuple(faults), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 

@@ -19,15 +19,16 @@ import shutil
 import signal
 import threading
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.report.pictures import PICTURES, list_pictures
-from service.processes.whole_file import open_whole
+from service.processes.files import open_whole
 
 SPEC, REPORT, REPORT_PAGE, SETUP_PDF = "spec.json", "report.json", "report.html", "setup-sheet.pdf"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
@@ -56,6 +57,7 @@ _KNOWN = {
 _DRAWINGS = frozenset((SURFACE, *THUMBNAILS, LIGHT, LIGHT_AS_MILLED, LIGHT_AS_FINISHED))
 _DRAWING = re.compile(r"pass-\d+\.path|report-[a-z]+\.html")
 _STAGING = ".part"
+_CHUNK_BYTES = 1 << 22
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "phrases", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
@@ -205,10 +207,10 @@ def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:
     return WrittenProgram(file=path.name, sha256=digest.hexdigest(), lines=lines, bytes=size)
 
 
-def read_chunks(path: Path, chunk_bytes: int = 1 << 22) -> Iterator[bytes]:
+def read_chunks(path: Path) -> Iterator[bytes]:
     """Yield the bytes of a file, a few megabytes at a time."""
     with path.open("rb") as file:
-        while chunk := file.read(chunk_bytes):
+        while chunk := file.read(_CHUNK_BYTES):
             yield chunk
 
 
@@ -349,3 +351,67 @@ def _defer_signals() -> Iterator[None]:
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)
+
+
+def plain(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the same figures with null in place of what is infinite or unknown, which JSON cannot say."""
+    return {key: _value(value) for key, value in record.items()}
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return plain(value)
+    if isinstance(value, list | tuple):
+        return [_value(each) for each in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def table(value: Any) -> Mapping[str, Any]:
+    """Return a part of the report or of the spec; an empty one where there is none."""
+    return value if isinstance(value, Mapping) else {}
+
+
+def list_programs(spec: Mapping[str, Any], report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a row for each program, in the order in which they are run: the spec's values and over them the report's.
+
+    number    : of the pass, as in its file's name: 0 for the facing, from 1 for the passes, then what comes after them
+    is_around : not one of the lens
+    is_made   : written and checked; the others are what the spec asks for
+    """
+    return [
+        {
+            **({"tool": "flat"} if is_around else {}),
+            **wanted,
+            **table(made.get("settings")),
+            **made,
+            "number": number,
+            "is_around": is_around,
+            "is_made": bool(made),
+        }
+        for number, is_around, wanted, made in _pair(spec, report)
+    ]
+
+
+def _pair(
+    spec: Mapping[str, Any], report: Mapping[str, Any]
+) -> Iterator[tuple[int, bool, Mapping[str, Any], Mapping[str, Any]]]:
+    """Yield (number, is_around, row of the spec, row of the report), either of them empty where there is none."""
+    wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
+    stock, around = table(spec.get("stock")), table(report.get("around"))
+    if FACE in around or stock.get("face"):
+        yield 0, True, table(stock.get("face")), table(around.get(FACE))
+    count = max(len(wanted), len(made))
+    for at in range(count):
+        yield at + 1, False, wanted[at] if at < len(wanted) else {}, made[at] if at < len(made) else {}
+    number = count
+    for name in AFTER_PASSES:
+        row, asked = table(around.get(name)), table(stock.get("cut_out")) if name == CUT_OUT else {}
+        if row or asked:
+            # where no witness marks could be made, no program has their number
+            file = str(row.get("file"))
+            number = program_order(file)[0] if is_program(file) else number + 1
+            yield number, True, asked, row
+
+
+def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
+    return [table(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []

@@ -18,13 +18,11 @@ from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
 from service.job.errors import translate_errors
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.context import PictureQueue, StageContext
 from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.preload import DRAWING
-from service.job.stages.so_far import JobSoFar
-from service.job.stages.table import stage_of
+from service.job.stages.table import JobSoFar, plan, reads, stage_of
 from service.progress import Reporter, Stopwatch
 
 _LAST = "report"
@@ -51,6 +49,15 @@ class FolderJob:
             self.work(lambda context: context.picture_queue.finish())
         stage = stage_of(name)
         self.work(stage.load(), number=stage.number)
+        self._clear_desk(name)
+
+    def _clear_desk(self, done: str) -> None:
+        """Free the memory of what is between stages only, once no later one reads it."""
+        stages = plan(self.spec)
+        later = stages[stages.index(done) + 1 :]
+        wanted = {name for stage in later for name in reads(stage, self.desk)}
+        for name in [one for one in self.desk if one.startswith(".") and one not in wanted]:
+            del self.desk[name]
 
     def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
         """Call a stage's function and add what it makes to the report and the notes."""
@@ -67,24 +74,24 @@ class FolderJob:
             desk=self.desk,
         )
         with translate_errors():
-            self.picture_queue.raise_failures()  # of a full disk is told now, not after all that comes next
+            self.picture_queue.raise_failures()  # a full disk is reported now, not after all that comes next
             function(context)
         self.so_far.add({**context.finish_report(), "timings_s": context.watch.timings_s}, context.notes)
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Return the whole chain. Returns what report.json holds."""
+    """Run the whole chain; return what report.json holds."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
             folder_job.run(stage)
             if stage == _LENS[-1]:
-                folder_job.work(_note_shortage)
+                folder_job.work(_warn_of_shortage)
     return folder_job.so_far.report
 
 
 def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """Return the lens and its light, no programs; programs of an earlier lens disappear with it."""
+    """Make the lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -100,11 +107,11 @@ def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
         folder_job.work(lambda context: require_fit_in_stock(context, lens))
         if job.spec.to_be_planned:
-            from service.job.stages.passes import plan_passes_for_lens
+            from service.job.stages.kept_plans import plan_passes_for_lens
 
             folder_job.desk[job_files.MAP] = load_target(output / job_files.MAP)
             folder_job.work(plan_passes_for_lens)
-        folder_job.work(_note_shortage)
+        folder_job.work(_warn_of_shortage)
         for stage in folder_job.so_far.stages():
             if stage == _LAST:
                 folder_job.work(lambda context: write_solid_block(context, lens))  # the stock may have changed
@@ -114,7 +121,7 @@ def make_programs(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict
 
 
 def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """Return the light behind the lens in a job's folder, simulated again."""
+    """Simulate the light behind the lens in a job's folder again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
     with _job(output, job, reporter, keep=kept) as folder_job:
@@ -125,7 +132,7 @@ def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> d
     return folder_job.so_far.report
 
 
-def _note_shortage(context: StageContext) -> None:
+def _warn_of_shortage(context: StageContext) -> None:
     from service.job.planning.fit import (
         check_disk_space,  # what it stands on is slow to import: a lens alone does without
     )

@@ -19,13 +19,19 @@ from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import MillLimits, limits_of, placement_problems, warn_at_present_zero
-from machines.preflight.preflight import Finding, Preflight
+from machines.preflight.preflight import (
+    Finding,
+    MillLimits,
+    Preflight,
+    limits_of,
+    placement_problems,
+    warn_at_present_zero,
+)
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase
 from service.errors import sentence_of_os_error
 from service.processes.child import Child, ChildError
-from service.processes.private import forget_oldest, make_private
+from service.processes.files import forget_oldest, make_private
 from service.processes.source_tree import hash_files
 
 _ROOT = Path(__file__).parents[2]

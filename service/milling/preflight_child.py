@@ -18,8 +18,7 @@ from service.processes.child_work import answer_requests
 from service.processes.kernel_cache import use_current_kernels
 
 if TYPE_CHECKING:
-    from machines.preflight.limits import MillLimits
-    from machines.preflight.preflight import Preflight
+    from machines.preflight.preflight import MillLimits, Preflight
 
 _CHUNK_BYTES = 1 << 22
 
@@ -31,7 +30,7 @@ def main() -> None:
 
 def _answer(request: dict[str, Any], on_share: Callable[[float], None]) -> dict[str, Any]:
     from machines.errors import ProgramRefusedError
-    from machines.preflight.limits import MillLimits
+    from machines.preflight.preflight import MillLimits
 
     try:
         _write(

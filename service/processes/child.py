@@ -1,8 +1,8 @@
 """A child process of ours, from the side that asks: requests go in as lines of JSON, words come back (`child_work`).
 
-Whoever needs work done that its own process must not do itself starts a `Child` and asks it: pictures and estimates
-(`kept_child` shares one between callers), pre-flight, what is compiled in advance. A stage's process is forked and not
-started, but its words are read and understood by the same `Words` and `result_of`.
+A `Child` does work that its caller's own process must not do: pictures and estimates (`kept_child` shares one between
+callers), pre-flight, what is compiled in advance. A stage's process is forked and not started, but its words are read
+and understood by the same `Words` and `result_of`.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class Child:
         self._signal(signal.SIGKILL)
 
     def end(self, number: int = signal.SIGKILL) -> None:
-        """End it, and whatever it has started, with this signal; return when it is gone."""
+        """End it and all that it has started with this signal; return when it is gone."""
         self._signal(number)
         self._wait()
         for pipe in (self._process.stdin, self._process.stdout):

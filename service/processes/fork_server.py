@@ -25,18 +25,18 @@ import time
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from service.processes.forked_child import ChildOrder, find_entry, run_child
+from service.processes.child_work import ChildOrder, find_entry, run_child
 from service.processes.kernel_cache import use_current_kernels
 from service.processes.linux import (
     adopt_orphans,
     die_with_parent,
+    give_way,
     name_process,
     own_children,
     signal_group,
     signal_stage,
     thread_count,
 )
-from service.processes.priority import give_way
 
 MESSAGE_BYTES = 65536
 FILES = 3  # that come with an order: the order itself, the pipe of words, the log
@@ -77,7 +77,7 @@ class _Loop:
         signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.signal(signal.SIGTERM, self._on_sigterm)
-        self._tell({"ready": True})
+        self._send({"ready": True})
         poll = select.poll()
         poll.register(self._line, select.POLLIN)
         poll.register(wake, select.POLLIN)
@@ -94,8 +94,8 @@ class _Loop:
             self._reap()
 
     def _on_sigterm(self, *_: object) -> None:
-        """Note the signal only: whatever was interrupted, an import or the end itself, is not entered a second time."""
-        if os.getpid() != self._pid:  # a child that was told to end before it had set itself up
+        """Note the signal only: an import, or the end itself, that was interrupted is not entered a second time."""
+        if os.getpid() != self._pid:  # a child that got the signal before it had set itself up
             os._exit(128 + signal.SIGTERM)
         self._is_ending = True
 
@@ -119,7 +119,7 @@ class _Loop:
             importlib.import_module(self._later.pop())
             if not self._later:
                 gc.freeze()
-                self._tell({"warm": True, "threads": thread_count()})
+                self._send({"warm": True, "threads": thread_count()})
 
     def _timeout_s(self) -> float:
         if self._later:
@@ -170,12 +170,12 @@ class _Loop:
             pid = os.fork()
         except OSError as error:
             os.close(beats_in)
-            self._tell({"not_started": number, "words": str(error.strerror)})
+            self._send({"not_started": number, "words": str(error.strerror)})
         else:
             if pid == 0:
                 run_child(given)
             self._stages[pid] = _Stage(number, pid, beats_in, silence_s, begun)
-            self._tell({"started": number, "pid": pid})
+            self._send({"started": number, "pid": pid})
         for file in (*files, beats):
             os.close(file)
 
@@ -213,9 +213,9 @@ class _Loop:
     def _report(self, stage: _Stage) -> None:
         del self._stages[stage.pid]
         os.close(stage.beats)
-        self._tell({"ended": stage.number, "status": stage.status, "silent": stage.silent, "peak_mb": stage.peak_mb})
+        self._send({"ended": stage.number, "status": stage.status, "silent": stage.silent, "peak_mb": stage.peak_mb})
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def _send(self, message: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):  # the worker is gone: the next read tells
             self._line.send(json.dumps(message).encode())
 
@@ -240,7 +240,7 @@ def main() -> None:
     """Run. Arguments: the socket, the worker's process id, the function that does a stage's work."""
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     name_process("cm-forkserver")
-    die_with_parent(worker)  # whatever an import may be waiting for
+    die_with_parent(worker)  # at once, even where an import waits for something
     give_way()
     use_current_kernels()
     gc.disable()  # importing makes nothing but what stays

@@ -184,7 +184,7 @@ class ForkServer:
             return self._children.pop(number)
 
     def _end(self) -> None:
-        """End, whatever ended it: no process of it is left, and who waits for a child learns that it is orphaned."""
+        """Leave no process of it; callers that wait for a child learn that it is orphaned."""
         self._line.close()
         self._its_line.close()
         if self._process is not None:

@@ -44,7 +44,7 @@ class _Request:
     answer: Future[Answer] = field(default_factory=Future)
 
     def end(self, error: Exception) -> None:
-        with suppress(InvalidStateError):  # whoever waited for it has gone
+        with suppress(InvalidStateError):  # its caller has gone
             self.answer.set_exception(error)
 
 
@@ -123,7 +123,7 @@ class KeptChild:
         return None if child is None else child.pid
 
     def close(self) -> None:
-        """End the process; whoever waits for an answer gets ChildClosed."""
+        """End the process; callers that wait for an answer get ChildClosed."""
         with self._condition:
             self._closed = True
             for request in (*self._waiting, *([self._running] if self._running else [])):

@@ -17,7 +17,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from service.processes.private import make_private
+from service.processes.files import make_private
 from service.processes.source_tree import hash_files
 
 ESTIMATES, LENSES, JOBS = "estimates", "lenses", "jobs"  # tasks of `ready_mark`

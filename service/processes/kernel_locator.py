@@ -25,8 +25,8 @@ from typing import IO, Any
 from numba.core import caching, dispatcher
 from numba.core import config as numba_config
 
+from service.processes.files import write_whole
 from service.processes.source_tree import PACKAGES, hash_files, parse
-from service.processes.whole_file import write_whole
 
 _ROOT = Path(__file__).parents[2]
 _MOST_WAIT_S, _LOOK_S = 30.0, 0.02  # for another process to compile a kernel

@@ -8,7 +8,6 @@ it. Only what the standard library has is imported here.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import select
 import signal
@@ -16,6 +15,8 @@ import socket
 import sys
 import threading
 from collections.abc import Callable
+
+from service.processes.linux import die_with_parent
 
 BEAT_FD = "CAUSTICMILL_BEAT_FD"
 LISTEN_FD = "CAUSTICMILL_LISTEN_FD"
@@ -27,7 +28,6 @@ SERVING, GONE = b"serving", b"gone"  # what is said on the line between API and 
 SERVING_EVERY_S = 0.5
 LINE_BYTES = 400_000  # at most in one message: what was read of a connection that is handed over
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # what ends the server, and with it its children
-_SET_PDEATHSIG = 1
 
 healthy: Callable[[], bool] = lambda: True  # noqa: E731 - replaced by a process that knows better about itself
 
@@ -79,15 +79,15 @@ def _take_descriptor(name: str) -> int | None:
 
 def _die_with(supervisor: int) -> None:
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != supervisor:
+        die_with_parent(supervisor)
+    elif os.getppid() != supervisor:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _send_beats(descriptor: int) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the main thread, which may sleep
     poll = select.poll()
-    poll.register(descriptor, 0)  # the other end closed is told in any case
+    poll.register(descriptor, 0)  # poll reports a closed end in any case
     while not poll.poll(BEAT_S * 1000):
         if healthy():
             try:

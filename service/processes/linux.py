@@ -1,4 +1,6 @@
-"""What the standard library lacks of Linux: signals when a parent dies, adoption of orphans, who is in a group."""
+"""What the standard library lacks of Linux: signals when a parent dies, adoption of orphans, who is in a group. And who
+goes first where a computer has too much to do: agents of mills, then servers, then what computes.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,8 @@ _SET_NAME = 15
 _SET_CHILD_SUBREAPER = 36
 _PUNCH_HOLE = 3  # FALLOC_FL_KEEP_SIZE | FALLOC_FL_PUNCH_HOLE
 _LIBC = ctypes.CDLL(None, use_errno=True)  # looked up here, so that nothing needs loading between a fork and its use
+
+FIRST, BEHIND = -5, 10  # of nice; 0 is what servers have
 
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
@@ -91,3 +95,25 @@ def _state_and_group(pid: int) -> tuple[str, int]:
     except OSError:
         return "X", -1
     return after_name[0], int(after_name[2])
+
+
+def go_first() -> None:
+    """Raise the priority of this thread and all that it starts from now on, where the system permits it.
+
+    It does so to root, with CAP_SYS_NICE, and as far as RLIMIT_NICE goes; elsewhere nothing changes.
+    """
+    _set_nice(min(FIRST, _read_nice()))
+
+
+def give_way() -> None:
+    """Lower the priority of this thread and all that it starts from now on; one that is further behind stays there."""
+    _set_nice(max(BEHIND, _read_nice()))
+
+
+def _read_nice() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0)
+
+
+def _set_nice(nice: int) -> None:
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, nice)

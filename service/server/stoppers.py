@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from service.processes.whole_file import write_whole
+from service.processes.files import write_whole
 
 FILE = "stop-tokens.json"  # in the data folder
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, sentence_of_os_error
-from service.processes.private import make_private
+from service.processes.files import make_private
 from service.store.base import MissingObjectError, StoredObject
 
 PIECE_BYTES = 1 << 20

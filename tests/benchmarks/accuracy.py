@@ -10,11 +10,11 @@ import numpy as np
 
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
-from cam.reading.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import generate_program, read_program
 
 SIDE_MM = 20.0
 WAVES = ((1.1, 0.21, 0.13, 0.4), (0.5, -0.15, 0.34, 1.3), (0.02, 1.3, 0.9, 0.2))  # height, along x, along y, phase

@@ -23,17 +23,17 @@ from cam.checking.check import PassCheck, check_program
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.planning.shop import pitches_mm
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile
 from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.tools import load_tools
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import generate_program
 
 LENSES = ("camera", "astronaut", "logo")
 FINISH = replace(PAPER_PASSES[2], strategy="contour")
@@ -118,7 +118,7 @@ def _path_figures(verdict: PassCheck) -> Iterator[Figure]:
     where = f"at X{gap.x_mm:.3f} Y{gap.y_mm:.3f}; {gap.bare_share:.1e} of the area beyond half a pitch; asked: 1.02"
     nominal_s = verdict.path_length_mm / FEED_MM_PER_S
     yield Figure(
-        "  entries, lifts, rapids inside", path.entries, "", f"{path.lifts}, {path.rapids_inside}; asked: 1, 0, 0"
+        "  entries, lifts, rapids inside", path.entries, "", f"{path.entries - 1}, {path.rapids_inside}; asked: 1, 0, 0"
     )
     yield Figure("  widest gap between tracks, everywhere", gap.width_mm / FINISH.pitch_mm, "pitches", where)
     yield Figure("  length x pitch / area", path.length_ratio, "", f"{path.length_mm / 1000:.0f} m; asked: 1.30 (1.18)")

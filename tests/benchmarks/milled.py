@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -26,14 +25,14 @@ from service.job.files import HEIGHTFIELD, MAP, SPEC
 from service.job.spec.lens_task import branch_of, lens_settings
 from service.job.spec.loading import resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, look_up
 from service.job.stages.as_milled import run_as_milled
 from service.job.stages.context import PictureQueue, StageContext, peak_rss_mb
 from service.progress import QuietReporter, Stopwatch
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import generate_program
 
 FINISH = "passes.2."
 STILL = ("machine.step_mm=0.000001", "machine.z_noise_mm=0")

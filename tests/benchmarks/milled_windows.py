@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cam.as_milled.rows import row_tracks, tip_error_mm
+from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Tracks
 from cam.checking.removal import RemovalGrid
@@ -22,6 +22,7 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.benchmarks.timing import Figure
 from tests.cam.facet_points import rms, spread_over
+from tests.cam.programs import row_tracks
 
 CELL_MM, SHIFT_MM = 0.001, 1e-5
 _PIECE_MM = 8.0  # of the lens, side

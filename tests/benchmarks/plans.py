@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.as_milled.rows import row_tracks, tip_error_mm
+from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise, Tracks
 from cam.contour.path import contour_path
@@ -32,12 +32,12 @@ from optics.milled import simulate_milled
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.sentences import finish_words
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.timing import Figure
+from tests.cam.programs import row_tracks
 
 NAMES = ("camera", "logo")
 MILL = ("machine.step_mm=0.002", "machine.z_noise_mm=0.0005")

@@ -15,11 +15,10 @@ from cam.moves import cut
 from cam.passes import PAPER_PASSES, Stock
 from cam.posts.dialects import GRBL
 from cam.posts.writers import create_writer
-from cam.program import generate_program
-from cam.reading.gcode import read_program
 from cam.surface.stock_grid import StockGrid
 from tests.benchmarks.pictures import bumps
 from tests.benchmarks.timing import Figure, seconds
+from tests.cam.programs import generate_program, read_program
 
 FORMATTED = 2_000_000  # points
 

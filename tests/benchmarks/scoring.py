@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cam.surface.cutter import largest_fitting_radius_mm
+from cam.surface.stock_touch import largest_fitting_radius_mm
 from optics.caustic import Caustic, simulate_caustic
 from optics.design import LensDesign, design_lens
 from optics.lens_settings import LensSettings

@@ -6,9 +6,9 @@ from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
+from tests.cam.programs import generate_program
 
 MILL = Kinematics(
     max_rate_mm_per_min=(5000, 5000, 3000),

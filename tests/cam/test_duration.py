@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.duration import DurationModel, Kinematics
-from cam.reading.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch
+from tests.cam.programs import read_program
 
 
 def mill(**changes) -> Kinematics:

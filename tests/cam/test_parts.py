@@ -17,11 +17,13 @@ from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL, POSTS
 from cam.program import generate_parts
-from cam.reading.gcode import LANGUAGES, read_program
+from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
+from tests.cam.lenses import make_bumps
+from tests.cam.programs import read_program
 
 SAFE_Z = 5.0
 FRAME = PassFrame(
@@ -123,7 +125,7 @@ def test_names_and_numbers_tell_the_parts_apart():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("dialect", ["grbl", "fanuc", "rml-1"])
-def test_a_split_pass_leaves_the_same_stock_and_each_part_may_run_alone(make_bumps, tmp_path, dialect):
+def test_a_split_pass_leaves_the_same_stock_and_each_part_may_run_alone(tmp_path, dialect):
     lens = make_bumps(4, relief_mm=0.5, width_mm=3.0, height_mm=2.0)
     stock = Stock(width_mm=3.0, height_mm=2.0, thickness_mm=10, margin_mm=1.5)
     top = StockGrid.block(stock, 0.08)

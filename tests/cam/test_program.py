@@ -15,9 +15,11 @@ from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, Sto
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import CHUNK_BYTES, generate_program, pass_paths
+from cam.program import CHUNK_BYTES, pass_paths
 from cam.surface.stock_grid import StockGrid
 from cam.surface.tool_surface import ToolSurface
+from tests.cam.lenses import SlowMill, make_bumps, make_lens
+from tests.cam.programs import generate_program
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "tiny-pass.nc"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"
@@ -35,17 +37,16 @@ def block(margin_mm: float = 1.0) -> Stock:
 
 @pytest.fixture(scope="module")
 def small():
-    from tests.cam.conftest import bumps
 
-    return bumps(4, relief_mm=1.1, width_mm=W, height_mm=H, spread_mm=0.7)
+    return make_bumps(4, relief_mm=1.1, width_mm=W, height_mm=H, spread_mm=0.7)
 
 
 def paths(lens, spec, stock, top, **options):
     return list(pass_paths(lens, spec, stock, stock_top=top, **options))
 
 
-def cut_block(slow_mill, moves, spec, top):
-    mill = slow_mill(x_mm=top.x_mm, y_mm=top.y_mm, radius_mm=spec.radius_mm, top_mm=top.top_mm.copy())
+def cut_block(moves, spec, top):
+    mill = SlowMill(x_mm=top.x_mm, y_mm=top.y_mm, radius_mm=spec.radius_mm, top_mm=top.top_mm.copy())
     for path in moves:
         for point in path.points_mm:
             mill.move(point, rapid=path.motion is Motion.RAPID)
@@ -67,7 +68,7 @@ def judge(mill, spec):
         pytest.param(0.5, "retract", marks=pytest.mark.thorough),
     ],
 )
-def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
+def test_three_passes_make_the_lens(small, margin_mm, link):
     """Each within its step-down, no rapid in stock, nothing below the lens, and what is left is what was asked for."""
     stock = block(margin_mm)
     top = StockGrid.block(stock, CELL_MM)
@@ -75,7 +76,7 @@ def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
     lens = small.spline().heights_mm(top.x_mm[None, inside_x], top.y_mm[inside_y][:, None])
     for spec in (ROUGH, MIDDLE, FINISH):
         spec = replace(spec, link=link)
-        mill, top = cut_block(slow_mill, paths(small, spec, stock, top), spec, top)
+        mill, top = cut_block(paths(small, spec, stock, top), spec, top)
         judge(mill, spec)
         over = top.top_mm[np.ix_(inside_y, inside_x)] - lens
         assert over.min() >= 0.9 * spec.stock_to_leave_mm - 2e-5  # vertical is never less than along the normal
@@ -87,11 +88,11 @@ def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
 
 
 @pytest.mark.thorough
-def test_a_pass_alone_on_a_flat_block(small, slow_mill):
+def test_a_pass_alone_on_a_flat_block(small):
     """A finishing pass that meets an uncut block clears it in planes first and ends with exact rows."""
     stock = block()
     spec = replace(FINISH, pitch_mm=0.2, step_down_mm=0.6)
-    mill, _ = cut_block(slow_mill, paths(small, spec, stock, top_of(stock)), spec, top_of(stock))
+    mill, _ = cut_block(paths(small, spec, stock, top_of(stock)), spec, top_of(stock))
     judge(mill, spec)
 
 
@@ -99,10 +100,10 @@ def top_of(stock: Stock) -> StockGrid:
     return StockGrid.block(stock, CELL_MM)
 
 
-def test_no_wall_is_left_around_the_lens(small, slow_mill):
+def test_no_wall_is_left_around_the_lens(small):
     """The rough pass clears one radius beyond the aperture, so that the next ball meets no deep wall there."""
     stock = block(3.0)
-    _, top = cut_block(slow_mill, paths(small, ROUGH, stock, top_of(stock)), ROUGH, top_of(stock))
+    _, top = cut_block(paths(small, ROUGH, stock, top_of(stock)), ROUGH, top_of(stock))
     ring_x = (top.x_mm > -0.9) & (top.x_mm < W + 0.9)
     ring_y = (top.y_mm > -0.9) & (top.y_mm < H + 0.9)
     ring = top.top_mm[np.ix_(ring_y, ring_x)]
@@ -148,7 +149,7 @@ def test_exact_rows_come_last_and_once_over_everything(small):
 
 
 @pytest.mark.thorough
-def test_local_rest_gets_layers_of_its_own(small, slow_mill):
+def test_local_rest_gets_layers_of_its_own(small):
     """A post that an earlier pass left comes off in steps, and only there."""
     stock = block()
     z = small.spline_with_run_out(4.0)
@@ -157,7 +158,7 @@ def test_local_rest_gets_layers_of_its_own(small, slow_mill):
     post = np.hypot(top.x_mm[None, :] - 2, top.y_mm[:, None] - 1.5) < 0.4
     left = StockGrid(x0_mm=top.x0_mm, y0_mm=top.y0_mm, cell_mm=CELL_MM, top_mm=even + 0.5 * post)
     moves = paths(small, FINISH, stock, left)
-    mill, _ = cut_block(slow_mill, moves, FINISH, left)
+    mill, _ = cut_block(moves, FINISH, left)
     judge(mill, FINISH)
     lifts = [n for n, path in enumerate(moves) if path.motion is Motion.RAPID and n > 0]
     layered = np.concatenate([path.points_mm for path in moves[1 : lifts[-3]] if path.motion is Motion.CUT])
@@ -229,7 +230,7 @@ def test_text_comes_in_pieces_and_progress_rises_to_one(small):
     assert seen[0] < 0.1
 
 
-def test_jobs_that_cannot_be_done_are_refused_before_the_first_block(small, make_lens):
+def test_jobs_that_cannot_be_done_are_refused_before_the_first_block(small):
     stock, top = block(), top_of(block())
 
     def first(lens=small, spec=FINISH, stock=stock, **options):
@@ -251,7 +252,7 @@ def test_jobs_that_cannot_be_done_are_refused_before_the_first_block(small, make
     assert 0.2 < large.value.reached_share < 0.9
 
 
-def test_golden_program(make_lens):
+def test_golden_program():
     """A tiny pass as readable lines. Set CAUSTICMILL_REWRITE_GOLDEN=1 to write it anew, then read the diff."""
     lens = make_lens(lambda x, y: -0.9 + 0.05 * x + 0.04 * y * y, width_mm=2.0, height_mm=1.5)
     stock = Stock(width_mm=2, height_mm=1.5, thickness_mm=3, margin_mm=1)

@@ -11,18 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cam.around.outline import trace_paths
+from cam.around.paths import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock
 from cam.posts.dialects import POSTS, find_unsupported
 from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
-from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts
 from machines.gcode.interpreter import Interpreter
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
+from tests.cam.programs import read_program
 
 DIALECTS = sorted(POSTS)
 SAFE_Z = 5.0

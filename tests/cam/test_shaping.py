@@ -20,7 +20,7 @@ from cam.rows.rounding import Rounding, nearest, on_raster
 from cam.shaping import LONGEST_MM, ErrorMemory, ShapedRegion, shape_heights
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import MILL
-from tests.cam.conftest import bumps
+from tests.cam.lenses import make_bumps
 
 STEP_MM, PITCH_MM, RADIUS_MM, SIDE_MM = 0.004, 0.05, 0.5, 6.0
 ROUNDING = Rounding(digits=Digits(xy_mm=STEP_MM, z_mm=STEP_MM), pitch_mm=PITCH_MM)
@@ -172,7 +172,7 @@ def test_vertices_are_hardly_more_on_a_lens():
     assert sum(map(len, after)) < 1.3 * sum(map(len, before))
 
 
-LENS = bumps(4, relief_mm=0.2, width_mm=3.0, height_mm=2.0)
+LENS = make_bumps(4, relief_mm=0.2, width_mm=3.0, height_mm=2.0)
 BLOCK = Stock(width_mm=3.0, height_mm=2.0, thickness_mm=10, margin_mm=1)
 SPEC = ball_pass("finish", radius_mm=RADIUS_MM, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.5)
 TOP = StockGrid.block(BLOCK, 0.05)

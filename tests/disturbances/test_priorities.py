@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.processes.priority import BEHIND, FIRST
+from service.processes.linux import BEHIND, FIRST
 from tests.disturbances.floor import running_floor
 from tests.service.server.api.server import png
 from tests.service.server.supervisor.processes import descendants

@@ -11,12 +11,11 @@ import pytest
 
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
-from cam.reading.gcode import read_program
 from cam.surface.stock_grid import StockGrid
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from optics.heightfield import Heightfield
+from tests.cam.programs import generate_program, read_program
 from tests.end_to_end.command import ran
 from tests.levels import mostly_thorough
 from tests.waiting import PATIENCE_S

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import errno
 import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from machines.driver import MillState
-from machines.journal.disk import RealDisk, RealFile
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunState
+from tests.machines.disks import FullDisk
+from tests.trials.kill_bench import Bench
+from tests.trials.kill_program import facts_of
 
 YES = Confirmation("ann", START_CHECKS)
 YES_ALL = Confirmation("ann", RECOVER_CHECKS)
@@ -18,35 +18,14 @@ LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200
 LINES += [f"X{10 + i / 2:g}Y{10 + i % 2}{'F600' if i == 1 else ''}" for i in range(1, 80)] + ["G0 Z5", "M5", "M2"]
 
 
-class FullDisk(RealDisk):
-    """room: whether anything can be written; before_write: what happens while a write is waited for."""
-
-    room = True
-    before_write: Callable[[], object] = staticmethod(lambda: None)
-
-    def create(self, path: Path) -> RealFile:
-        disk = self
-
-        class File(RealFile):
-            def write(self, data: bytes) -> None:
-                disk.before_write()
-                if not disk.room:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-                super().write(data)
-
-        if not self.room:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return File(path)
-
-
 class Shop:
     """A bench of the kill trials with a parked run."""
 
-    def __init__(self, folder: Path, kill_trial: Any, lines: list[str]) -> None:
+    def __init__(self, folder: Path, lines: list[str]) -> None:
         self.path = folder / "p.nc"
         self.path.write_text("\n".join(lines) + "\n")
-        self.facts = kill_trial.facts_of(self.path)
-        self.bench = kill_trial.Bench(folder / "mill", random.Random(1), homing=False, hal=False)
+        self.facts = facts_of(self.path)
+        self.bench = Bench(folder / "mill", random.Random(1), homing=False, hal=False)
         self.disk = FullDisk()
         self.mill.close()
         self.bench.disk = self.disk
@@ -78,3 +57,27 @@ class Shop:
         self.mill.start(self.id, YES)
         self.bench.until(lambda: self.cuts >= cuts)
         return self
+
+    def aborted(self) -> Shop:
+        """The run, once it is aborted and the mill stands idle."""
+        self.mill.abort()
+        self.until(RunState.ABORTED)
+        self.bench.until_state(MillState.IDLE)
+        return self
+
+    def held(self) -> Shop:
+        self.mill.hold()
+        self.until(RunState.HELD)
+        return self
+
+    def replace_owner(self, *states: MillState) -> None:
+        """As `stream` does it: the process ends, another one opens the link, and waits for one of these states."""
+        self.bench.kill(host_power=False)
+        self.bench.mill = self.bench.new_mill()
+        if states:
+            self.bench.until_state(*states)
+
+    @property
+    def needs(self) -> list[str]:
+        """Codes of what a recovery asks for."""
+        return [need.code for need in self.mill.plan_recovery(self.id).needs]

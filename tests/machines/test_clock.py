@@ -19,17 +19,10 @@ from machines.clock import LOOK_S, RunningTime, Timeout, make_running_clock, sus
 from machines.journal.disk import ThreadSyncer
 from machines.mill.orders import OrderGate
 from service.server.worker.lease import Lease
+from tests.machines.disks import Clock
 from tests.waiting import until
 
 PAUSES_S = st.sampled_from([0.0, 0.3, 3.0, 40.0, 3600.0, 1e6])
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @given(st.lists(st.tuples(st.floats(0.0, LOOK_S), PAUSES_S), max_size=60), st.floats(0.6, 60.0))

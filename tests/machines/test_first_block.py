@@ -16,21 +16,10 @@ from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
 from phrases.phrase import Phrase
 from tests.machines.drip.simulated_control import SimulatedControl
-from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
+from tests.machines.roland.simulated_device import SimulatedMdx40a, open_simulated
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
-HEAD = (
-    b"%",
-    b"O00000001",
-    b"G90",
-    b"G21",
-    b"G54",
-    b"S12000",
-    b"M03",
-    b"G00 Z5.0",
-    b"G00 X0.0 Y0.0",
-    b"G01 Z-1.0 F300.0",
-)
+HEAD = b"%|O00000001|G90|G21|G54|S12000|M03|G00 Z5.0|G00 X0.0 Y0.0|G01 Z-1.0 F300.0".split(b"|")
 TEXTS = (*HEAD, *(b"G01 X%d.0 Y0.0 Z-1.0 F1200.0" % x for x in range(1, 40)), b"G00 Z5.0", b"M05", b"M02", b"%")
 
 
@@ -54,12 +43,7 @@ class Bench:
         self.events.clear()
 
     def _usb(self) -> tuple[Any, type, str]:
-        machine, usb = pytest.importorskip("rollingmill.machine"), pytest.importorskip("rollingmill.usb")
-        mill = SimulatedMdx40a()
-        face = UsbFace(mill)
-        link = usb.MdxUSB(face, 0, face, 2000)
-        errors = (SimulatedUsbError,)
-        device = RollingmillDevice(link, machine.MDX40A(link), link_errors=errors, clock=mill.clock, wait=mill.wait)
+        device = open_simulated(SimulatedMdx40a())
         return RolandUsbDriver(device, dialect="roland-nc"), RollingmillDevice, "write_block"
 
     def _serial(self) -> tuple[Any, type, str]:

@@ -19,13 +19,12 @@ from machines.preflight.preflight import Preflight
 from machines.profile import LinkSettings, MachineProfile, load_profile
 from machines.recovery.plan_model import Reentry
 from machines.roland.serial_driver import RolandSerialDriver
-from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
 from machines.runs import START_CHECKS, Confirmation, RunState
 from service.milling.preflight import run_preflight
+from tests.machines.disks import InlineSyncer
 from tests.machines.drip.simulated_control import SimulatedControl
-from tests.machines.inline_syncer import InlineSyncer
-from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
+from tests.machines.roland.simulated_device import SimulatedMdx40a, open_simulated
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
 YES = Confirmation("ann", START_CHECKS)
@@ -72,15 +71,9 @@ class Link:
 
 
 def _usb(mill: SimulatedMdx40a, dialect: str) -> Driver:
-    machine, usb = pytest.importorskip("rollingmill.machine"), pytest.importorskip("rollingmill.usb")
     if mill.unplugged:
         raise PortLostError("usb:mdx-40a", "not there")
-    face = UsbFace(mill)
-    link = usb.MdxUSB(face, 0, face, 2000)
-    device = RollingmillDevice(
-        link, machine.MDX40A(link), link_errors=(SimulatedUsbError,), clock=mill.clock, wait=mill.wait
-    )
-    return RolandUsbDriver(device, dialect=dialect)
+    return RolandUsbDriver(open_simulated(mill), dialect=dialect)
 
 
 def _reached(port: Any) -> Any:

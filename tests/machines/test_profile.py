@@ -104,7 +104,7 @@ def test_profiles_extend_each_other_but_not_in_a_ring(tmp_path: Path) -> None:
         ('dialect = "heidenhain"', "dialect = 'heidenhain': allowed: 'grbl'"),
         ("planner_blocks = 15.5", "a whole number"),
         ("planner_blocks = true", "a whole number"),
-        ("homing = 1", "homing = 1: allowed: true, false"),
+        ("homing = 1", "homing = 1: allowed: true or false"),
         ("spindle_rpm = [9, 8]", "[slowest, fastest]"),
         ('name = "other"', "the name of the file"),
         ("safe_z_mm = 100", "less than the travel in Z"),

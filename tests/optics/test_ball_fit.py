@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.surface.cutter import largest_fitting_radius_mm
+from cam.surface.stock_touch import largest_fitting_radius_mm
 from optics.ball_fit import ball_fits, fit_ball
 from optics.heightfield import Heightfield
 

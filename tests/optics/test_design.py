@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.surface.cutter import largest_fitting_radius_mm
+from cam.surface.stock_touch import largest_fitting_radius_mm
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
 from optics.lens_settings import LensSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from cam.surface.cutter import largest_fitting_radius_mm
+from cam.surface.stock_touch import largest_fitting_radius_mm
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.corrections import correct_lens

@@ -10,7 +10,7 @@ from typing import Any
 
 from playwright.sync_api import Page, Route, expect
 
-from machines.grbl.codes import alarm_words
+from machines.grbl.replies import alarm_words
 from phrases.phrase import Phrase, phrases_in
 from tests.page import canned_job
 from tests.page.browser import open_blank

@@ -8,13 +8,11 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from playwright.sync_api import Page, Route
 
-from service.job.page_data.header import header_line
-from service.job.page_data.path import Level
+from service.job.page_data.path import Level, make_header
 from service.job.page_data.points import HIDDEN, RAPID, Points
 
 FEED_MM_PER_S = 25.0
@@ -50,7 +48,7 @@ def write_path(path: Path, *, side_mm: float, pitch_mm: float, levels: tuple[Thi
             "programs": [{"file": "pass-1-finish.nc", "lines": made[-1].points}],
         }  # fmt: skip
         with path.open("wb") as file:
-            file.write(_header(facts, made))
+            file.write(make_header(facts, made))
             for level in made:
                 file.write(level.index.tobytes())
                 file.writelines(level.blocks())
@@ -79,24 +77,6 @@ def _rows(side_mm: float, pitch_mm: float, thinned: Thinned, *, lines: int) -> I
         time_s = number * row_s + np.linspace(0.0, 0.99 * row_s, along.size)
         mm = np.stack([along, np.full(along.size, y_mm), z_mm], axis=1)
         yield Points(mm=mm, time_s=time_s, line=line, kind=kind)
-
-
-def _header(facts: dict[str, Any], levels: list[Level]) -> bytes:
-    rows: list[dict[str, Any]] = []
-    for _ in range(4):  # its own length is in its digits
-        offset, length = len(header_line(facts | {"levels": rows})), 0
-        rows = []
-        for level in levels:
-            start = offset + length
-            data = start + level.index.nbytes
-            rows.append(
-                {
-                    "tolerance_mm": level.tolerance_mm, "points": level.points, "chunks": len(level.index),
-                    "index_offset_bytes": start, "offset_bytes": data,
-                }
-            )  # fmt: skip
-            length += level.index.nbytes + 8 * level.points
-    return header_line(facts | {"levels": rows})
 
 
 class Served:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from machines.grbl.codes import SPINDLE_ON_ALARMS
+from machines.grbl.replies import SPINDLE_ON_ALARMS
 from tests.levels import mostly_thorough
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, tick_all

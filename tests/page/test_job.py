@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from service.job.page_data.header import split_header
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import usual_seconds
 from service.wording import duration, psnr_in_words
@@ -22,6 +21,7 @@ from tests.page.canned_job import RUN_EXAMPLE
 from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL
+from tests.service.job.page_data.paths import split_header
 
 NEAR_PX = 150
 AWAY = (r"net::ERR_", r"status of 50[234]")

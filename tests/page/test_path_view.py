@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from service.job.page_data.header import split_header
 from tests.page.conftest import Opened
 from tests.page.drawn import Drawn, drawn
 from tests.page.paths import FEED_MM_PER_S, SIDE_MM, Thinned, write_huge_path, write_path
 from tests.page.test_job import NO_WEBGL
+from tests.service.job.page_data.paths import split_header
 
 PITCH_MM = 0.05
 SMALL = (Thinned(8, 0.2, 0.4), Thinned(2, 0.04, 0.1), Thinned(1, 0.01, 0.0))

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from machines.codes import MillCode
 from machines.driver import FaultCause, MillState
-from machines.grbl.codes import ALARMS
+from machines.errors import MillCode
+from machines.grbl.replies import ALARMS
 from machines.mill.orders import Refusal, Stop
 from machines.recovery.needs import DOUBTS
 from machines.runs import RunState

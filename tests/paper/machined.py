@@ -9,17 +9,17 @@ from functools import cache
 import numpy as np
 
 from cam.checking.check import PassCheck, check_program
-from cam.checking.path_quality import PathMeasures, measure_program
+from cam.checking.path_quality import PathMeasures
 from cam.checking.removal import RemovalGrid
 from cam.duration import DurationModel
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
-from cam.reading.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 from machines.profile import load_profile
 from optics.heightfield import Heightfield
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
+from tests.cam.programs import generate_program, measure_program, read_program
 from tests.paper.cases import SIDE_MM, by_transport
 
 SKIN_MM = 0.03  # what the second rough pass leaves

@@ -14,7 +14,7 @@ from cam.passes import PAPER_PASSES, PassSpec
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
-from service.job.report.figures.contour_sample import ContourSample
+from service.job.report.figures.path_sample import ContourSample
 from tests.paper import figures
 from tests.paper.cases import INDEX, SIDE_MM, THROW_MM
 from tests.paper.machined import FinishPath, MilledPass, finish_path, lens_to_mill, moves_of, skin_over, three_passes

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cam.as_milled.rows import row_tracks, tip_error_mm
+from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations
+from tests.cam.programs import row_tracks
 from tests.paper import figures
 from tests.paper.cases import by_transport, setting, target
 from tests.paper.section import Section, Sizes

@@ -17,7 +17,7 @@ from tests.adding import TOP, copy_tree, run_in_copy
 _KEY = "slot_feed_share"
 _PASS_KEY = {
     "cam/passes.py": ("    spindle_rpm: float\n", f"    spindle_rpm: float\n    {_KEY}: float = 0.5\n"),
-    "service/job/spec/passes.py": (
+    "service/job/spec/cutting.py": (
         "    flute_length_mm: Annotated[",
         f'    {_KEY}: Annotated[float, Field(ge=0.1, le=1), shown("Feed in a slot")] = 0.5\n'
         "    flute_length_mm: Annotated[",
@@ -30,7 +30,7 @@ use_current_kernels()
 import json, sys
 import numpy as np
 from cam.posts.dialects import POSTS
-from cam.program import generate_program
+from cam.program import generate_parts
 from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from service.errors import SpecError
@@ -58,7 +58,7 @@ stock = cam_stock_of(job.spec)
 
 def program_of(job):
     (spec,) = cam_passes_of(job.spec)
-    return b"".join(generate_program(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"]))
+    return b"".join(next(generate_parts(lens, spec, stock, stock_top=StockGrid.block(stock, 0.2), post=POSTS["grbl"])))
 
 print(json.dumps({
     "row": JobSpec.model_json_schema()["$defs"]["PassRow"]["properties"][KEY],

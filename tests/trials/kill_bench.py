@@ -14,7 +14,7 @@ from machines.recovery.plan_model import Reentry
 from machines.simulated.endpoints import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, GRBLHAL
-from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.disks import InlineSyncer
 
 
 class LossyDisk(RealDisk):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from machines.simulated.recording import CutSegment
+from machines.simulated.controller import CutSegment
 from tests.trials.kill_program import Point
 
 NEAR_MM = 0.005

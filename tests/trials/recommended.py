@@ -20,14 +20,13 @@ from cam.checking.removal import RemovalGrid
 from cam.duration import DurationModel
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
-from machines.preflight.limits import limits_of
+from machines.preflight.preflight import limits_of
 from machines.profile import profile_names
 from service.job import pipeline
 from service.job.files import files_of_pass, read_chunks
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.loading import load_stored_job, resolve_job
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of
 from service.job.stages.programs import first_stock
 from service.milling.preflight_child import examine
 from service.progress import QuietReporter

@@ -1,4 +1,6 @@
-"""What a photograph of the test piece says: figures, or why it says nothing; and all sentences, in one table."""
+"""From a photograph and the folder of a test piece to what it says: figures and the files of the fit, or why it says
+nothing; and all sentences, in one table.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +19,18 @@ from optics.coupon.grain import RowErrors, fit_row_errors, measure_grain
 from optics.coupon.layout import Half
 from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
+from optics.irradiance import picture_from_irradiance
 from phrases.phrase import Phrase
-from service.errors import PictureError
-from service.job.coupon.photograph import Photo, Placed, place_photo
-from service.job.coupon.piece import coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
+from service.job import files as job_files
+from service.job.coupon.photograph import Photo, Placed, place_photo, read_photo
+from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece, load_predicted_piece
+from service.job.files import plain
+from service.job.photo.findings import Finding, UselessPhotoError
 from service.job.spec.finish import NONE
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.loading import load_stored_job
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
+from service.progress import Reporter, Stopwatch
 
 HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence
@@ -87,23 +94,10 @@ SENTENCES: dict[str, Callable[[Mapping[str, float]], Phrase]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class CouponFinding:
-    """A code of SENTENCES and the values in its sentence."""
+class CouponFinding(Finding):
+    """What a photograph of the test piece shows."""
 
-    code: str
-    values: dict[str, float]
-
-    def sentence(self) -> Phrase:
-        return SENTENCES[self.code](self.values)
-
-
-class PhotoRefused(PictureError):
-    """A photograph that says nothing, and why."""
-
-    def __init__(self, name: str, finding: CouponFinding) -> None:
-        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=finding.sentence()))
-        self.finding = finding
+    sentences = SENTENCES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,8 +146,51 @@ class CouponResult:
                 "mirrored": found.mirrored,
                 "misfit": fit.misfit,
             },
-            "notes": [{"code": one.code, "values": one.values, "text": one.sentence()} for one in self.notes],
+            "notes": [one.plain() for one in self.notes],
         }
+
+
+def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
+    """Fit the photograph; coupon-fit.json, .png and .toml go into the folder. InputError where it says nothing."""
+    job = require_coupon(folder)
+    watch = Stopwatch(reporter)
+    with watch.stage("photograph"):
+        shot = read_photo(photo)
+    with watch.stage("fit") as on_progress:
+        result = fit_photo(str(photo), shot, folder, on_progress=on_progress)
+    with watch.stage("figure"):
+        picture = draw_fit(result, viewed_from_lens=job.spec.optics.viewed_from == "lens")
+    job_files.write_bytes(folder / FIT_PICTURE, picture)
+    job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
+    job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
+    return result
+
+
+def fit_photo(
+    name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
+) -> CouponResult:
+    """Return what a photograph says of the test piece in a folder. UselessPhotoError where it says nothing."""
+    job = load_stored_job(folder)
+    predicted = load_predicted_piece(folder / PROFILES, coupon_of(job))
+    return measure_photo(name, shot, predicted, job, on_progress=on_progress)
+
+
+def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
+    """Draw coupon-fit.png."""
+    from service.job.report.figures.photographs import coupon_fit_png  # what it stands on is slow to import
+
+    picture, level = result.placed.picture, result.placed.level
+    small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]
+    small = small.reshape(small.shape[0] // 2, 2, small.shape[1] // 2, 2).mean(axis=(1, 3))
+    seen = picture_from_irradiance(small, viewed_from="lens" if viewed_from_lens else "behind")
+    x, y = picture.x_mm, picture.y_mm
+    across = (x[-1], x[0]) if viewed_from_lens else (x[0], x[-1])
+    return coupon_fit_png(
+        np.asarray(seen / level),
+        result.fit,
+        extent_mm=(*across, y[0], y[-1]),
+        notes=[note.code.replace("_", " ") for note in result.notes],
+    )
 
 
 def measure_photo(
@@ -164,7 +201,7 @@ def measure_photo(
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
-    """Return what the photograph says of that test piece. PhotoRefused where it says nothing."""
+    """Return what the photograph says of that test piece. UselessPhotoError where it says nothing."""
     on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
     placed = _place(name, photo, predicted, template, job)
@@ -178,9 +215,9 @@ def measure_photo(
         fit = fit_finish(coupon, predicted.profiles, folds, finished=finished)
     on_progress(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
-        raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
+        raise UselessPhotoError(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
-        raise PhotoRefused(name, CouponFinding("not_finished", {}))
+        raise UselessPhotoError(name, CouponFinding("not_finished"))
     rows = _row_errors(placed, predicted, job, fit, finished)
     on_progress(1.0)
     notes = tuple(_notes(fit, placed, finished, job))
@@ -191,15 +228,15 @@ def _place(name: str, photo: Photo, predicted: PredictedPiece, template: int, jo
     try:
         placed = place_photo(photo, predicted.templates[template], viewed_from=job.spec.optics.viewed_from)
     except ValueError:  # no light in it
-        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
+        raise UselessPhotoError(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
     found = placed.registration
     if found.confidence < _SURE:
-        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": found.confidence}))
+        raise UselessPhotoError(name, CouponFinding("not_a_coupon", {"confidence": found.confidence}))
     if placed.pixels_per_mm < _LEAST_PIXELS_PER_MM:
         values = {"pixels_per_mm": placed.pixels_per_mm, "least": _LEAST_PIXELS_PER_MM}
-        raise PhotoRefused(name, CouponFinding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
+        raise UselessPhotoError(name, CouponFinding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
     if placed.level < _LEAST_LEVEL:
-        raise PhotoRefused(name, CouponFinding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
+        raise UselessPhotoError(name, CouponFinding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
     return placed
 
 
@@ -214,11 +251,11 @@ def _choose_finished_half(
         ripples = sum(fold.is_usable for fold in own)
         if ripples < _LEAST_RIPPLES:
             share = float(np.mean([fold.clipped for fold in own]))
-            raise PhotoRefused(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
+            raise UselessPhotoError(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
     misfits = {half: misfit_as_milled(coupon, predicted.profiles, folds, half) for half in HALVES}
     if min(misfits.values()) > _AS_MILLED:
         values = {"misfit": min(misfits.values()), "throw_mm": job.spec.optics.throw_mm}
-        raise PhotoRefused(name, CouponFinding("no_fringes", values))
+        raise UselessPhotoError(name, CouponFinding("no_fringes", values))
     if max(misfits.values()) > _WORSE * min(misfits.values()):
         return max(HALVES, key=lambda half: misfits[half]), folds
     fringes = {half: sum(fold.fringe for fold in folds if fold.half == half and fold.is_usable) for half in HALVES}
@@ -248,9 +285,9 @@ def _row_errors(
 
 def _notes(fit: FinishFit, placed: Placed, finished: Half, job: ResolvedJob) -> Iterator[CouponFinding]:
     if finished == "right":
-        yield CouponFinding("right_finished", {})
+        yield CouponFinding("right_finished")
     if placed.registration.mirrored:
-        yield CouponFinding("mirrored", {})
+        yield CouponFinding("mirrored")
     nominal = job.spec.optics.throw_mm
     off = fit.throw_mm - nominal
     if abs(off) > max(_WALL_OFF * nominal, 2 * fit.throw_error_mm):

@@ -19,8 +19,8 @@ from optics.photograph import Registration, register
 from optics.photograph.homography import apply_homography
 from phrases.phrase import Phrase
 from service.errors import PictureError
+from service.job.picture import OWN_PICTURE, PictureLimits
 from service.job.picture.decoding import decode_picture, too_large_for_memory, unreadable
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.linear_light import ToneReader
 
 PIXELS_PER_MM = 40

@@ -15,7 +15,7 @@ from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
 from service.job.spec.loading import load_stored_job, parse_override, resolve_job
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.wording import ball, duration
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
@@ -23,7 +23,7 @@ FIT, FIT_PICTURE, FIT_SNIPPET = COUPON_FIT_FILES
 RADIUS_MM, ROUGH_PITCH_MM, PITCH_MM, LEFT_MM = 1.0, 0.4, 0.06, 0.05
 """One ball for both passes, so that nothing is changed between them."""
 
-USUAL_FINISH = "sanding"  # that is foretold where none is named
+USUAL_FINISH = "sanding"  # that is predicted where none is named
 _FIXED = {"width_mm": WIDTH_MM, "height_mm": HEIGHT_MM}
 _STOCK_MM = 10.0
 

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cam.as_milled.heights import mill_heights
 from cam.as_milled.rows import tip_error_mm
-from cam.as_milled.surface import MilledSurface
+from cam.as_milled.surface import MilledSurface, mill_heights
 from cam.as_milled.tracks import Noise, Tracks
 from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts
@@ -45,11 +44,10 @@ from service.job.pipeline import FolderJob
 from service.job.spec.finish import FinishSpec
 from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from service.job.stages.context import PictureQueue, peak_rss_mb, versions
 from service.job.stages.order import merge_reports
-from service.job.stages.so_far import JobSoFar
+from service.job.stages.table import JobSoFar
 from service.progress import Reporter, Stopwatch, report_progress
 
 PIXELS_PER_MM = 20
@@ -91,7 +89,7 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
         piece.run("check")
         watch = Stopwatch(reporter)
         job_files.write_json(folder / job_files.REPORT, so_far.report)  # names the programs
-        _foretell(folder, job, watch)
+        _write_predictions(folder, job, watch)
         part = {
             "warnings": [sentence for sentences in so_far.notes.values() for sentence in sentences],
             "timings_s": watch.timings_s,
@@ -106,13 +104,13 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
     return report
 
 
-def _foretell(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
+def _write_predictions(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
     """Write both pictures, and coupon.npz, what photographs are compared with."""
     with watch.stage("heights as milled") as on_progress:
         profiles = profiles_of_milled(mill_piece(folder, job, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         on_progress(0.5)
         made, clean = mill_piece(folder, job, seed=_SEEDS[1]), mill_piece(folder, job, seed=None)
-    with watch.stage("photograph foretold") as on_progress:
+    with watch.stage("predict photograph") as on_progress:
         finish = finish_of(job.spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
         light = predict_light(

@@ -23,8 +23,8 @@ from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
 from service.job.files import atomic_file
-from service.job.page_data.header import header_line
 from service.job.page_data.points import HIDDEN, PAUSE, RAPID, Chords, MovePoints, Points, Thinner, no_box, widen
+from service.job.page_data.surface import header_line
 
 MOST_POINTS = 60_000
 """Of the coarsest level."""
@@ -83,7 +83,7 @@ class PathDrawing:
             "points": self._full.points,
         }
         with atomic_file(path) as file:
-            file.write(_header(facts, levels))
+            file.write(make_header(facts, levels))
             for level in levels:
                 file.write(level.index.tobytes())
                 for block in level.blocks():
@@ -156,7 +156,7 @@ def _as_bounds(corners_mm: Array) -> dict[str, list[float]] | None:
     return {axis: [float(corners_mm[0, k]), float(corners_mm[1, k])] for k, axis in enumerate("xyz")}
 
 
-def _header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
+def make_header(facts: Mapping[str, Any], levels: list[Level]) -> bytes:
     """Make the header. Its offsets depend on its length, which grows with their digits: a few rounds settle it."""
     length = 0
     while True:

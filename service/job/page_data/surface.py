@@ -2,13 +2,15 @@
 
 light*.bin: a surface and its light, so fine that the page finds by itself what the wall shows, wherever it stands. The
 slopes of heights make the picture, and what counts of them are differences: heights are whole numbers of a step so
-small that its rounding moves light by a part of a thousand of a cell, kept as differences down and across.
+small that its rounding moves light by a part of a thousand of a cell, kept as differences down and across. These files
+and pass-N.path begin with one line of JSON.
 """
 
 from __future__ import annotations
 
 import gzip
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,6 @@ from optics.block import lower_by_back
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import ViewedFrom
 from optics.tubes.edges import polygon_coverage
-from service.job.page_data.header import header_line
 
 _CELLS = 512  # along the longer side
 _SHARP_CELLS = 1024  # in light without size, which blurs nothing
@@ -29,6 +30,13 @@ _MOST_LEVELS = 2**30
 _FULL = 255
 _MOST_SAMPLES = 257
 _LEVELS = 65535
+_ALIGN = 8  # bytes, for the arrays behind a header
+
+
+def header_line(facts: Mapping[str, Any]) -> bytes:
+    """Return the facts as one line; spaces before its end make its length a multiple of 8."""
+    text = json.dumps(facts, separators=(",", ":"), allow_nan=False).encode()
+    return text + b" " * (-(len(text) + 1) % _ALIGN) + b"\n"
 
 
 def surface_bytes(

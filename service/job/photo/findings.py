@@ -1,11 +1,11 @@
-"""What a photograph of the wall shows, as codes and values, and the one table of sentences about them."""
+"""What photographs show, as codes and values; of those of the wall the one table of sentences about them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any
+from typing import Any, ClassVar
 
 from phrases.phrase import Phrase, join
 from service.errors import PictureError
@@ -13,36 +13,36 @@ from service.errors import PictureError
 Values = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotoFinding:
-    """One thing that was found. `code` is a key of SENTENCES; `values` are what its sentence needs."""
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that a photograph shows. `code` is a key of `sentences`; `values` are what its sentence needs."""
 
+    sentences: ClassVar[Mapping[str, Callable[[Values], Phrase]]]
     code: str
     values: dict[str, Any] = field(default_factory=dict)
 
     def sentence(self) -> Phrase:
-        return SENTENCES[self.code](self.values)
+        return self.sentences[self.code](self.values)
 
     def plain(self) -> dict[str, Any]:
         return {"code": self.code, "values": self.values, "text": self.sentence()}
 
 
 class UselessPhotoError(PictureError):
-    """A photograph that shows nothing. `code` is a key of REFUSALS."""
+    """A photograph that shows nothing, and why."""
 
-    def __init__(self, name: str, code: str, **values: Any) -> None:
-        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=REFUSALS[code](values)))
-        self.code = code
-        self.values = values
+    def __init__(self, name: str, finding: Finding) -> None:
+        super().__init__(Phrase("{name}: {sentence}", name=name, sentence=finding.sentence()))
+        self.finding = finding
 
 
-_FORETOLD = {
+_PREDICTED_AS = {
     "finished": Phrase("as finished"),
     "milled": Phrase("as milled"),
     "designed": Phrase("as designed"),
 }
 
-REFUSALS: dict[str, Callable[[Values], Phrase]] = {
+SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     "no_light": lambda v: Phrase("the photograph is one tone all over; photograph the lit wall in a dark room"),
     "too_dark": lambda v: Phrase(
         "too dark: its brightest parts reach {peak_percent:.2g} % of white, allowed: {least_percent:g} % at least; "
@@ -64,10 +64,6 @@ REFUSALS: dict[str, Callable[[Values], Phrase]] = {
         "the photograph does not show what the lens of this job should show (likeness {likeness:.2f}, allowed: "
         "{least:.2f} at least); is it this job's lens, focused, in a dark room, and all of it lit?", **v
     ),
-}  # fmt: skip
-
-
-SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     "mirrored": lambda v: Phrase(
         "the photograph shows the picture mirrored: a selfie camera does that; otherwise it shows the other side "
         'of the wall than optics.viewed_from = "{viewed_from}" says', **v
@@ -104,14 +100,14 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
     ),
     "softer": lambda v: Phrase(
         "the light is softer than predicted {how}, by {mm:.2g} mm on the wall (the prediction itself: "
-        "{foretold_mm:.2g} mm): {causes}", **v, how=_FORETOLD[v["foretold"]], causes=_why_softer(v)
+        "{foretold_mm:.2g} mm): {causes}", **v, how=_PREDICTED_AS[v["foretold"]], causes=_why_softer(v)
     ),
     "sharper": lambda v: Phrase(
         "the light is sharper than predicted {how}, by {mm:.2g} mm on the wall: mill and finish did better than "
-        "their figures say", **v, how=_FORETOLD[v["foretold"]]
+        "their figures say", **v, how=_PREDICTED_AS[v["foretold"]]
     ),
     "as_soft_as_foretold": lambda v: Phrase(
-        "the light is as sharp as predicted {how}", how=_FORETOLD[v["foretold"]]
+        "the light is as sharp as predicted {how}", how=_PREDICTED_AS[v["foretold"]]
     ),
     "surface_off": lambda v: Phrase(
         "the surface is off by {peak_to_valley_um:.2g} µm from highest to lowest: {terms}",
@@ -132,6 +128,13 @@ SENTENCES: dict[str, Callable[[Values], Phrase]] = {
         **v
     ),
 }  # fmt: skip
+
+
+class PhotoFinding(Finding):
+    """What a photograph of the wall shows."""
+
+    sentences = SENTENCES
+
 
 _NAMES = {
     (2, 0): Phrase("bow from left to right and the other way from bottom to top"),

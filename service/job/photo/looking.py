@@ -24,8 +24,7 @@ from optics.spline import Array
 from phrases.phrase import Phrase
 from service.errors import InputError, printable
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, MAP
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, MAP, plain
 from service.job.photo.findings import PhotoFinding, UselessPhotoError
 from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import WallPhoto, read_wall_photo
@@ -159,21 +158,25 @@ def look_at(
 def _register(photo: WallPhoto, predicted: PredictedLight, name: str) -> Registration:
     peak = _peak(photo)
     if 0.0 < peak < _LEAST_PEAK:
-        raise UselessPhotoError(name, "too_dark", peak_percent=100 * peak, least_percent=100 * _LEAST_PEAK)
+        raise _refusal(name, "too_dark", peak_percent=100 * peak, least_percent=100 * _LEAST_PEAK)
     if peak == 0.0 or min(photo.light.shape) < 8:
-        raise UselessPhotoError(name, "no_light")
+        raise _refusal(name, "no_light")
     place = register(photo.light, predicted.bounded, viewed_from=predicted.viewed_from, fit_tone=True)
     if place.clipped_share > _MOST_CLIPPED:
         clipped, most = 100 * place.clipped_share, 100 * _MOST_CLIPPED
-        raise UselessPhotoError(name, "too_bright", clipped_percent=clipped, most_percent=most)
+        raise _refusal(name, "too_bright", clipped_percent=clipped, most_percent=most)
     if place.likeness < LEAST_ALIKE:
-        raise UselessPhotoError(name, "not_this_lens", likeness=place.likeness, least=LEAST_ALIKE)
+        raise _refusal(name, "not_this_lens", likeness=place.likeness, least=LEAST_ALIKE)
     if place.overlap < _LEAST_SEEN:
-        raise UselessPhotoError(name, "cut_off", seen_percent=100 * place.overlap, least_percent=100 * _LEAST_SEEN)
+        raise _refusal(name, "cut_off", seen_percent=100 * place.overlap, least_percent=100 * _LEAST_SEEN)
     across = place.pixels_per_pixel * max(predicted.irradiance.shape)
     if across < _LEAST_ACROSS_PX:
-        raise UselessPhotoError(name, "too_small", across_px=across, least_px=_LEAST_ACROSS_PX)
+        raise _refusal(name, "too_small", across_px=across, least_px=_LEAST_ACROSS_PX)
     return place
+
+
+def _refusal(name: str, code: str, **values: float) -> UselessPhotoError:
+    return UselessPhotoError(name, PhotoFinding(code, values))
 
 
 def _peak(photo: WallPhoto) -> float:
@@ -187,21 +190,21 @@ def _peak(photo: WallPhoto) -> float:
 def _findings(photo: WallPhoto, predicted: PredictedLight, place: Registration, fit: WallFit) -> list[PhotoFinding]:
     found = []
     if place.mirrored:
-        found.append(PhotoFinding(code="mirrored", values={"viewed_from": predicted.viewed_from}))
+        found.append(PhotoFinding("mirrored", {"viewed_from": predicted.viewed_from}))
     found.append(_distance(predicted, fit.throw_mm))
     found += _find_tilt("wall_tilted", fit.wall_tilt_rad, predicted)
     found += _find_tilt("light_aslant", fit.light_tilt_rad, predicted)
     deg = _turn_deg(place)
     if abs(deg) > _TURNED_DEG:
-        found.append(PhotoFinding(code="turned", values={"deg": deg}))
+        found.append(PhotoFinding("turned", {"deg": deg}))
     found.append(_softness(predicted, place, fit))
     found.append(_surface(predicted, fit))
     if place.clipped_share > _SOME_CLIPPED:
-        found.append(PhotoFinding(code="partly_clipped", values={"clipped_percent": 100 * place.clipped_share}))
+        found.append(PhotoFinding("partly_clipped", {"clipped_percent": 100 * place.clipped_share}))
     if _peak(photo) < _DARK_PEAK:
-        found.append(PhotoFinding(code="rather_dark"))
+        found.append(PhotoFinding("rather_dark"))
     if abs(place.tone - 1.0) > _ODD_TONE:
-        found.append(PhotoFinding(code="odd_tones", values={"tone": place.tone}))
+        found.append(PhotoFinding("odd_tones", {"tone": place.tone}))
     return found
 
 
@@ -209,10 +212,10 @@ def _distance(predicted: PredictedLight, throw: Estimate) -> PhotoFinding:
     within = 2 * throw.deviation
     if throw.exceeds(_SURE):
         code = "wall_too_far" if throw.value > 0 else "wall_too_near"
-        return PhotoFinding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
+        return PhotoFinding(code, {"mm": abs(throw.value), "deviation_mm": throw.deviation})
     if throw.is_determined:
-        return PhotoFinding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
-    return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": predicted.bench.throw_mm})
+        return PhotoFinding("wall_in_place", {"within_mm": max(within, abs(throw.value))})
+    return PhotoFinding("wall_unknown", {"within_mm": within, "throw_mm": predicted.bench.throw_mm})
 
 
 def _find_tilt(code: str, angles: tuple[Estimate, Estimate], predicted: PredictedLight) -> list[PhotoFinding]:
@@ -225,7 +228,7 @@ def _find_tilt(code: str, angles: tuple[Estimate, Estimate], predicted: Predicte
     sides = [pair[0 if one.value > 0 else 1] for pair, one, counts in zip(words, angles, sure, strict=True) if counts]
     total = math.degrees(math.hypot(*(one.value for one, counts in zip(angles, sure, strict=True) if counts)))
     deviation = math.degrees(math.hypot(*(one.deviation for one, counts in zip(angles, sure, strict=True) if counts)))
-    return [PhotoFinding(code=code, values={"deg": total, "deviation_deg": deviation, "sides": sides})]
+    return [PhotoFinding(code, {"deg": total, "deviation_deg": deviation, "sides": sides})]
 
 
 def _turn_deg(place: Registration) -> float:
@@ -240,19 +243,19 @@ def _softness(predicted: PredictedLight, place: Registration, fit: WallFit) -> P
     values = {"foretold": predicted.kind, "mm": abs(fit.blur_mm), "foretold_mm": fit.predicted_blur_mm}
     if fit.blur_mm > unsure_mm:
         source_deg = math.degrees(4.0 * fit.blur_mm / predicted.bench.throw_mm)  # a disc is four deviations wide
-        return PhotoFinding(code="softer", values={**values, "source_deg": source_deg})
+        return PhotoFinding("softer", {**values, "source_deg": source_deg})
     if fit.blur_mm < -unsure_mm:
-        return PhotoFinding(code="sharper", values=values)
-    return PhotoFinding(code="as_soft_as_foretold", values={"foretold": predicted.kind})
+        return PhotoFinding("sharper", values)
+    return PhotoFinding("as_soft_as_foretold", {"foretold": predicted.kind})
 
 
 def _surface(predicted: PredictedLight, fit: WallFit) -> PhotoFinding:
     determined = [one for one in fit.surface_um if one.is_determined]
     if not determined:
-        return PhotoFinding(code="surface_unknown")
+        return PhotoFinding("surface_unknown")
     sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
     if not sure:
-        return PhotoFinding(code="surface_right", values={"within_um": max(2 * one.deviation for one in determined)})
+        return PhotoFinding("surface_right", {"within_um": max(2 * one.deviation for one in determined)})
     sign = -1 if predicted.viewed_from == "lens" else 1  # left and right as the viewer sees them
     rows = [
         {"order_x": a, "order_y": b, "um": one.value * sign**a, "deviation_um": one.deviation}

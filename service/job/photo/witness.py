@@ -12,8 +12,7 @@ from optics.witness_light import DoseReading, Refusal, StripNotFoundError, fit_d
 from phrases.phrase import Phrase
 from service.errors import InputError, PictureError
 from service.job.coupon.photograph import read_photo
-from service.job.files import read_report
-from service.job.finite_json import table
+from service.job.files import read_report, table
 from service.job.planning.witness import plan_witness
 from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import load_stored_job
@@ -53,7 +52,7 @@ class WitnessFinding:
             error=100 * self.reading.error,
         )
         if dose < 1.0 - _DONE:
-            yield from self._say_what_is_left(dose)
+            yield from self._describe_rest(dose)
         elif dose <= 1.0 + _DONE:
             yield Phrase("stop: it is done")
         elif self.psnr_db is None:
@@ -61,7 +60,7 @@ class WitnessFinding:
         else:
             yield Phrase("too far: stop; the wall shows about {psnr_db:.1f} dB now", psnr_db=self.psnr_db)
 
-    def _say_what_is_left(self, dose: float) -> Iterator[Phrase]:
+    def _describe_rest(self, dose: float) -> Iterator[Phrase]:
         if self.worked is not None:
             left = self.worked * (1.0 / dose - 1.0)
         elif self.minutes is not None:

@@ -16,9 +16,8 @@ from PIL.PngImagePlugin import PngImageFile
 
 from phrases.phrase import Phrase
 from service.errors import PictureError, printable, sentence_of_os_error
-from service.job.picture.limits import FORMATS, PictureFacts, PictureLimits
-from service.job.picture.png_chunks import PartsOfFile, PngChunks, find_chunks
-from service.job.picture.tiff_layouts import TiffLayout, require_known_layout
+from service.job.picture import FORMATS, PictureFacts, PictureLimits
+from service.job.picture.layouts import PartsOfFile, PngChunks, TiffLayout, find_chunks, require_known_layout
 
 MIN_SIDE = 8
 Point = tuple[float, float]
@@ -203,14 +202,14 @@ def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
         raise PictureError(Phrase("{name}: does not fit in memory", name=name)) from None
     except OSError as error:
         if error.errno is None:  # Pillow's own: truncated, broken data stream ...
-            raise _tell_damage(name, error) from None
+            raise _make_damage_error(name, error) from None
         error.filename = name
         raise PictureError(sentence_of_os_error(error, doing=Phrase("cannot read the picture"))) from None
     except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
-        raise _tell_damage(name, error) from None
+        raise _make_damage_error(name, error) from None
 
 
-def _tell_damage(name: str, error: Exception) -> PictureError:
+def _make_damage_error(name: str, error: Exception) -> PictureError:
     if any(word in str(error).lower() for word in _UNKNOWN_KIND):
         return PictureError(
             Phrase(

@@ -18,8 +18,8 @@ from PIL import Image
 
 from phrases.phrase import Phrase
 from service.errors import PictureError
+from service.job.picture import OWN_PICTURE, PictureLimits
 from service.job.picture.decoding import DecodedPicture, decode_picture, too_large_for_memory, unreadable
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.linear_light import ToneReader, has_alpha, invert_tones, is_deep
 from service.job.picture.resampling import Span, weights_to_resample
 

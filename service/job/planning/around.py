@@ -7,8 +7,14 @@ from contextlib import suppress
 
 import numpy as np
 
-from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
-from cam.around.paths import make_cut_out_paths, make_facing_paths, make_witness_paths
+from cam.around.paths import (
+    ALLOWANCE_MM,
+    aperture_corners,
+    make_cut_out_paths,
+    make_facing_paths,
+    make_witness_paths,
+    offset_loop,
+)
 from cam.around.specs import CutOut
 from cam.moves import Array
 from cam.moves import Path as ToolPath
@@ -16,8 +22,7 @@ from cam.posts.dialects import POSTS
 from optics.witness import NoMarksError
 from service.job.files import CUT_OUT, FACE, WITNESS
 from service.job.planning.witness import plan_witness
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of
 
 
 def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:

@@ -11,8 +11,7 @@ from machines.profile import MachineProfile, ProfileError, load_profile, profile
 from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolve import without_derived
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, without_derived
 
 _LARGER, _NEARER, _LONGER = 1.5, 2 / 3, 2.0
 _LEAST_THROW = 0.75  # of the lens's width: nearer, slopes are hard to mill

@@ -25,7 +25,7 @@ from cam.planning.rest import Filled, RestExtent
 from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.planning.sampled_time import FEW_ROWS, ROWS, first_pass_s, rows_s
 from cam.posts.dialects import POSTS
-from cam.surface.rough_surface import left_by_flat
+from cam.surface.tool_surface import left_by_flat
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.closing import close_to_radius
@@ -38,9 +38,9 @@ from phrases.phrase import Phrase, phrases_in
 from service.errors import InputError, SpecError
 from service.job.errors import translate_errors
 from service.job.files import AFTER_PASSES, FACE
+from service.job.picture import PictureLimits
 from service.job.picture.decoding import decode_picture
 from service.job.picture.light_png import picture_png
-from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import Picture, picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
@@ -52,21 +52,21 @@ from service.job.planning.lenses import compute_passes, design_for_finishes, for
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
 from service.job.planning.rim_room import RimRoom, measure_rim_room, warn_of_rim_room
+from service.job.spec.cutting import MIN_FLOOR_MM
 from service.job.spec.envelope import require_travel
-from service.job.spec.kinematics import digits_of, kinematics_of
 from service.job.spec.lens_task import (
     branch_of,
+    digits_of,
     explain_blocked_light,
     finish_of,
+    kinematics_of,
     lens_settings,
     require_contrast,
     warn_of_reflection,
     with_branch,
 )
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
-from service.job.spec.resolved import ResolvedJob
-from service.job.spec.stock import MIN_FLOOR_MM
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, warn_of_removal, with_plan
 from service.job.stages.kept_plans import NO_PLANS, KeptPlans
 from service.wording import ball, cutter
 

@@ -18,7 +18,7 @@ from service.job.planning.rim_room import measure_rim_room
 from service.job.spec.finish import BEST, NONE, FinishSpec, fill_figures
 from service.job.spec.finish_library import Process, say
 from service.job.spec.lens_task import build_finish
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 
 _NEAR = 6  # steps of _FINER within which one lens represents the finish
 _FINER = 1.12  # ratio of the minutes of two neighbouring trials

@@ -7,7 +7,7 @@ from math import atan, degrees, inf
 
 import numpy as np
 
-from cam.surface.cutter import concave_curvature
+from cam.surface.stock_touch import concave_curvature
 from optics.heightfield import Array, Heightfield
 
 _ROWS_AT_ONCE = 128

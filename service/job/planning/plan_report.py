@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from cam.planning.planner import Candidate
-from service.job.finite_json import plain
+from service.job.files import plain
 from service.job.planning.plan import Planned
 from service.job.planning.sentences import blur_warning, blur_warnings, candidate_words, hopeful_db, reasons
 

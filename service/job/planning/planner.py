@@ -39,10 +39,8 @@ from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.rim_room import RimRoom, measure_rim_room
 from service.job.spec.finish import BEST
-from service.job.spec.kinematics import digits_of, kinematics_of
-from service.job.spec.lens_task import bench_of, branch_of, lens_settings, require_contrast
-from service.job.spec.resolve import most_removal_mm3_per_min
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.lens_task import bench_of, branch_of, digits_of, kinematics_of, lens_settings, require_contrast
+from service.job.spec.resolve import ResolvedJob, most_removal_mm3_per_min
 from service.wording import duration
 
 Progress = Callable[[float], None]

@@ -13,7 +13,7 @@ from optics.irradiance import target_irradiance
 from optics.metrics import score_caustic
 from optics.preparation import prepare_picture
 from service.job.arrays import load_original
-from service.job.finite_json import plain
+from service.job.files import plain
 from service.job.spec.lens_task import bench_of, branch_of, source_spread_mm
 from service.job.spec.model import JobSpec
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from phrases.phrase import Phrase, join
-from service.job.finite_json import table
+from service.job.files import table
 from service.job.report.milled import explain_flaws
 from service.wording import duration, number, psnr_in_words
 

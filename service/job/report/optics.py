@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phrases.phrase import Phrase, join
-from service.job.finite_json import table
+from service.job.files import table
 from service.job.spec.light import describe_light, name_spectrum
 from service.wording import ball, describe_misplaced, number, psnr_in_words
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from markupsafe import escape
 
-from service.job.finite_json import table
+from service.job.files import table
 from service.job.report.figures.a4_sheet import HEIGHT, INK, WIDTH, Paper, Word, known, width_of, words_of, wrap
 from service.job.report.setup_sheet import in_language, render_block
 from service.wording import MISSING, duration, number, shape_of, whole

@@ -20,14 +20,9 @@ from markupsafe import Markup
 
 from cam.materials import MATERIALS
 from phrases.phrase import Phrase, restore, say
-from service.job.files import WITNESS
-from service.job.finite_json import table
-from service.job.program_rows import list_programs
-from service.job.report.around import around_sentences, explain_zero_before_facing
-from service.job.report.checks import check_rows, flutes_in_words, order_in_words
-from service.job.report.drawing import side_view, top_view
+from service.job.files import WITNESS, list_programs, table
+from service.job.report.block import BlockSizes, plan_holding, side_view, top_view
 from service.job.report.finishing import make_finishing_card
-from service.job.report.holding import BlockSizes, plan_holding
 from service.job.report.milled import sentences_as_milled
 from service.job.report.optics import (
     lens_rows,
@@ -36,6 +31,13 @@ from service.job.report.optics import (
     screen_sentence,
     sentences_of_preparation,
     tolerance_sentences,
+)
+from service.job.report.passes import (
+    around_sentences,
+    check_rows,
+    explain_zero_before_facing,
+    flutes_in_words,
+    order_in_words,
 )
 from service.job.report.pictures import PICTURES
 from service.job.spec.lens_task import source_spread_mm
@@ -54,19 +56,8 @@ LANGUAGES = tuple(sorted(path.stem for path in FOLDER.glob("languages/*.json")))
 _AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
 
 
-def render_report(
-    report: Mapping[str, Any],
-    *,
-    spec: Mapping[str, Any] | None = None,
-    files: Collection[str] = (),
-    title: str | None = None,
-) -> str:
-    """Return the page as HTML text."""
-    return render_page(describe_setup(report, spec=spec, files=files, title=title))
-
-
 def render_page(setup: Mapping[str, Any], language: str = "en") -> str:
-    """Return the same from what `describe_setup` returns."""
+    """Return the page as HTML text, from what `describe_setup` returns."""
     return _template().render(in_language(setup, language))
 
 
@@ -98,7 +89,6 @@ def describe_setup(
     *,
     spec: Mapping[str, Any] | None = None,
     files: Collection[str] = (),
-    title: str | None = None,
 ) -> dict[str, Any]:
     """Return what the sheet says, by the names in its template.
 
@@ -116,7 +106,7 @@ def describe_setup(
             row["stick_out_mm"] = holding.clearance_mm - min(_z_bounds(row)[0], 0.0)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes, holding.clearance_mm)]
     return {
-        "title": title or _job_name(report) or Phrase("lens"),
+        "title": _job_name(report) or Phrase("lens"),
         "report": report,
         "optics": table(report.get("optics")),
         "spec": {key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from machines.profile_values import BadValueError, Rule, Rules, number
+from machines.profile_values import BadValueError, Rule, Rules, flag, number, text
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, read_library
@@ -215,82 +215,54 @@ def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
         )
     try:
         values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
+        if missing := [key for key in _NEEDED if key not in values]:
+            raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
+        minutes = values["default_minutes"]
+        left_out = {
+            "k0_exponent": 1 / values["order"],  # the levelling, k0^-order, grows in proportion to the time
+            "minutes_range": (minutes / 4, minutes * 4),
+            "by_area": True,
+            "depth_um": 0.0,
+            "depth_grows": True,
+            "pad_mm": math.inf,
+            **dict.fromkeys(("needs", "steps", "donts"), ()),
+            **dict.fromkeys(("offered", "removal", "when_to_stop", "law"), ""),
+        }
+        process = Process(name=name, default_k0_rad_per_mm=values.pop("k0_rad_per_mm"), **{**left_out, **values})
+        low, high = process.minutes_range
+        if not low <= minutes <= high:
+            within = Phrase("within minutes_range, {least:g} to {most:g}", least=low, most=high)
+            raise BadValueError("default_minutes", row["default_minutes"], within)
+        if minutes == 0 and math.isfinite(process.default_k0_rad_per_mm):
+            raise BadValueError("default_minutes", 0, Phrase("more than 0 where k0_rad_per_mm is finite"))
     except BadValueError as error:
-        raise InputError(Phrase("{place}: {cause}", place=place, cause=str(error))) from None
-    if missing := [key for key in _NEEDED if key not in values]:
-        raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
-    minutes = values["default_minutes"]
-    left_out = {
-        "k0_exponent": 1 / values["order"],  # the levelling, k0^-order, grows in proportion to the time
-        "minutes_range": (minutes / 4, minutes * 4),
-        "by_area": True,
-        "depth_um": 0.0,
-        "depth_grows": True,
-        "pad_mm": math.inf,
-        **dict.fromkeys(("needs", "steps", "donts"), ()),
-        **dict.fromkeys(("offered", "removal", "when_to_stop", "law"), ""),
-    }
-    process = Process(name=name, default_k0_rad_per_mm=values.pop("k0_rad_per_mm"), **{**left_out, **values})
-    low, high = process.minutes_range
-    if not low <= minutes <= high:
-        raise InputError(
-            Phrase(
-                "{place}: default_minutes = {minutes:g}: allowed: within minutes_range, {least:g} to {most:g}",
-                place=place,
-                minutes=minutes,
-                least=low,
-                most=high,
-            )
-        )
-    if minutes == 0 and math.isfinite(process.default_k0_rad_per_mm):
-        raise InputError(
-            Phrase("{place}: default_minutes = 0: allowed: more than 0 where k0_rad_per_mm is finite", place=place)
-        )
+        raise InputError(Phrase("{place}: {cause}", place=place, cause=error.words)) from None
     return process
-
-
-def _sentence(value: Any) -> str:
-    if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value.strip()) <= 600:
-        raise ValueError
-    return value.strip()
 
 
 def _sentences(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or len(value) > 20:
         raise ValueError
-    return tuple(_sentence(row) for row in value)
+    return tuple(_TEXT.take(row) for row in value)
 
 
-def _numbers(value: Any) -> tuple[float, float]:
-    low, high = (_number(v) for v in value)
-    if not 0 <= low <= high <= _MOST_MINUTES:
+def _range(value: Any) -> tuple[float, float]:
+    low, high = (_MINUTES.take(one) for one in value)
+    if low > high:
         raise ValueError
     return low, high
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    return float(value)
-
-
 def _k0(value: Any) -> float:
-    if not _number(value) >= LEAST_K0_RAD_PER_MM:
-        raise ValueError
-    return float(value)
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
+    return math.inf if value == math.inf else float(_FINITE_K0.take(value))
 
 
 _MOST_MINUTES = 10_000
 _NEEDED = ("title", "order", "k0_rad_per_mm", "default_minutes")
-_TEXT = Rule(_sentence, Phrase("text on one line, 1 to {most} characters", most=600))
+_TEXT = text(600, least=1)
 _TEXTS = Rule(_sentences, Phrase("a list of at most 20 sentences"))
-_YES_OR_NO = Rule(_flag, Phrase("true or false"))
+_MINUTES = number(0, _MOST_MINUTES, "minutes")
+_FINITE_K0 = number(LEAST_K0_RAD_PER_MM, math.inf)
 _VALUES = Rules(
     {
         "title": _TEXT,
@@ -301,13 +273,11 @@ _VALUES = Rules(
             Phrase("a number from {least:g} rad/mm, or inf where nothing is levelled", least=LEAST_K0_RAD_PER_MM),
         ),
         "k0_exponent": number(0.05, 4),
-        "default_minutes": number(0, _MOST_MINUTES, "minutes"),
-        "minutes_range": Rule(
-            _numbers, Phrase("two numbers [least, most] from 0 to {most} minutes", most=_MOST_MINUTES)
-        ),
-        "by_area": _YES_OR_NO,
+        "default_minutes": _MINUTES,
+        "minutes_range": Rule(_range, Phrase("two numbers [least, most] from 0 to {most} minutes", most=_MOST_MINUTES)),
+        "by_area": flag(),
         "depth_um": number(*DEPTH_RANGE_UM, "um"),
-        "depth_grows": _YES_OR_NO,
+        "depth_grows": flag(),
         "pad_mm": number(LEAST_PAD_MM, LONGEST_PAD_MM, "mm"),
         "needs": _TEXTS,
         "steps": _TEXTS,

@@ -1,29 +1,43 @@
-"""Builds a job spec from defaults, an earlier job or a TOML/JSON file, a preset, and --set overrides."""
+"""Builds a job spec from defaults, an earlier job or a TOML/JSON file, a preset, and --set overrides; and reduces one
+to the shortest that resolves to the same job.
+"""
 
 from __future__ import annotations
 
-import json
+import copy
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from machines.profile import load_profile
+from machines.profile_values import UnreadableFileError, read_data
 from phrases.phrase import Phrase
-from service.errors import SpecError, sentence_of_os_error
+from service.errors import SpecError
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
 from service.job.spec.finish import BEST
 from service.job.spec.model import PRESETS, JobSpec
-from service.job.spec.resolve import complete_job, preset_rows, without_derived
-from service.job.spec.resolved import Figures, LoadProfile, ResolvedJob, look_up
+from service.job.spec.resolve import (
+    Figures,
+    LoadProfile,
+    ResolvedJob,
+    complete_job,
+    look_up,
+    preset_rows,
+    without_derived,
+)
 
 RECOMMENDED_MARGIN_MM = 20.0  # a ring that can be clamped beside the 12 mm that a 6 mm ball clears
-_MAX_SPEC_BYTES = 1_000_000
 _INDEX = re.compile(r"\d{1,4}")
+Json = dict[str, Any]
+Place = tuple[str | int, ...]
+# In place of a measured light while the rest is tried: it has 16,384 values, is never a default, and each try reads it.
+_SOME_PROFILE = [[1.0, 1.0], [1.0, 1.0]]
 
 
 def resolve_job(
@@ -101,26 +115,9 @@ def validate_spec(data: Mapping[str, Any]) -> JobSpec:
 def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
     """Read plain data of a .toml or .json file; SpecError names the fault and its line."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
-    except OSError as error:
-        raise SpecError([(given_as, sentence_of_os_error(error, doing=Phrase("cannot read")))]) from None
-    if len(raw) > _MAX_SPEC_BYTES:
-        words = Phrase("{path} is too large; a spec has at most {most} bytes", path=path, most=_MAX_SPEC_BYTES)
-        raise SpecError([(given_as, words)])
-    try:
-        text = raw.decode("utf-8-sig")
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except UnicodeDecodeError:
-        raise SpecError([(given_as, Phrase("{path} is not a text in UTF-8", path=path))]) from None
-    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        words = Phrase("{path} is not valid {kind}: {cause}", path=path, kind=kind, cause=" ".join(str(error).split()))
-        raise SpecError([(given_as, words)]) from None
-    if not isinstance(data, dict):
-        words = Phrase("{path} must hold a table of keys, not {kind}", path=path, kind=type(data).__name__)
-        raise SpecError([(given_as, words)])
-    return data
+        return read_data(path)
+    except UnreadableFileError as error:
+        raise SpecError([(given_as, Phrase("{path}: {cause}", path=path, cause=error.words))]) from None
 
 
 def load_stored_spec(folder: Path) -> JobSpec:
@@ -269,3 +266,66 @@ def _index(rows: Sequence[Any], place: Sequence[str]) -> int:
 
 def _place(steps: Sequence[str]) -> tuple[int | str, ...]:
     return tuple(int(step) if step.isdigit() else step for step in steps)
+
+
+def reduce_spec(resolved: Mapping[str, Any]) -> Json:
+    """Return the smallest part of `resolved` (JSON-able) that gives the same job; all of it if it does not resolve."""
+    asked = _without_nulls(resolved)
+    light = asked.get("optics", {}).get("light", {})
+    profile = light.get("profile")
+    if profile is not None:
+        light["profile"] = _SOME_PROFILE
+    try:
+        load = cache(load_profile)  # each try resolves the whole spec, and would read the machine's profile again
+        wanted = _resolve(asked, load)
+        for place in _places(asked):
+            shorter = _remove(asked, place)
+            if shorter is not None and _resolves_to(shorter, wanted, load):
+                asked = shorter
+    except SpecError:
+        pass
+    if profile is not None:
+        asked["optics"]["light"]["profile"] = profile
+    return asked
+
+
+def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
+    """Yield the places of all values, tables before their contents."""
+    for key in spec:
+        yield (key,)
+        held = enumerate(spec[key]) if isinstance(spec[key], list) else [(None, spec[key])]
+        for number, table in held:
+            if isinstance(table, Mapping):
+                start = (key,) if number is None else (key, number)
+                yield from ((*start, *rest) for rest in _places(table))
+
+
+def _remove(spec: Json, place: Place) -> Json | None:
+    """Return a copy without the value at a place; None if its table is gone already."""
+    found: Any = spec
+    for step in place:
+        if isinstance(found, Mapping) and step not in found:
+            return None
+        found = found[step]
+    found = copied = copy.deepcopy(spec)
+    for step in place[:-1]:
+        found = found[step]
+    del found[place[-1]]
+    return copied
+
+
+def _resolves_to(spec: Json, wanted: Json, load: LoadProfile) -> bool:
+    try:
+        return _resolve(spec, load) == wanted
+    except SpecError:
+        return False
+
+
+def _resolve(spec: Json, load: LoadProfile) -> Json:
+    return resolve_spec(base=spec, load=load).model_dump(mode="json")
+
+
+def _without_nulls(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_nulls(held) for key, held in value.items() if held is not None}
+    return [_without_nulls(held) for held in value] if isinstance(value, list) else value

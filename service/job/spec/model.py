@@ -12,13 +12,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from phrases.phrase import Phrase
+from service.job.spec.cutting import MachineSpec, PassRow, StockSpec, cut_out_fault
 from service.job.spec.finish import FinishSpec
 from service.job.spec.light import LightSpec
-from service.job.spec.machine import MachineSpec
 from service.job.spec.optics import OpticsSpec
-from service.job.spec.passes import PassRow
 from service.job.spec.section import RuleError, Section, shown
-from service.job.spec.stock import StockSpec, cut_out_fault
 from service.wording import psnr_in_words
 
 __all__ = [

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.profile import MachineProfile, ProfileError, find_own_profiles, load_profile, profile_names, user_folders
-from machines.profile_values import UnreadableFileError, read_toml
+from machines.profile_values import UnreadableFileError, read_data
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.files import write_bytes
@@ -53,7 +53,7 @@ def format_toml(values: Mapping[str, Any]) -> str:
 def read_library(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file of data. InputError names the file and the reason if it cannot be read."""
     try:
-        return read_toml(path)
+        return read_data(path)
     except UnreadableFileError as error:
         raise InputError(Phrase("{path}: {cause}", path=path, cause=error.words)) from None
 

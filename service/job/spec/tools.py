@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cam.tools import Tool
-from machines.profile_values import BadValueError, Rule, Rules, number, whole
+from machines.profile_values import BadValueError, Rules, number, text, whole
 from phrases.phrase import Phrase
 from service.errors import InputError
 from service.job.spec.own_files import find_own_file, format_toml, read_library, require_own_file, write_own_file
@@ -22,15 +22,9 @@ BUILT_IN = Path(__file__).with_name("tools.toml")
 _NAME = "tools.toml"
 
 
-def _word(value: Any) -> str:
-    if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value.strip()) <= 40:
-        raise ValueError
-    return value.strip()
-
-
 _VALUES = Rules(
     {
-        "name": Rule(_word, Phrase("text on one line, 1 to {most} characters", most=40)),
+        "name": text(40, least=1),
         "radius_mm": number(0.05, 25, "mm"),
         "flutes": whole(1, 8),
         "flute_length_mm": number(0.1, 200, "mm"),
@@ -100,43 +94,32 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
     place = Phrase("{path}: tool {number}", path=path, number=index)
     try:
         values = {key: _VALUES.check(key, value, "") for key, value in row.items()}
+        needed = ("name", "radius_mm", "flutes", "flute_length_mm", "max_rpm")
+        if missing := [key for key in needed if key not in values]:
+            raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
+        left_out = {
+            "shank_radius_mm": values["radius_mm"], "stick_out_mm": values["flute_length_mm"], "cost_class": 2,
+        }  # fmt: skip
+        tool = Tool(**{**left_out, **values})
+        for key, is_wrong, allowed in _list_limits(tool):
+            if is_wrong:
+                raise BadValueError(key, row[key], allowed)
     except BadValueError as error:
-        raise InputError(Phrase("{place}: {cause}", place=place, cause=str(error))) from None
-    needed = ("name", "radius_mm", "flutes", "flute_length_mm", "max_rpm")
-    if missing := [key for key in needed if key not in values]:
-        raise InputError(Phrase("{place}: {keys}: missing", place=place, keys=", ".join(missing)))
-    left_out = {
-        "shank_radius_mm": values["radius_mm"], "stick_out_mm": values["flute_length_mm"], "cost_class": 2,
-    }  # fmt: skip
-    tool = Tool(**{**left_out, **values})
-    if tool.corner_radius_mm is not None and tool.corner_radius_mm > tool.radius_mm:
-        raise InputError(
-            Phrase(
-                "{place}: corner_radius_mm = {corner_mm:g}: allowed: 0 (flat) to {radius_mm:g} mm, a ball",
-                place=place,
-                corner_mm=tool.corner_radius_mm,
-                radius_mm=tool.radius_mm,
-            )
-        )
-    if tool.flute_length_mm < tool.radius_mm:
-        raise InputError(
-            Phrase(
-                "{place}: flute_length_mm = {length_mm:g}: allowed: at least the ball's radius, {radius_mm:g} mm",
-                place=place,
-                length_mm=tool.flute_length_mm,
-                radius_mm=tool.radius_mm,
-            )
-        )
-    if tool.stick_out_mm < tool.flute_length_mm:
-        raise InputError(
-            Phrase(
-                "{place}: stick_out_mm = {stick_out_mm:g}: allowed: at least the flute length, {length_mm:g} mm",
-                place=place,
-                stick_out_mm=tool.stick_out_mm,
-                length_mm=tool.flute_length_mm,
-            )
-        )
+        raise InputError(Phrase("{place}: {cause}", place=place, cause=error.words)) from None
     return tool
+
+
+def _list_limits(tool: Tool) -> tuple[tuple[str, bool, Phrase], ...]:
+    """Return what a figure of a tool depends on: its key, whether it is wrong, what is allowed."""
+    ball_mm, flutes_mm = tool.radius_mm, tool.flute_length_mm
+    return (
+        ("corner_radius_mm", (tool.corner_radius_mm or 0.0) > ball_mm,
+         Phrase("0 (flat) to {radius_mm:g} mm, a ball", radius_mm=ball_mm)),
+        ("flute_length_mm", flutes_mm < ball_mm,
+         Phrase("at least the ball's radius, {radius_mm:g} mm", radius_mm=ball_mm)),
+        ("stick_out_mm", tool.stick_out_mm < flutes_mm,
+         Phrase("at least the flute length, {length_mm:g} mm", length_mm=flutes_mm)),
+    )  # fmt: skip
 
 
 def table(tools: tuple[Tool, ...], path: Path) -> list[str]:

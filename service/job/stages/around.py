@@ -21,22 +21,27 @@ from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
 from cam.posts.remarks import describe_around
-from cam.reading.gcode import LANGUAGES, ProgramError
+from cam.reading.gcode import LANGUAGES
 from cam.surface.stock_grid import StockGrid
 from optics.witness import VISIBLE_SLOPE_RAD, NoMarksError
 from optics.witness_light import WALL_MM
 from phrases.phrase import Phrase
-from service.errors import FailedError
 from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WITNESS, WrittenProgram, program_name, read_chunks
 from service.job.planning.around import cut_out_ways, lens_corners
 from service.job.planning.witness import plan_witness
-from service.job.spec.kinematics import kinematics_of
+from service.job.spec.lens_task import kinematics_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
-from service.job.spec.resolved import ResolvedJob, setup_of
+from service.job.spec.resolve import ResolvedJob, cam_stock_of, cut_out_of, facing_task_of, setup_of
 from service.job.stages.context import StageContext
-from service.job.stages.programs import first_stock, part_limits_of, trace_of, write_parts
+from service.job.stages.programs import (
+    describe_parts,
+    first_stock,
+    part_limits_of,
+    require_passed,
+    trace_of,
+    write_parts,
+)
 
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 
@@ -173,13 +178,8 @@ def _check(
 ) -> AroundCheck:
     called = written[0].file
     with context.watch.stage(f"check {called}"):
-        try:
-            verdict = simulate([context.folder / part.file for part in written], task, context.job, top)
-        except ProgramError as error:
-            raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
-    if not verdict.ok:
-        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
-    return verdict
+        paths = [context.folder / part.file for part in written]
+        return require_passed(called, lambda: simulate(paths, task, context.job, top))
 
 
 def _row(written: list[WrittenProgram], verdict: AroundCheck, settings: dict[str, Any]) -> dict[str, Any]:
@@ -191,7 +191,6 @@ def _row(written: list[WrittenProgram], verdict: AroundCheck, settings: dict[str
         **{name: getattr(verdict, name) for name in figures},
         **({} if verdict.clear_um is None else {"clear_um": verdict.clear_um}),
         **({"tabs": [asdict(tab) for tab in verdict.tabs]} if verdict.tabs else {}),
-        **asdict(written[0]),
-        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
+        **describe_parts(written),
         "settings": settings,
     }

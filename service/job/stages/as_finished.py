@@ -28,14 +28,13 @@ from service.job.files import (
     LIGHT_AS_FINISHED,
     MAP,
     THUMBNAIL_AS_FINISHED,
+    plain,
 )
-from service.job.finite_json import plain
 from service.job.picture.light_png import picture_png, row_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.planning.rim_room import advise_on_rims, measure_rim_room, warn_of_rim_room, weigh_removal
 from service.job.spec.lens_task import bench_of, facts_of_light, finish_of
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob, cam_passes_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import StageContext
 from service.job.stages.light import save_light

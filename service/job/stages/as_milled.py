@@ -24,8 +24,7 @@ from optics.metrics import blurred_psnr_db, psnr_db, score_caustic, smallest_det
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, read_chunks
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, LIGHT_AS_MILLED, MAP, THUMBNAIL_AS_MILLED, names_of_pass, plain, read_chunks
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import detail_lost
@@ -70,7 +69,7 @@ def run_as_milled(context: StageContext) -> None:
         # A finish takes the marks off: what each of them alone would bring is no advice.
         finishes = context.spec.finish.finishes
         gains = {} if finishes else _gains(context, passes[0][1], heightfield, target, designed, on_progress)
-    _tell(context, target, seen, designed, found, gains)
+    _report_milled(context, target, seen, designed, found, gains)
     _draw(context, target, designed.irradiance, seen.irradiance)
 
 
@@ -176,7 +175,7 @@ def _gains(
     return {cause: score - own for cause, score in scores.items()}
 
 
-def _tell(
+def _report_milled(
     context: StageContext, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
 ) -> None:
     machine, pixel_mm = context.machine, context.spec.optics.screen_size_mm[0] / target.shape[1]

@@ -22,9 +22,9 @@ from typing import Any, Literal, Self, TypeVar
 from machines.profile import MachineProfile
 from phrases.phrase import Phrase, phrases_in
 from service.job import files as job_files
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.progress import Stopwatch
 
 Part = Literal["optics", "passes"]
@@ -145,11 +145,9 @@ class StageContext:
         return self.receive(name, decode) if is_there else None
 
     def receive(self, name: str, decode: Callable[[Path], T]) -> T:
-        """Return what an earlier stage handed over. What is between two stages only leaves the desk, to free its
-        memory.
-        """
+        """Return what an earlier stage handed over."""
         if self.desk is not None and name in self.desk:
-            value: T = self.desk.pop(name) if name.startswith(".") else self.desk[name]
+            value: T = self.desk[name]
             return value
         return decode(self.folder / name)
 

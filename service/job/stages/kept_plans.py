@@ -1,4 +1,7 @@
-"""Plans that were made before: an exact estimate and the job made after it, or two of either, plan once.
+"""The stage that finds a job's passes where its preset is "recommended": before the lens, which its ball shapes. The
+passes go into report `plan`; `spec.resolve.with_plan` puts them into the spec that all later stages get.
+
+An exact estimate and the job made after it, or two of either, plan once.
 
 A plan is kept in a folder under the key of the stage that plans: the same picture, spec, mill, tools, sources and
 libraries. Kept is what the stage reports and draws of it, and the light that an estimate shows.
@@ -21,18 +24,21 @@ import numpy as np
 from optics.heightfield import Array
 from phrases.phrase import Phrase, phrases_in, restore
 from service.errors import FailedError
+from service.job import arrays
 from service.job.arrays import npz_bytes
-from service.job.files import write_bytes
+from service.job.files import HEIGHTFIELD, MAP, PLAN, write_bytes
 from service.job.planning.estimate_light import PredictedPicture, describe_light
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
-from service.job.planning.planner import Progress, plan_for_picture
+from service.job.planning.planner import Progress, plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.lens_task import facts_of_light
+from service.job.spec.resolve import ResolvedJob
+from service.job.stages.context import StageContext
 from service.job.stages.lens import TARGET
 from service.job.stages.order import FileRef
 from service.job.stages.table import stage_key
-from service.processes.private import forget_oldest, make_private
+from service.processes.files import forget_oldest, make_private
 
 _STAGE = "passes"
 _KEPT_BYTES = 200_000_000  # of all plans; one of a 512 x 512 picture takes 3 MB
@@ -132,3 +138,29 @@ def _keep(path: Path, made: MadePlan) -> bytes:
         write_bytes(path, npz_bytes(kept))
         forget_oldest(path.parent, _KEPT_BYTES)
     return picture
+
+
+def choose_passes(context: StageContext) -> None:
+    """Plan passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
+    if not context.spec.to_be_planned:
+        return
+    target = context.receive(TARGET, arrays.load_target)
+    with context.watch.stage("plan") as on_progress:
+        plan = KeptPlans(context.plans).make(context.job, target, on_progress=on_progress)
+        report_plan(context, plan)
+
+
+def plan_passes_for_lens(context: StageContext) -> None:
+    """Plan passes for a lens that exists; report `plan`, plan.png."""
+    lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
+    with context.watch.stage("plan") as on_progress:
+        planned = plan_for_lens(context.job, lens, target, on_progress=on_progress)
+        report_plan(context, describe_plan(planned, viewed_from=context.spec.optics.viewed_from))
+
+
+def report_plan(context: StageContext, plan: MadePlan) -> None:
+    """Report `plan`, with the light that its scores hold under, and draw plan.png."""
+    context.report["plan"] = {**plan.figures, "light": facts_of_light(context.spec)}
+    for sentence in plan.notes:
+        context.note("passes", sentence)
+    context.draw(PLAN, plan.draw)

@@ -18,16 +18,15 @@ from optics.irradiance import picture_from_irradiance
 from optics.lens_settings import LensSettings
 from phrases.phrase import Phrase
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL, plain
 from service.job.page_data.surface import surface_bytes
 from service.job.picture.light_png import picture_png, thumbnail_png
 from service.job.picture.reading import read_picture
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.preparation import aim_at_picture
+from service.job.spec.cutting import MIN_FLOOR_MM
 from service.job.spec.lens_task import branch_of, facts_of_light, lens_settings, require_contrast
 from service.job.spec.model import JobSpec
-from service.job.spec.stock import MIN_FLOOR_MM
 from service.job.stages.context import THE_PICTURE, StageContext
 
 POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1
@@ -94,7 +93,7 @@ def run_transport_map(context: StageContext) -> None:
             way["original"] = original
         context.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         context.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
-    _tell_of_design(context, design, target, settings)
+    _report_design(context, design, target, settings)
     if design.flow is not None:
         from service.job.report.figures.lens import flow_png
 
@@ -182,7 +181,7 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
     return tell
 
 
-def _tell_of_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
+def _report_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:
     context.report["optics"] = {
         "light": facts_of_light(context.spec),
         "method": context.spec.optics.method,

@@ -23,8 +23,7 @@ from optics.tolerance import (
     sharp_light,
 )
 from service.job import arrays
-from service.job.files import HEIGHTFIELD, LIGHT, MAP
-from service.job.finite_json import plain
+from service.job.files import HEIGHTFIELD, LIGHT, MAP, plain
 from service.job.picture.light_png import picture_png
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, explain_blocked_light, facts_of_light, finish_of, warn_of_reflection
@@ -49,12 +48,12 @@ def run_caustic(context: StageContext) -> None:
         if bench.light.extended:
             in_focus = simulate_caustic(heightfield, bench, pixels=_shape(target))
         on_progress(0.4)
-        _tell(context, in_focus, score_caustic(in_focus.irradiance, target))
+        _report_caustic(context, in_focus, score_caustic(in_focus.irradiance, target))
         if len(bench.split_index(2)) > 1:
             plain_light = simulate_caustic(heightfield, bench.in_mean_colour(), pixels=_shape(target))
             context.report["optics"]["psnr_db_one_wavelength"] = psnr_db(plain_light.irradiance, target)
         if bench.light.extended:
-            _tell_without_size(context, score_caustic(without_size.irradiance, target))
+            _report_without_size(context, score_caustic(without_size.irradiance, target))
         seen = [in_focus if factor == 1.0 else _at(factor, heightfield, bench, target) for factor in THROUGH_FOCUS]
         on_progress(0.7)
         _draw(context, target, seen)
@@ -108,7 +107,7 @@ def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
 
 
 def _draw_tolerances(context: StageContext, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures.tolerances import tolerances_png
+    from service.job.report.figures.wall import tolerances_png
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)
@@ -144,7 +143,7 @@ def _figures(found: Tolerances) -> dict[str, Any]:
     )
 
 
-def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None:
+def _report_caustic(context: StageContext, in_focus: Caustic, score: CausticScore) -> None:
     context.report["optics"] = plain(
         {
             **asdict(score),
@@ -160,7 +159,7 @@ def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None
         context.note("optics", blocked)
 
 
-def _tell_without_size(context: StageContext, score: CausticScore) -> None:
+def _report_without_size(context: StageContext, score: CausticScore) -> None:
     """Report what the lens itself is worth, where the size of the source is most of what is missing."""
     context.report["optics"]["from_a_point_source"] = plain(asdict(score))
 

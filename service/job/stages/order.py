@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from service.job.picture.limits import PictureLimits
+from service.job.picture import PictureLimits
 
 __all__ = [
     "FileRef",

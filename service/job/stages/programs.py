@@ -8,8 +8,10 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import Any, TypeVar
 
-from cam.around.outline import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.around.check import AroundCheck
+from cam.around.paths import TRACE_FEED_MM_PER_MIN, trace_paths
 from cam.checking.check import PassCheck, check_program
 from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
@@ -37,11 +39,12 @@ from service.job.files import (
 from service.job.planning.fit import check_ball_fit, require_flutes
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.envelope import require_travel
-from service.job.spec.kinematics import digits_of, kinematics_of
-from service.job.spec.resolve import cam_passes_of, cam_stock_of
-from service.job.spec.resolved import ResolvedJob, setup_of
+from service.job.spec.lens_task import digits_of, kinematics_of
+from service.job.spec.resolve import ResolvedJob, cam_passes_of, cam_stock_of, setup_of
 from service.job.stages.context import StageContext
 from service.wording import duration
+
+Check = TypeVar("Check", PassCheck, AroundCheck)
 
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
@@ -72,8 +75,7 @@ def run_pass(context: StageContext) -> None:
     row = {
         "file": written[0].file,
         **verdict.as_report(),
-        **asdict(written[0]),
-        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
+        **describe_parts(written),
         "settings": context.spec.passes[context.number - 1].model_dump(),
     }
     context.report["passes"] = [row]
@@ -236,6 +238,25 @@ def write_parts(
     return written
 
 
+def describe_parts(written: Sequence[WrittenProgram]) -> dict[str, Any]:
+    """Return what a row of the report says of the programs of a pass as files."""
+    return {
+        **asdict(written[0]),
+        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
+    }
+
+
+def require_passed(called: str, check: Callable[[], Check]) -> Check:
+    """Return the verdict of a check; FailedError where it finds faults, or the text cannot be read."""
+    try:
+        verdict = check()
+    except ProgramError as error:
+        raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
+    if not verdict.ok:
+        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
+    return verdict
+
+
 def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
     """Return the way around block and lens at the safe height, for a job's first program; nothing where not asked
     for.
@@ -257,12 +278,8 @@ def _check(
         if len(files) == 1
         else Phrase("{first} to {last}, lines numbered consecutively", first=files[0], last=files[-1])
     )
+    paths = [context.folder / file for file in files]
     with context.watch.stage(f"check pass {context.number} {spec.name}") as on_progress:
-        try:
-            paths = [context.folder / file for file in files]
-            verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, on_progress)
-        except ProgramError as error:
-            raise FailedError(Phrase("{name}: {cause}", name=called, cause=str(error))) from error
-    if not verdict.ok:
-        raise FailedError(*(Phrase("{name}: {fault}", name=called, fault=fault) for fault in verdict.faults))
-    return verdict
+        return require_passed(
+            called, lambda: simulate(paths, spec, heightfield, stock, stock_top, machine, on_progress)
+        )

@@ -5,7 +5,8 @@ the versions of the libraries, its part of the spec, and the content of the file
 have equal outputs, so that one of them need not be computed. All that a stage's function looks at must therefore stand
 in its row; a test runs each stage under specs that differ in everything else and wants the same bytes.
 
-Nothing here imports arrays: the API and the worker plan, only a stage's process computes.
+Nothing here imports arrays: the API and the worker plan, only a stage's process computes. How far a job has come is
+found here for a folder of the command line and for a job of the server alike.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from importlib import import_module
@@ -23,9 +24,9 @@ from typing import Any
 
 from service.job.spec.finish import NONE
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
-from service.job.spec.resolved import ResolvedJob
-from service.job.stages.order import FileRef
-from service.job.stages.source_state import state_of_sources
+from service.job.spec.resolve import ResolvedJob, with_plan
+from service.job.stages.order import FileRef, merge_notes, merge_reports
+from service.processes.source_tree import state_of_sources
 
 _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm", "stock.clamps")
 _BENCH = (
@@ -53,6 +54,11 @@ PLAN_S = 12.0
 AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
+_READ_AS_CODE = (
+    ("service.job.report.setup_sheet", "service/job/report/templates"),
+    ("service.job.report.setup_sheet", "service/page/languages"),
+    ("service.job.spec.finish_library", "service/job/spec/finishing.toml"),
+)
 _LIBRARIES = (
     "numpy", "scipy", "numba", "pyamg", "pillow", "trimesh", "manifold3d", "matplotlib", "fonttools", "jinja2",
 )  # fmt: skip
@@ -106,7 +112,7 @@ _BEFORE = (
     ),
     Stage(
         name="passes",
-        function="service.job.stages.passes:choose_passes",
+        function="service.job.stages.kept_plans:choose_passes",
         reads=(".target.npz",),
         spec=("optics", "stock", "plan", "machine", "tools", "finish"),
         parts=(("plan", 1.0),),
@@ -200,7 +206,7 @@ _AFTER = (
     ),
     Stage(
         name="report",
-        function="service.job.stages.sheet:run_report",
+        function="service.job.stages.check:run_report",
         reads=(
             "target.png",
             "caustic.png",
@@ -319,7 +325,7 @@ def stage_key(
     names = outputs if row.sheet else reads(stage, outputs)
     depends = {
         "stage": stage,
-        "sources": state_of_sources(row.function.partition(":")[0]),
+        "sources": state_of_sources(row.function.partition(":")[0], _READ_AS_CODE),
         "libraries": libraries(),
         "spec": {key: part_of(facts, key) for key in row.spec},
         "files": {name: outputs[name].sha256 for name in names},
@@ -380,3 +386,25 @@ def part_of(facts: Any, key: str) -> Any:
 def libraries() -> dict[str, str]:
     """Return the versions of what the numbers and pictures come from."""
     return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+
+
+@dataclass
+class JobSoFar:
+    """job: with its passes, once they are planned; report, notes: of the stages that are done, merged."""
+
+    job: ResolvedJob
+    report: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=dict)
+
+    def stages(self) -> Iterator[str]:
+        """Yield every stage in order, each once the one before has been added. Planning changes those to come only."""
+        done = 0
+        while done < len(stages := plan(self.job.spec)):
+            yield stages[done]
+            done += 1
+
+    def add(self, report: Mapping[str, Any], notes: Mapping[str, list[str]]) -> None:
+        """Add what a stage has made."""
+        self.report = merge_reports((self.report, report))
+        self.notes = merge_notes((self.notes, notes))
+        self.job = self.job.with_spec(with_plan(self.job.spec, self.report))

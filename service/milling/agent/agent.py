@@ -1,22 +1,118 @@
-"""The parts of one agent, as its routes see them; and which client key parked which run."""
+"""The parts of one agent, as its routes see them: the mill from the event loop, and which client key parked which run.
+
+Between the event loop and the mill's own thread nothing has a queue or a pool that could be full: a call waits as a
+future, a stop is counted and written to the port before its coroutine waits for anything. Only what is slow and not the
+mill's has threads.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
+from machines.clock import Timeout
+from machines.mill.mill import Mill
+from machines.mill.orders import CARRY_OUT_S, GRANT_S, STOP_S, Caller, OrderGate, Stop
+from machines.mill.thread import MillThread, no_answer
+from machines.mill.view import MillSnapshot
 from machines.preflight.preflight import Preflight
 from machines.profile import MachineProfile
 from service.http.event_hub import Hub, Reader
-from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.reporting import AuditLog
 from service.milling.agent.settings import AgentSettings
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
-from service.processes.whole_file import write_whole
+from service.processes.files import write_whole
+
+T = TypeVar("T")
+_CALL_S = 60.0
+_SHOWN_S = 0.1  # for the state that a stop leads to: where it takes longer, the events tell of it
+_ORDER_S = GRANT_S + 1.0
+START_S = CARRY_OUT_S + 30.0  # beyond the grant only the journal is waited for
+
+
+class MillAccess:
+    """The mill as coroutines see it."""
+
+    def __init__(self, thread: MillThread) -> None:
+        self._thread = thread
+        self._workers = ThreadPoolExecutor(4, thread_name_prefix="work")
+        self._silence = Timeout(_CALL_S, most_s=_CALL_S)  # of the mill's thread; looked at only when somebody asks
+        self._turns = 0
+
+    @property
+    def snapshot(self) -> MillSnapshot:
+        return self._thread.snapshot
+
+    @property
+    def orders(self) -> OrderGate:
+        return self._thread.orders
+
+    def status(self) -> dict[str, Any]:
+        return self._thread.snapshot.as_dict()
+
+    def is_alive(self) -> bool:
+        """Return whether the mill's thread turns. It needs two looks to say no."""
+        if self._thread.turns != self._turns:
+            self._turns = self._thread.turns
+            self._silence.restart()
+        return not self._silence.is_over
+
+    async def call(self, function: Callable[[Mill], T]) -> T:
+        """Have something done that moves nothing."""
+        return await _await_answer(self._thread.submit(function), _CALL_S)
+
+    async def order(
+        self,
+        doing: str,
+        act: Callable[[Mill], T],
+        caller: Caller,
+        *,
+        needs_lease: bool = False,
+        within_s: float = _ORDER_S,
+    ) -> T:
+        """Have an order carried out under its grant, or refused."""
+        return await _await_answer(
+            self._thread.submit(lambda mill: mill.carry_out(doing, act, caller, needs_lease=needs_lease)), within_s
+        )
+
+    async def halt(self, stop: Stop, caller: Caller) -> None:
+        """Stop the mill. The byte that has left is answer enough: what its thread adds may wait for a disk.
+
+        A link without such a byte is stopped by that thread alone: MachineError where it does not answer in STOP_S.
+        """
+        written, future = self._thread.halt(stop, caller)
+        waiting = asyncio.wrap_future(future)
+        await asyncio.wait({waiting}, timeout=_SHOWN_S if written else STOP_S)
+        if not written and not waiting.done():
+            raise no_answer(STOP_S, taken_back=False)
+        if waiting.done():
+            waiting.result()
+
+    async def work(self, function: Callable[[], T]) -> T:
+        """Have something slow done that is not the mill's, such as a pre-flight."""
+        return await asyncio.get_running_loop().run_in_executor(self._workers, function)
+
+    def close(self) -> None:
+        self._workers.shutdown(wait=False, cancel_futures=True)
+
+
+async def _await_answer(future: Future[T], within_s: float) -> T:
+    """Wait for the mill's thread. Take the call back if it has not begun in time."""
+    waiting = asyncio.wrap_future(future)
+    done, _ = await asyncio.wait({waiting}, timeout=within_s)
+    if done:
+        return waiting.result()
+    waiting.add_done_callback(lambda late: late.cancelled() or late.exception())  # nobody waits for it any more
+    raise no_answer(within_s, taken_back=future.cancel())
+
 
 _MOST = 1000
 

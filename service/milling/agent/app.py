@@ -19,8 +19,7 @@ from service.http.problems import Problem, on_error, on_http_error
 from service.milling.agent.agent import Agent
 from service.milling.agent.requests import AgentGuard
 from service.milling.agent.routes.orders import ControlRoutes, OrderRoutes
-from service.milling.agent.routes.programs import ProgramRoutes
-from service.milling.agent.routes.runs import RunRoutes
+from service.milling.agent.routes.runs import ProgramRoutes, RunRoutes
 
 
 class MillRoutes:

@@ -19,8 +19,7 @@ from typing import Any
 
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.processes.private import keep_private
-from service.processes.whole_file import write_whole
+from service.processes.files import keep_private, write_whole
 
 CARD_FILE = "agent.json"
 _ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}

@@ -31,15 +31,14 @@ from service.errors import InputError, printable
 from service.http.admission import Admission
 from service.http.event_hub import Hub, Reader
 from service.http.uvicorn_protocol import HEADER_BYTES, HttpServer, allow_open_files
-from service.milling.agent.agent import Agent, ClientKeys
+from service.milling.agent.agent import Agent, ClientKeys, MillAccess
 from service.milling.agent.app import make_app
 from service.milling.agent.card import announce
-from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.reporting import AuditLog, SnapshotFeed
 from service.milling.agent.settings import AgentSettings, report_disk_errors
 from service.milling.connect import Connector
-from service.processes.priority import go_first
+from service.processes.linux import go_first
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)

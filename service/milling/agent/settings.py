@@ -14,7 +14,7 @@ from service.errors import FailedError, InputError, sentence_of_os_error
 from service.http.event_hub import HEARTBEAT_S
 from service.http.hosts import is_loopback, require_unread
 from service.milling.agent.card import TOKEN_FILE, make_token, read_token
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -74,7 +74,7 @@ from service.milling.terminal.screen import (
     stop_lines,
     took_words,
 )
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
 _BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long

@@ -29,7 +29,7 @@ from service.http.serving import make_admission, make_config
 from service.http.uvicorn_protocol import HttpServer, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.server.api.access.guard import refuse_foreign_bind
 from service.server.api.access.stop_access import StopAccess
 from service.server.api.app import make_app

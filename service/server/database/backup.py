@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.processes.private import lock_folder
-from service.processes.whole_file import open_whole
+from service.processes.files import lock_folder, open_whole
 from service.server.database.connection import connect, copy_sqlite
 from service.server.database.tokens import TokenBook
 from service.settings import ServerSettings

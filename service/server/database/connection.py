@@ -28,7 +28,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from service.errors import FailedError, InputError
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.server.database.tables import jobs, metadata
 from service.settings import ServerSettings
 

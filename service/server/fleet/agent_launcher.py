@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from service.errors import ServiceError, printable, sentence_of_os_error
-from service.processes.private import make_private
+from service.processes.files import make_private
 from service.server.fleet.registry import KnownMachine, local_folder, read_machines
 from service.settings import PREFIX, ServerSettings
 

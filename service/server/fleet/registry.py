@@ -18,7 +18,7 @@ from machines.profile import (
     find_own_profiles,
     load_profile,
 )
-from machines.profile_values import UnreadableFileError, read_toml
+from machines.profile_values import UnreadableFileError, read_data
 from phrases.phrase import Phrase
 from service.errors import InputError, printable
 from service.http.hosts import require_unread
@@ -121,7 +121,7 @@ def remote_machines(path: Path) -> list[KnownMachine]:
     else is on the network between here and the agent. InputError says what is wrong in it.
     """
     try:
-        rows = read_toml(path).get("agents", [])
+        rows = read_data(path).get("agents", [])
     except UnreadableFileError as error:
         raise InputError(Phrase("agents file {path}: {cause}", path=path, cause=error.words)) from None
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):

@@ -13,8 +13,7 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS
 from phrases.phrase import Phrase
 from service.http.problems import Problem
 from service.http.schema import phrase_views
-from service.job.files import is_program, program_order
-from service.job.program_rows import list_programs
+from service.job.files import is_program, list_programs, program_order
 from service.milling.api import Check
 from service.server.database.records import ABORTED, INTERRUPTED, PARKED, Artifact, Job
 from service.server.database.runs import RunRow

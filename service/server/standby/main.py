@@ -27,7 +27,7 @@ from service.http.problems import Problem, problem_response
 from service.http.serving import make_admission, make_config
 from service.http.uvicorn_protocol import ProblemProtocol, allow_open_files, begin_connection
 from service.processes import lifeline
-from service.processes.priority import go_first
+from service.processes.linux import go_first
 from service.server.api.access.requests import (
     Headers,
     read_headers,

@@ -15,8 +15,7 @@ from typing import NoReturn
 from machines.simulated import GRBL_11, CornerPlate, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, ServiceError, sentence_of_os_error
 from service.processes import lifeline
-from service.processes.private import make_private
-from service.processes.whole_file import write_whole
+from service.processes.files import make_private, write_whole
 from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 

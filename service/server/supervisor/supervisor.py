@@ -24,7 +24,7 @@ from typing import TextIO
 from service.errors import EXIT_FAILURE, EXIT_INPUT, ServiceError, printable
 from service.http.hosts import bind_address, is_answering, read_complaint, url_of
 from service.processes import lifeline
-from service.processes.private import lock_folder
+from service.processes.files import lock_folder
 from service.server.pairing_code import code_lines, code_of, new_offer
 from service.server.supervisor.child import SupervisedChild
 

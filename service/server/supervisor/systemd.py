@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.errors import FailedError, InputError, sentence_of_os_error
-from service.processes.whole_file import write_whole
+from service.processes.files import write_whole
 
 _OURS = "# Written by `causticmill service install`."
 _SYSTEM = Path("/etc/systemd/system")

@@ -24,8 +24,7 @@ from phrases.phrase import Phrase, join
 from service.errors import FailedError, ServiceError, printable
 from service.job.spec.loading import restore_job
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
-from service.job.stages.so_far import JobSoFar
-from service.job.stages.table import shares, stage_key
+from service.job.stages.table import JobSoFar, shares, stage_key
 from service.server.database.claims import STOPPED, Claim, StageClose, StageTry, WorkBook
 from service.server.database.records import JobState, StageState
 from service.server.queue.engine import Busy, Fenced, Ticket

@@ -18,7 +18,7 @@ import threading
 from contextlib import closing
 
 from service.errors import FailedError, ServiceError
-from service.processes.private import keep_private
+from service.processes.files import keep_private
 from service.server.worker.stage_process import STAGE_ENTRY, StageProcesses
 from service.settings import ServerSettings
 

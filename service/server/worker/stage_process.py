@@ -26,8 +26,8 @@ from machines.clock import Timeout
 from phrases.phrase import Phrase
 from service.errors import FailedError, InputError, PictureError, ServiceError, SpecError
 from service.processes.child import ChildCrashed, ChildDied, Words, result_of
+from service.processes.child_work import out_of_memory
 from service.processes.fork_server_client import ForkedChild, ForkServerError, ForkServerLink
-from service.processes.forked_child import out_of_memory
 from service.processes.linux import give_back_blocks, list_living_members, signal_group, signal_stage
 from service.settings import SAFE_SHARE, ServerSettings
 

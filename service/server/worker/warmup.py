@@ -20,7 +20,7 @@ from service.processes.child import Child, ChildError
 from service.processes.kernel_cache import JOBS, LENSES, ready_mark, use_current_kernels
 
 if TYPE_CHECKING:
-    from service.job.spec.resolved import ResolvedJob
+    from service.job.spec.resolve import ResolvedJob
 
 _PROGRAMS = "programs"
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
@@ -106,7 +106,7 @@ def _warm_lenses(folder: Path) -> None:
 def _warm_jobs(folder: Path) -> None:
     from PIL import Image
 
-    from machines.preflight.limits import limits_of
+    from machines.preflight.preflight import limits_of
     from service.job.pipeline import design
     from service.milling.preflight_child import examine
     from service.progress import QuietReporter

@@ -11,8 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
-from cam.around.outline import aperture_corners, offset_loop, segment_distances
-from cam.around.paths import find_highest_along, make_cut_out_paths, make_facing_paths
+from cam.around.paths import (
+    aperture_corners,
+    find_highest_along,
+    make_cut_out_paths,
+    make_facing_paths,
+    offset_loop,
+    segment_distances,
+)
 from cam.around.specs import CutOut, Facing
 from cam.cutters import CUTTERS, CutterShape
 from cam.errors import OutlineError, PassValueError, SafeHeightError

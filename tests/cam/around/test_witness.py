@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cam.around.check import AroundCheck, check_witness
-from cam.around.outline import aperture_corners
-from cam.around.paths import make_witness_paths
+from cam.around.paths import aperture_corners, make_witness_paths
 from cam.around.specs import WitnessCut
 from cam.errors import PassValueError, SafeHeightError
 from cam.moves import Path

@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
-from cam.as_milled.surface import MilledSurface
-from cam.as_milled.tracks import Noise, Tracks
-from cam.reading.gcode import read_program
+from cam.as_milled.height_map import map_departure
+from cam.as_milled.rows import sample_facets, tip_error_mm
+from cam.as_milled.surface import MilledSurface, mill_heights
+from cam.as_milled.tracks import Noise, Screws, Tracks
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.cam.facet_points import rms, spread_over
+from tests.cam.programs import read_program, row_tracks
 
 SIDE_MM = 2.0
 
@@ -188,3 +190,94 @@ def test_samples_have_the_slopes_of_the_whole():
         points, weights = spread_over(facets, np.full(2, 0.5), np.full(2, 5.5), parts=4)
         slopes.append(rms(points[:, 4] - over.spline().jets(points[:, 0], points[:, 1])[2], weights))
     assert slopes[0] == pytest.approx(slopes[1], rel=0.1)
+
+
+RADIUS_MM = 0.8
+
+
+def test_heights_are_the_lowest_ball_anywhere_on_the_tracks() -> None:
+    """Against balls set down every 2 um along two chains of crooked chords; elsewhere the stock stays."""
+    rng = np.random.default_rng(8)
+    x = np.linspace(0.0, 1.2, 9)
+    rows = [np.stack([x, np.full(9, y), -0.05 - 0.02 * rng.random(9)], axis=1) for y in (0.3, 0.42)]
+    tips = np.concatenate(rows)
+    joined = np.ones(18, dtype=np.bool_)
+    joined[[0, 9]] = False
+    before = StockGrid(x0_mm=0.0, y0_mm=0.0, cell_mm=0.04, top_mm=np.zeros((20, 30)))
+    left = mill_heights([Tracks(radius_mm=RADIUS_MM, tips_mm=tips, joined=joined)], before)
+    fine = np.concatenate(
+        [np.stack([np.interp(np.linspace(0, 1.2, 601), x, row[:, d]) for d in range(3)], 1) for row in rows]
+    )
+    places = np.stack(np.meshgrid(left.x_mm, left.y_mm), axis=-1)
+    away2 = ((places[:, :, None, :] - fine[:, :2]) ** 2).sum(axis=-1)
+    balls = np.where(away2 < RADIUS_MM**2, fine[:, 2] + RADIUS_MM - np.sqrt(np.maximum(RADIUS_MM**2 - away2, 0.0)), 0.0)
+    np.testing.assert_allclose(left.top_mm, np.minimum(balls.min(axis=2), 0.0), atol=2e-6)
+    assert (left.top_mm[-1] == 0.0).any()
+
+
+BIG, SMALL = (2.5, 0.1), (0.5, 0.05)
+"""Radius and pitch. On a slope of 0.6 tips that touch one place lie 1 mm apart."""
+
+
+def lift_over(tracks: Tracks, by_mm: float) -> Tracks:
+    return replace(tracks, tips_mm=tracks.tips_mm + np.array([0.0, 0.0, by_mm]))
+
+
+@pytest.mark.parametrize(("big_mm", "small_mm"), [(0.02, 0.0), (0.0, 0.02)])
+def test_the_deeper_program_makes_the_whole_surface(big_mm: float, small_mm: float) -> None:
+    """The other one, 20 micrometres higher, leaves no trace: one layer of facets, all at the height of the deeper."""
+    over = lens(tilt=(0.5, -0.33), bend=(0.05, -0.08))
+    big, small = (
+        lift_over(row_tracks(over, radius_mm=radius, pitch_mm=pitch), by)
+        for (radius, pitch), by in ((BIG, big_mm), (SMALL, small_mm))
+    )
+    surface = MilledSurface.of_tracks([big, small], over, pitch_mm=BIG[1])
+    facets = facets_of(surface)
+    middle = facets[:, :, :3].mean(axis=1)
+    inside = ((middle[:, :2] > 0.2) & (middle[:, :2] < SIDE_MM - 0.2)).all(axis=1)
+    heights = over.spline().heights_mm(middle[inside, 0], middle[inside, 1])
+    assert np.abs(middle[inside, 2] - heights).max() < 0.003
+    _, weights = spread_over(facets, np.full(2, 0.2), np.full(2, SIDE_MM - 0.2), parts=10)
+    assert weights.sum() == pytest.approx((SIDE_MM - 0.4) ** 2, rel=0.01)
+
+
+amplitudes = st.tuples(*3 * [st.floats(0.0, 0.02)])
+leads = st.tuples(*3 * [st.floats(0.5, 8.0)])
+
+
+@given(amplitudes, leads, st.lists(st.tuples(*3 * [st.floats(-50.0, 50.0)]), min_size=1, max_size=20))
+def test_an_axis_is_off_by_what_its_screw_is_and_by_as_much_a_turn_later(
+    error_mm: tuple[float, float, float], lead_mm: tuple[float, float, float], tips: list[tuple[float, float, float]]
+) -> None:
+    screws, tips_mm = Screws(error_mm=error_mm, lead_mm=lead_mm), np.array(tips)
+    off = screws.errors_mm(tips_mm)
+    assert (np.abs(off) <= np.array(error_mm) + 1e-12).all()
+    np.testing.assert_allclose(off, screws.errors_mm(tips_mm + np.array(lead_mm)), atol=1e-9)
+    assert (
+        screws.longest_mm == min([lead for a, lead in zip(error_mm, lead_mm, strict=True) if a], default=math.inf) / 16
+    )
+
+
+@pytest.mark.parametrize(
+    ("error_mm", "expected"),
+    [
+        ((0.0, 0.0, 0.004), lambda x, z: 0.004 * np.sin(2 * np.pi * z / 1.25)),
+        ((0.01, 0.0, 0.0), lambda x, z: -0.3 * 0.01 * np.sin(2 * np.pi * x / 2.0)),  # aside on a slope is up or down
+    ],
+)
+def test_a_ramp_is_left_in_the_waves_of_the_screws(error_mm: tuple[float, float, float], expected: object) -> None:
+    slope, side_mm = 0.3, 8.0
+    axis = np.linspace(0.0, side_mm, 81)
+    lens = Heightfield.on_aperture(np.tile(slope * axis - 3.0, (81, 1)), width_mm=side_mm, height_mm=side_mm)
+    screws = Screws(error_mm=error_mm, lead_mm=(2.0, 2.0, 1.25))
+    tracks = row_tracks(lens, radius_mm=1.0, pitch_mm=0.05).divide(screws.longest_mm)
+    made, meant = (
+        map_departure([one], lens, pitch_mm=0.05, error_mm=0.005, finer=1).departure_mm[20:-20, 20:-20]
+        for one in (tracks.made_by(screws=screws), tracks)
+    )
+    # The tip stands a ball's radius off its contact, along the slope and in height.
+    root = math.hypot(1.0, slope)
+    x = axis[20:-20] - slope / root
+    z = slope * axis[20:-20] - 3.0 - 1.0 + 1.0 / root
+    wanted = expected(x, z)  # type: ignore[operator]
+    np.testing.assert_allclose((made - meant).mean(axis=0), wanted, atol=0.12 * np.abs(wanted).max())

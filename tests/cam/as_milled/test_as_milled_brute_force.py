@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.tracks import Noise, Tracks
 from tests.cam.as_milled.test_as_milled import facets_of, lens, surface_of
 from tests.cam.facet_points import rms, spread_over
+from tests.cam.programs import row_tracks
 
 pytestmark = pytest.mark.thorough
 

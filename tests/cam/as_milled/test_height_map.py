@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cam.as_milled.height_map import map_departure
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.tracks import Noise
 from tests.cam.as_milled.test_as_milled import lens
 from tests.cam.as_milled.test_as_milled_brute_force import crossed, lowest_ball, near_the_window
+from tests.cam.programs import row_tracks
 
 
 @pytest.mark.parametrize("path", ["rows", "rows across rows"])

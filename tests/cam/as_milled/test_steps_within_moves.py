@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.stepping import measure_spread
 from cam.as_milled.tracks import Tracks
 from cam.moves import cut, rapid
@@ -17,6 +16,7 @@ from cam.rows.rounding import Rounding, on_raster
 from tests.cam.as_milled.test_as_milled import facets_of, lens, surface_of
 from tests.cam.as_milled.test_as_milled_brute_force import HIGH, LOW, brute_slopes, near_the_window
 from tests.cam.facet_points import rms, spread_over
+from tests.cam.programs import row_tracks
 
 STEP_MM = 0.004
 

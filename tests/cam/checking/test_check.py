@@ -18,13 +18,14 @@ from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
 from cam.passes import Clamp, PassSpec, Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program
 from cam.reading import gcode
-from cam.reading.gcode import ProgramError, read_program
+from cam.reading.gcode import ProgramError
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_left import StockLeft, _deepest_in, find_excess
 from optics.heightfield import Heightfield
 from tests.cam.checks import MILL
+from tests.cam.lenses import brute_force, make_lens
+from tests.cam.programs import generate_program, read_program
 
 WIDTH, HEIGHT, RADIUS, PITCH, SAFE = 6.0, 4.0, 0.5, 0.1, 5.0
 STOCK = Stock(width_mm=WIDTH, height_mm=HEIGHT, thickness_mm=10, margin_mm=2)
@@ -266,7 +267,7 @@ def test_a_large_ball_on_a_steep_rim_covers_the_corner_from_the_run_out():
     assert result.max_gap_mm <= spec.pitch_mm
 
 
-def test_a_track_is_seen_to_touch_whichever_flank_it_rests_on(make_lens, brute_force):
+def test_a_track_is_seen_to_touch_whichever_flank_it_rests_on():
     """A spike far from the axis carries the ball; under the axis, where the search starts, there is air."""
     spike = make_lens(lambda x, y: 0.9 * np.exp(-(((x - 4.9) / 0.12) ** 2)) - 1.0 + 0.0 * y)
     tip = brute_force(spike.spline(), 4.0, 3.0, 1.2, samples=1201) - 1.2
@@ -278,7 +279,7 @@ def test_a_track_is_seen_to_touch_whichever_flank_it_rests_on(make_lens, brute_f
 
 
 @pytest.mark.parametrize("bend", [0.9, 1.02, 1.2, 1.5])
-def test_how_far_a_ball_that_touches_a_valley_lies_in_its_walls(make_lens, bend):
+def test_how_far_a_ball_that_touches_a_valley_lies_in_its_walls(bend):
     """z = k x^2 / 2: by dense sampling along x, whatever the first lattice, to a tenth of a micrometre."""
     valley = make_lens(lambda x, y: bend / 2 * (x - 4) ** 2 - 0.03 * (x - 4) ** 4 - 9.0 + 0.0 * y)
     spline, radius = valley.spline_with_run_out(1.5), 1.0

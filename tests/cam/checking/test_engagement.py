@@ -15,8 +15,8 @@ from cam.checking.removal import RemovalGrid
 from cam.cutters import end_mill
 from cam.passes import ball_pass
 from cam.reading.gcode import MoveBatch
-from cam.surface.cutter import rise_mm, slot_section_mm2
 from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import rise_mm, slot_section_mm2
 
 CELL = 0.05
 SPEC = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.6)

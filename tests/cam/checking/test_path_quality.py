@@ -11,10 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cam.checking.path_quality import PathQuality, measure_program
+from cam.checking.path_quality import PathQuality
 from cam.passes import ball_pass
-from cam.reading.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Heightfield
+from tests.cam.programs import measure_program, read_program
 
 SIDE, PITCH, RADIUS = 6.0, 0.1, 0.5
 SPEC = ball_pass("finish", radius_mm=RADIUS, pitch_mm=PITCH, stock_to_leave_mm=0.0, step_down_mm=0.1)
@@ -148,18 +149,18 @@ def test_batches_do_not_change_the_measures(at_once):
     assert found.aligned_share == pytest.approx(once.aligned_share, abs=0.01)
 
 
-def test_entries_lifts_and_what_hovers():
+def test_entries_and_what_hovers():
     line = np.column_stack([np.linspace(1, 5, 41), np.full(41, 3.0)])
     once = measured(line)
-    assert (once.entries, once.lifts, once.rapids_inside) == (1, 0, 0)
+    assert (once.entries, once.rapids_inside) == (1, 0)
     assert once.length_mm == pytest.approx(4.0)
     hovering = measured(line, lifted=range(10, 20))
-    assert (hovering.entries, hovering.lifts) == (1, 0)
+    assert hovering.entries == 1
     assert hovering.length_mm == pytest.approx(4.0 - 1.1, abs=1e-6)  # up and down again do not count either
     block = text(on_plane(line, 0.0)).decode().splitlines()
     block[20:20] = ["G0 Z5", "G1 Z-0.5"]
     twice = measure_program(read_program(["\n".join([*block, ""]).encode()]), plane(0.0), SPEC)
-    assert (twice.entries, twice.lifts) == (2, 1)
+    assert twice.entries == 2
 
 
 def test_a_rapid_through_the_block_is_counted():

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from cam.checking.track_gaps import PIXELS_PER_PITCH, TipRegion, TrackGaps
 from cam.checking.track_scan import is_inside
+from tests.cam.lenses import make_bumps, make_lens
 
 SIDE, PITCH = 3.0, 0.1
 REGION = TipRegion.plain(SIDE, SIDE)
@@ -143,7 +144,7 @@ def test_no_track_at_all_is_a_gap_as_wide_as_the_lens():
     assert TrackGaps(REGION, pitch_mm=PITCH).find_widest().width_mm == SIDE
 
 
-def test_the_region_of_tips_is_the_lens_shifted_downhill(make_lens):
+def test_the_region_of_tips_is_the_lens_shifted_downhill():
     """On a plane of slope s every tip stands R s / q beside its contact, all on the same side."""
     lens = make_lens(lambda x, y: -1.0 - 0.3 * x + 0.1 * y)
     region = TipRegion.over(lens, ball_mm=0.5)
@@ -155,7 +156,7 @@ def test_the_region_of_tips_is_the_lens_shifted_downhill(make_lens):
 
 
 @pytest.mark.parametrize("ball_mm", [0.5, 2.0])
-def test_a_tip_is_in_the_region_exactly_when_its_contact_is_in_the_aperture(make_bumps, ball_mm):
+def test_a_tip_is_in_the_region_exactly_when_its_contact_is_in_the_aperture(ball_mm):
     """Contacts 10 um inside and outside the rim, all round a lens whose rim rises and falls."""
     lens = make_bumps(4, relief_mm=1.5)
     region, spline = TipRegion.over(lens, ball_mm=ball_mm), lens.spline_with_run_out(1.0)
@@ -169,7 +170,7 @@ def test_a_tip_is_in_the_region_exactly_when_its_contact_is_in_the_aperture(make
             assert np.mean(found) == wanted
 
 
-def test_what_lies_outside_the_region_of_tips_need_not_be_covered(make_lens):
+def test_what_lies_outside_the_region_of_tips_need_not_be_covered():
     lens = make_lens(lambda x, y: -1.0 - 0.4 * x + 0.0 * y)
     region = TipRegion.over(lens, ball_mm=0.5)
     shift = 0.5 * 0.4 / math.hypot(1, 0.4)

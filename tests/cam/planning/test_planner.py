@@ -11,23 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
 from cam.duration import DurationModel, Kinematics
 from cam.materials import PMMA
 from cam.passes import PAPER_PASSES, PassSpec, Stock, ball_pass
 from cam.planning.pass_time import LensForm
-from cam.planning.planner import (
-    DOUBLING_DB,
-    Goal,
-    Marks,
-    NoPlanError,
-    Plan,
-    choose,
-    find_candidates,
-    make_plan,
-    time_by_lens,
-)
+from cam.planning.planner import DOUBLING_DB, Goal, Marks, NoPlanError, Plan, choose, find_candidates, time_by_lens
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.sampled_time import first_pass_s, rows_s
@@ -41,6 +30,7 @@ from cam.tools import Tool
 from optics.heightfield import Heightfield
 from tests.cam import checks
 from tests.cam.balls import tool
+from tests.cam.programs import make_plan, row_tracks
 
 MILL = Kinematics(
     max_rate_mm_per_min=(5000.0, 5000.0, 1500.0),

@@ -11,7 +11,7 @@ import pytest
 from cam.materials import PMMA
 from cam.passes import Stock, ball_pass
 from cam.planning.pass_time import LensForm
-from cam.planning.planner import Goal, Marks, Plan, make_plan
+from cam.planning.planner import Goal, Marks, Plan
 from cam.planning.rest import Filled, RestWork
 from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop
@@ -21,6 +21,7 @@ from optics.closing import close_to_radius
 from optics.heightfield import Heightfield
 from tests.cam.balls import tool
 from tests.cam.checks import MILL, checked
+from tests.cam.programs import make_plan
 
 SIDE = 14.0
 STOCK = Stock(width_mm=SIDE, height_mm=SIDE, thickness_mm=20.0, margin_mm=8.0)

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Noise
 from cam.planning.row_slopes import lowest_rows, row_slopes
 from optics.heightfield import Heightfield
+from tests.cam.programs import row_tracks
 
 RADII, PITCHES = st.floats(0.25, 10.0), st.floats(0.005, 0.03)
 

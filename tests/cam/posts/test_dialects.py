@@ -17,11 +17,12 @@ from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
 from cam.posts.post import ProgramSetup
 from cam.posts.writers import create_writer
-from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
-from machines.preflight.limits import limits_of
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts
+from machines.preflight.preflight import limits_of
 from machines.profile import load_profile
 from machines.roland.rml import check_rml
 from service.milling.preflight_child import examine
+from tests.cam.programs import read_program
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"

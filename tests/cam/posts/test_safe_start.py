@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.around.outline import trace_paths
+from cam.around.paths import trace_paths
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock
 from cam.posts.dialects import POSTS

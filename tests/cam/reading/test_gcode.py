@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.errors import CamError
-from cam.reading.gcode import ProgramError, read_program
+from cam.reading.gcode import ProgramError
+from tests.cam.programs import read_program
 
 APPROACH = "G21 G90\nG0 Z5\nG0 X0 Y0\n"
 

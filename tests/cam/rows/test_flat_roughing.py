@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from cam.errors import PassValueError
 from cam.passes import Stock, ball_pass
-from cam.surface.cutter import rise_mm
-from cam.surface.rough_surface import RoughSurface
 from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import rise_mm
+from cam.surface.tool_surface import RoughSurface
 from tests.cam.checks import checked
-from tests.cam.conftest import bumps
+from tests.cam.lenses import make_bumps
 
 STOCK = Stock(width_mm=14, height_mm=11, thickness_mm=12, margin_mm=5)
 ROUGH = ball_pass("rough", radius_mm=2.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.0)
@@ -24,7 +24,7 @@ SHARES = st.sampled_from([0.0, 0.25, 0.6])
 
 
 def hills(seed: int, relief_mm: float):
-    return bumps(seed, relief_mm=relief_mm, width_mm=14.0, height_mm=11.0, spread_mm=3.0)
+    return make_bumps(seed, relief_mm=relief_mm, width_mm=14.0, height_mm=11.0, spread_mm=3.0)
 
 
 @settings(max_examples=10, deadline=None)

@@ -9,7 +9,7 @@ from cam.checking.check import PassCheck
 from cam.passes import Stock, ball_pass
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
-from tests.cam.conftest import lens
+from tests.cam.lenses import make_lens
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2.5)  # walls: a ball reaches 2 mm beyond the lens
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.4)
@@ -31,7 +31,7 @@ def test_walls_around_a_dome_hold_no_flakes_for_later_layers():
     """The tops of a dome part rows in two, so that layers turn at different places of a wall 3 mm high; 0.012 mm cells
     see the flakes between row ends, 11 um thick. Then another pass with the same ball goes along the same walls.
     """
-    dome = lens(lambda x, y: -0.1 - 0.06 * ((x - 4.3) ** 2 + (y - 3.2) ** 2))
+    dome = make_lens(lambda x, y: -0.1 - 0.06 * ((x - 4.3) ** 2 + (y - 3.2) ** 2))
     for verdict in milled(dome, [ROUGH, FINISH], cell_mm=0.012):
         assert verdict.faults == ()
 
@@ -40,7 +40,7 @@ def test_walls_around_a_dome_hold_no_flakes_for_later_layers():
 def test_no_row_is_missing_where_the_lens_meets_the_top_of_the_block(edge_mm):
     """A plateau whose edge runs along the rows: what stands between the last row with stock and the edge is cut too."""
     softness_mm = 0.1
-    slope = lens(
+    slope = make_lens(
         lambda x, y: -0.05 - 0.8 * softness_mm * np.logaddexp(0.0, (edge_mm - y + 0.02 * x) / softness_mm), per_mm=20
     )
     (verdict,) = milled(slope, [ROUGH], cell_mm=0.05)

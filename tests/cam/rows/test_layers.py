@@ -15,8 +15,7 @@ from cam.materials import SLOT_FEED
 from cam.moves import CLEARANCE_MM, RAPID_CLEARANCE_MM, Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program, pass_paths
-from cam.reading.gcode import read_program
+from cam.program import pass_paths
 from cam.rows.entries import RAMP_SLOPE, enter, make_ramp
 from cam.rows.layers import Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
@@ -24,6 +23,8 @@ from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
+from tests.cam.lenses import make_bumps
+from tests.cam.programs import generate_program, read_program
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2)
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
@@ -70,7 +71,7 @@ def test_a_ball_meets_a_flat_block_at_its_top_and_rounds_its_edge(radius_mm):
     assert touch.at(10.0 + 2 * radius_mm, 3.0) < -1e3
 
 
-def test_a_ball_meets_shaped_stock(make_bumps):
+def test_a_ball_meets_shaped_stock():
     """Against the definition: the highest of top(q) - (R - sqrt(R^2 - |q - c|^2)) over the lens, within the slack."""
     block = StockGrid.block(STOCK, 0.1)
     spline = make_bumps(7, relief_mm=1.5).spline_with_run_out(3.0)
@@ -94,7 +95,7 @@ def field(lens, spec, top) -> tuple[Field, StockTouch]:
 
 
 @pytest.mark.parametrize("spec", [ROUGH, FINISH])
-def test_a_flat_block_comes_off_in_planes(make_bumps, spec):
+def test_a_flat_block_comes_off_in_planes(spec):
     """Planes one step-down apart, the last at or below the deepest target; a finish keeps a skin for exact rows."""
     plan = plan_layers(*field(make_bumps(1, relief_mm=3.0), spec, StockGrid.block(STOCK, 0.1)), spec)
     levels = [layer.level_mm for layer in plan.layers]
@@ -103,14 +104,14 @@ def test_a_flat_block_comes_off_in_planes(make_bumps, spec):
     assert all((layer.offset_mm > 0) is spec.finishes for layer in plan.layers)
 
 
-def test_no_layers_where_one_step_does_it(make_bumps):
+def test_no_layers_where_one_step_does_it():
     shallow = make_bumps(1, relief_mm=0.1)
     plan = plan_layers(*field(shallow, FINISH, StockGrid.block(STOCK, 0.1)), FINISH)
     assert plan.layers == ()
     assert plan.exact_rows
 
 
-def test_a_shaped_block_comes_off_parallel_to_the_target(make_bumps):
+def test_a_shaped_block_comes_off_parallel_to_the_target():
     block = StockGrid.block(STOCK, 0.1)
     stepped = block.top_mm - 0.2 * (block.x_mm > 4)[None, :]
     top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=stepped)
@@ -164,7 +165,7 @@ def test_a_ramp_cuts_its_whole_stretch():
     assert points[legs[-1] + 1 :, 2].min() == pytest.approx(-1.5)
 
 
-def rest_of(spec, radius_mm: float, make_bumps):
+def rest_of(spec, radius_mm: float):
     """What a rough pass with one ball leaves of a small lens, and where a second rough pass cuts it."""
     lens, top = make_bumps(3, relief_mm=1.6, spread_mm=0.7), StockGrid.block(STOCK, 0.1)
     first = replace(spec, radius_mm=radius_mm)
@@ -177,9 +178,9 @@ def rest_of(spec, radius_mm: float, make_bumps):
 
 
 @pytest.mark.parametrize("radius_mm", [0.8, 2.0])
-def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(make_bumps, radius_mm):
+def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(radius_mm):
     """Its layers and their depth come from the simulated stock: every cut of it takes off something, none too much."""
-    lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+    lens, left = rest_of(ROUGH, radius_mm)
     second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.1)
     spread, met = field(lens, second, left)
     plan = plan_layers(spread, met, second)
@@ -195,11 +196,11 @@ def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(make_bum
     assert in_layers == sorted(in_layers, reverse=True)
 
 
-def test_a_ball_meets_no_wall_that_one_of_its_size_has_left(make_bumps):
+def test_a_ball_meets_no_wall_that_one_of_its_size_has_left():
     """Deeper than its radius the wall of a pass before stands at the ball's equator: it passes by and takes off
     nothing, so that nothing has to be taken off before.
     """
-    lens, left = rest_of(ROUGH, 0.8, make_bumps)
+    lens, left = rest_of(ROUGH, 0.8)
     finish = replace(FINISH, radius_mm=0.8)
     spread, met = field(lens, finish, left)
     assert (spread.stock_mm - spread.target_mm).max() > finish.step_down_mm  # as the lattice tells
@@ -210,17 +211,17 @@ def test_a_ball_meets_no_wall_that_one_of_its_size_has_left(make_bumps):
     assert max(grid.cut(batch).depth_mm.max() for batch in read_program(text)) <= finish.step_down_mm
 
 
-def test_a_bigger_first_ball_leaves_the_second_one_more_to_do(make_bumps):
+def test_a_bigger_first_ball_leaves_the_second_one_more_to_do():
     second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.04)
     lengths = []
     for radius_mm in (0.8, 2.0):
-        lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+        lens, left = rest_of(ROUGH, radius_mm)
         points = np.concatenate([path.points_mm for path in pass_paths(lens, second, STOCK, stock_top=left)])
         lengths.append(float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()))
     assert 1.05 * lengths[0] < lengths[1]
 
 
-def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
+def test_slots_are_cut_slowly_and_only_first_rows():
     """On a flat block: stock on both sides of a row happens once per stretch, on the way in."""
     lens, top = make_bumps(1, relief_mm=0.4), StockGrid.block(STOCK, 0.1)
     spec = replace(ROUGH, step_down_mm=0.9)
@@ -253,6 +254,6 @@ def test_no_way_goes_along_a_wall_where_a_turn_has_been():
 
 
 @pytest.mark.parametrize(("seed", "step_down_mm"), [(0, 0.3), (0, 0.5), (1, 0.3), (1, 0.8)])
-def test_rows_beside_what_stands_are_no_reason_to_enter(make_bumps, seed, step_down_mm):
+def test_rows_beside_what_stands_are_no_reason_to_enter(seed, step_down_mm):
     spec = replace(ROUGH, step_down_mm=step_down_mm, direction="y")
     assert least_depth_of_descents(make_bumps(seed, relief_mm=2.0), spec) > 1e-6

@@ -13,12 +13,14 @@ from cam.checking.flat_removal import removal_of
 from cam.checking.sweep import LEFT, RIGHT
 from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.dialects import GRBL
-from cam.program import generate_program, pass_paths
-from cam.reading.gcode import MoveBatch, read_program
+from cam.program import pass_paths
+from cam.reading.gcode import MoveBatch
 from cam.rows.loads import LEAST_FEED, LOAD_SHARE, MOST_FEED, Runs, choose_feeds, feed_at_load, measure_cuts
-from cam.surface.cutter import slot_section_mm2
 from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import slot_section_mm2
 from tests.cam.checks import checked
+from tests.cam.lenses import make_bumps
+from tests.cam.programs import generate_program, read_program
 
 STOCK = Stock(width_mm=12, height_mm=9, thickness_mm=10, margin_mm=3)
 FINE = ball_pass("rough", radius_mm=1.0, pitch_mm=0.1, stock_to_leave_mm=0.1, step_down_mm=0.6)
@@ -26,9 +28,8 @@ FINE = ball_pass("rough", radius_mm=1.0, pitch_mm=0.1, stock_to_leave_mm=0.1, st
 
 @pytest.fixture(scope="module")
 def hills():
-    from tests.cam.conftest import bumps
 
-    return bumps(5, relief_mm=2.0, width_mm=12.0, height_mm=9.0, spread_mm=2.0)
+    return make_bumps(5, relief_mm=2.0, width_mm=12.0, height_mm=9.0, spread_mm=2.0)
 
 
 @pytest.mark.parametrize("radius_mm", [0.5, 3.0])

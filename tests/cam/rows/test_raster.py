@@ -14,6 +14,7 @@ from cam.rows import raster
 from cam.rows.raster import Rows, continuous_rows, separate_rows
 from cam.rows.vertices import finish_rule
 from cam.surface.tool_surface import ToolSurface
+from tests.cam.lenses import make_bumps
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=5)
 
@@ -39,7 +40,7 @@ def test_paper_finish_has_its_5000_rows_on_the_lens():
     assert ((y >= 0) & (y <= 100)).sum() == 5001
 
 
-def test_one_unbroken_path_over_every_row(make_bumps):
+def test_one_unbroken_path_over_every_row():
     """There and back, exactly on the surface, turns included, never outside the aperture grown by one radius."""
     surface = ToolSurface.over(make_bumps(1, relief_mm=1.5), radius_mm=0.5)
     rows = Rows.over(STOCK, spec())
@@ -59,7 +60,7 @@ def test_one_unbroken_path_over_every_row(make_bumps):
 
 
 @pytest.mark.parametrize("count", [1, 3, 1000])
-def test_the_path_does_not_depend_on_how_the_work_is_split(make_bumps, monkeypatch, count):
+def test_the_path_does_not_depend_on_how_the_work_is_split(monkeypatch, count):
     surface = ToolSurface.over(make_bumps(2, relief_mm=1.0), radius_mm=0.5)
     rows = Rows.over(STOCK, spec(pitch_mm=0.25))
     rule = finish_rule(1e-3, 0.1)
@@ -70,7 +71,7 @@ def test_the_path_does_not_depend_on_how_the_work_is_split(make_bumps, monkeypat
 
 
 @pytest.mark.parametrize("rightward", [True, False])
-def test_separate_rows_all_run_the_same_way(make_bumps, rightward):
+def test_separate_rows_all_run_the_same_way(rightward):
     surface = ToolSurface.over(make_bumps(2, relief_mm=1.0), radius_mm=0.5)
     rows = Rows.over(STOCK, spec(pitch_mm=0.25))
     pieces = list(separate_rows(surface, rows, finish_rule(1e-3, 0.1), rightward=rightward))
@@ -78,7 +79,7 @@ def test_separate_rows_all_run_the_same_way(make_bumps, rightward):
     assert all(((np.diff(p[:, 0]) > 0) == rightward).all() for p in pieces)
 
 
-def test_leaving_off_early_ends_the_workers(make_bumps):
+def test_leaving_off_early_ends_the_workers():
     """An abandoned program leaves no thread behind."""
     surface = ToolSurface.over(make_bumps(2, relief_mm=1.0), radius_mm=0.5)
     pieces = continuous_rows(surface, Rows.over(STOCK, spec(pitch_mm=0.01)), finish_rule(1e-3, 0.1))

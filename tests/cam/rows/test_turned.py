@@ -12,6 +12,7 @@ from cam.program import pass_paths
 from cam.rows.raster import turn_block, turn_lens, turn_stock
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
+from tests.cam.lenses import make_bumps
 
 W, H = 5.0, 3.5
 STOCK = Stock(width_mm=W, height_mm=H, thickness_mm=10, margin_mm=2)
@@ -21,9 +22,8 @@ FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0,
 
 @pytest.fixture(scope="module")
 def small():
-    from tests.cam.conftest import bumps
 
-    return bumps(11, relief_mm=1.2, width_mm=W, height_mm=H, spread_mm=0.8)
+    return make_bumps(11, relief_mm=1.2, width_mm=W, height_mm=H, spread_mm=0.8)
 
 
 def test_turning_twice_changes_nothing(small):

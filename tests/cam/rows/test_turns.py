@@ -13,7 +13,7 @@ from cam.passes import Stock, ball_pass
 from cam.program import pass_paths
 from cam.rows.loads import SLOT_DEPTH_SHARE
 from cam.surface.stock_grid import StockGrid
-from tests.cam.conftest import lens
+from tests.cam.lenses import make_lens
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=3)
 FINISH = ball_pass("finish", radius_mm=1.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.3)
@@ -30,7 +30,7 @@ def test_turns_in_a_thick_skin_are_slow_and_rows_never(skin_mm, direction):
     top = StockGrid.block(STOCK, 0.1)
     top = replace(top, top_mm=np.full_like(top.top_mm, skin_mm - DEPTH_MM))
     across, here, slow_turns = 1 if direction == "x" else 0, np.full(3, np.nan), set()
-    for path in pass_paths(lens(lambda x, y: 0 * x - DEPTH_MM), spec, STOCK, stock_top=top):
+    for path in pass_paths(make_lens(lambda x, y: 0 * x - DEPTH_MM), spec, STOCK, stock_top=top):
         for point in path.points_mm:
             turns = here[across] != point[across]
             if path.motion is Motion.CUT and point[across] > -spec.radius_mm:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from cam.rows.vertices import TICKS_PER_MM, finish_rule, march_row, most_vertices, rough_rule, thin_points
 from cam.surface.contact import touch
 from cam.surface.tool_surface import ToolSurface
+from tests.cam.lenses import make_bumps, make_lens
 
 
 def row(surface: ToolSurface, rule, y: float, start: float, end: float) -> np.ndarray:
@@ -29,7 +30,7 @@ def slopes(surface: ToolSurface, x: np.ndarray, y: float) -> np.ndarray:
     error=st.sampled_from([0.2e-3, 0.5e-3, 2e-3]),
     forward=st.booleans(),
 )
-def test_chords_of_a_finishing_row(make_bumps, seed, relief_mm, y, error, forward):
+def test_chords_of_a_finishing_row(seed, relief_mm, y, error, forward):
     """Slope within the bound (5 % for what lies between probes), sag within nanometres, at every point of the row."""
     surface = ToolSurface.over(make_bumps(seed, relief_mm=relief_mm), radius_mm=0.5)
     rule = finish_rule(error, 0.1)
@@ -55,7 +56,7 @@ def test_chords_of_a_finishing_row(make_bumps, seed, relief_mm, y, error, forwar
     np.testing.assert_allclose(zs, surface.tip_heights_mm(xs, np.full(xs.size, y)), atol=1e-9)
 
 
-def test_the_run_out_is_followed_less_closely(make_bumps):
+def test_the_run_out_is_followed_less_closely():
     """Same bounds as before where the contact is on the lens or within 0.1 mm of it, half a micrometre beyond."""
     surface = ToolSurface.over(make_bumps(5, relief_mm=1.0), radius_mm=0.5)
     everywhere = row(surface, finish_rule(0.5e-3, 0.1), 2.3, -0.5, 8.5)
@@ -75,7 +76,7 @@ def test_the_run_out_is_followed_less_closely(make_bumps):
     assert np.abs(slopes(surface, x[free], 2.3) - slope[chord[free]]).max() <= 1.05 * rule.slope_rad
 
 
-def test_the_steepest_place_between_two_probes_counts(make_lens):
+def test_the_steepest_place_between_two_probes_counts():
     """At an inflection the slope is extreme and the curvature, which sets the next probe, is zero."""
     wave = make_lens(lambda x, y: -1.0 + 2e-3 * np.sin(2 * x) + 0 * y)
     surface, rule = ToolSurface.over(wave, radius_mm=0.5), finish_rule(0.5e-3, 1.0)
@@ -87,7 +88,7 @@ def test_the_steepest_place_between_two_probes_counts(make_lens):
 
 
 @pytest.mark.thorough
-def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for(make_lens):
+def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for():
     """s = 2 e / k: on z = k x^2 / 2 under a small ball the spacing follows the formula within 15 %."""
     flat = row(ToolSurface.over(make_lens(lambda x, y: -1.0 + 0 * x), radius_mm=0.5), finish_rule(1e-3, 0.1), 3, 0, 8)
     assert len(flat) == 9
@@ -97,7 +98,7 @@ def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for
     assert np.median(np.diff(points[:, 0])) == pytest.approx(2 * 0.5e-3 / k, rel=0.15)
 
 
-def test_rough_rows_keep_a_share_of_what_is_left(make_bumps):
+def test_rough_rows_keep_a_share_of_what_is_left():
     surface = ToolSurface.over(make_bumps(5, relief_mm=2.0), radius_mm=0.5, allowance_mm=0.03)
     points = row(surface, rough_rule(0.03, 0.1), 2.0, -0.4, 8.4)
     x = np.linspace(-0.4, 8.4, 5000)
@@ -121,7 +122,7 @@ def test_thinning_stays_within_its_tolerance(z, tolerance, upward):
 
 
 @pytest.mark.parametrize("rule", [rough_rule(0.03, 0.1), finish_rule(0.5e-3, 0.1)])
-def test_no_chord_cuts_a_corner_off(make_lens, rule):
+def test_no_chord_cuts_a_corner_off(rule):
     """Between two flanks the slope jumps without curvature at either probe; the chord across it is short all the same.
 
     d s / 4 <= 2 sag, or as short as chords get.

@@ -11,7 +11,8 @@ from cam.cutters import BALL
 from cam.errors import CamError, PassValueError
 from cam.materials import PMMA
 from cam.passes import PRESETS, PassSpec, ball_pass
-from cam.surface.cutter import find_reached_share, largest_fitting_radius_mm
+from cam.surface.stock_touch import find_reached_share, largest_fitting_radius_mm
+from tests.cam.lenses import make_lens
 
 
 @pytest.mark.parametrize(("radius_mm", "pitch_mm", "cusp_um"), [(3, 0.5, 10.4), (0.5, 0.05, 0.6), (0.5, 0.02, 0.1)])
@@ -19,7 +20,7 @@ def test_cusps_of_the_papers_passes(radius_mm, pitch_mm, cusp_um):
     assert 1e3 * BALL.cusp_mm(radius_mm, pitch_mm) == pytest.approx(cusp_um, rel=0.05)
 
 
-def test_largest_ball_in_a_paraboloid(make_lens):
+def test_largest_ball_in_a_paraboloid():
     """The bottom of z = x^2 / 2B + y^2 / 4B has principal curvatures 1/B and 1/2B; nowhere is it more hollow."""
     lens = make_lens(lambda x, y: (x - 4) ** 2 / 5 + (y - 3) ** 2 / 10)
     assert largest_fitting_radius_mm(lens).everywhere_mm == pytest.approx(2.5, rel=1e-6)
@@ -28,7 +29,7 @@ def test_largest_ball_in_a_paraboloid(make_lens):
     assert 0.0 < find_reached_share(lens, 4.0) < 1.0
 
 
-def test_a_hill_admits_every_ball(make_lens):
+def test_a_hill_admits_every_ball():
     dome = make_lens(lambda x, y: -((x - 4) ** 2) / 5 - (y - 3) ** 2 / 10)
     assert largest_fitting_radius_mm(dome).everywhere_mm == np.inf
 

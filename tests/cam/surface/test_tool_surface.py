@@ -14,13 +14,14 @@ from cam.surface import tool_surface
 from cam.surface.contact import touch
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
+from tests.cam.lenses import brute_force, make_bumps, make_lens
 
 NM = 1e-6
 
 
 @pytest.mark.parametrize("slope_deg", [0, 10, 30, 45, 60])
 @pytest.mark.parametrize("along", ["x", "y"])
-def test_ball_on_an_incline_rides_above_it(make_lens, slope_deg, along):
+def test_ball_on_an_incline_rides_above_it(slope_deg, along):
     """On a plane at angle a the tip is R (1/cos a - 1) above the surface: exact."""
     a = np.radians(slope_deg)
     plane = make_lens(lambda x, y: np.tan(a) * (x if along == "x" else y))
@@ -31,7 +32,7 @@ def test_ball_on_an_incline_rides_above_it(make_lens, slope_deg, along):
 
 @pytest.mark.parametrize("allowance_mm", [0.0, 0.2])
 @pytest.mark.parametrize("bend", [-0.2, -0.05, 0.05, 0.15])
-def test_tip_over_a_paraboloid(make_lens, bend, allowance_mm):
+def test_tip_over_a_paraboloid(bend, allowance_mm):
     """From a contact p the tip stands at p + (R + a) N - (0, 0, R): exact, as the spline holds every quadratic."""
     lens = make_lens(lambda x, y: bend / 2 * ((x - 4) ** 2 + 0.5 * (y - 3) ** 2))
     surface = ToolSurface.over(lens, radius_mm=2.0, allowance_mm=allowance_mm, run_out_mm=0.0)
@@ -45,7 +46,7 @@ def test_tip_over_a_paraboloid(make_lens, bend, allowance_mm):
     np.testing.assert_allclose(got[:, :2], np.column_stack([x, y]), atol=1e-4)
 
 
-def test_tip_in_a_spherical_bowl(make_lens):
+def test_tip_in_a_spherical_bowl():
     """Ball in a bowl of radius B: its centre runs on a sphere of radius B - R."""
     bowl, r = 12.0, 3.0
     lens = make_lens(lambda x, y: -np.sqrt(bowl**2 - (x - 4) ** 2 - (y - 3) ** 2))
@@ -58,7 +59,7 @@ def test_tip_in_a_spherical_bowl(make_lens):
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**6), slope=st.floats(0.02, 1.5), radius_mm=st.sampled_from([0.5, 1.0, 2.0]))
-def test_no_point_of_the_lens_is_inside_the_ball(brute_force, seed, slope, radius_mm):
+def test_no_point_of_the_lens_is_inside_the_ball(seed, slope, radius_mm):
     """On any spline up to this steepest slope the ball lies as low as brute force allows, and no lower.
 
     The blocks of random height have curvatures far above 1/R: hardly any place has one contact only.
@@ -79,7 +80,7 @@ def test_no_point_of_the_lens_is_inside_the_ball(brute_force, seed, slope, radiu
         assert row.tip_heights_mm([cx], [cy]) == pytest.approx(tip, abs=1 * NM)  # a surface for that row alone
 
 
-def test_the_contact_lies_on_ball_and_lens(make_bumps):
+def test_the_contact_lies_on_ball_and_lens():
     """Contact and tip belong together: the point is on the lens, one radius from the centre."""
     lens = make_bumps(3, relief_mm=2.0)
     surface = ToolSurface.over(lens, radius_mm=0.5)
@@ -90,7 +91,7 @@ def test_the_contact_lies_on_ball_and_lens(make_bumps):
     np.testing.assert_allclose((px - x) ** 2 + (py - y) ** 2 + drop**2, 0.25, atol=0.01 * NM)
 
 
-def test_two_hills_hold_a_ball_that_newton_alone_would_sink(make_lens, brute_force):
+def test_two_hills_hold_a_ball_that_newton_alone_would_sink():
     """In a groove narrower than the ball a local solution exists at the bottom; the ball must rest on the shoulders."""
     groove = make_lens(lambda x, y: -1.0 / np.cosh((x - 4) / 0.25) ** 2)
     surface = ToolSurface.over(groove, radius_mm=1.0)
@@ -104,7 +105,7 @@ def test_two_hills_hold_a_ball_that_newton_alone_would_sink(make_lens, brute_for
     assert ToolSurface.over(shallow, radius_mm=1.0).guarded_share == 0.0
 
 
-def test_a_hill_straight_under_the_ball_beats_lower_rests_beside_it(make_lens):
+def test_a_hill_straight_under_the_ball_beats_lower_rests_beside_it():
     """Its top is where no search begins elsewhere: the first climb ends there, under the centre."""
     lens = make_lens(
         lambda x, y: (
@@ -117,7 +118,7 @@ def test_a_hill_straight_under_the_ball_beats_lower_rests_beside_it(make_lens):
     assert tip == pytest.approx(lens.spline().jets(np.array([4.0]), np.array([3.0]))[0][0], abs=1e-6)
 
 
-def test_far_hill_beats_the_valley_that_fits(make_lens, brute_force):
+def test_far_hill_beats_the_valley_that_fits():
     """The contact nearest to the guess is a true local rest, but a spike at the ball's flank carries it higher."""
     spike = make_lens(lambda x, y: 0.9 * np.exp(-(((x - 4.9) / 0.12) ** 2)) + 0.0 * y)
     surface = ToolSurface.over(spike, radius_mm=1.2)
@@ -129,7 +130,7 @@ def test_far_hill_beats_the_valley_that_fits(make_lens, brute_force):
     assert surface.tip_heights_mm(x, np.full(60, 3.0))[-1] == pytest.approx(truth, abs=2e-5)
 
 
-def test_a_v_groove_is_touched_on_both_flanks(make_lens):
+def test_a_v_groove_is_touched_on_both_flanks():
     """Two planes at 45 degrees: along the valley the tip is R (sqrt 2 - 1) above the bottom line of the planes."""
     groove = make_lens(lambda x, y: np.abs(x - 4.0))
     tip = ToolSurface.over(groove, radius_mm=1.0).tip_heights_mm([4.0], [3.0])[0]
@@ -137,7 +138,7 @@ def test_a_v_groove_is_touched_on_both_flanks(make_lens):
 
 
 @pytest.mark.thorough
-def test_where_creases_end_two_rests_lie_close_together(make_lens, brute_force):
+def test_where_creases_end_two_rests_lie_close_together():
     """Roofs and valleys that meet: the ball hops between rests a few lattice steps apart; the higher one counts."""
 
     def roofs(x, y):
@@ -167,7 +168,7 @@ def _with(surface: ToolSurface, **changes) -> ToolSurface:
     return replace(surface, kernel=surface.kernel._replace(**changes))
 
 
-def test_slope_curvature_and_motion_of_the_contact(make_bumps):
+def test_slope_curvature_and_motion_of_the_contact():
     """Along x, against central differences; the vertices' spacing and Newton's next guess come from them."""
     kernel = ToolSurface.over(make_bumps(3, relief_mm=2.0), radius_mm=0.5).kernel
     step = 1e-4
@@ -180,7 +181,7 @@ def test_slope_curvature_and_motion_of_the_contact(make_bumps):
 
 
 @pytest.mark.parametrize("bend", [0.7, 1.2])
-def test_newton_is_not_trusted_where_the_lens_bends_as_the_ball_does(make_lens, bend):
+def test_newton_is_not_trusted_where_the_lens_bends_as_the_ball_does(bend):
     """Within a radius of a valley of curvature above 0.6 / R the whole footprint is searched."""
     valley = make_lens(lambda x, y: -np.exp(-bend * (x - 4) ** 2 / 2))
     surface = ToolSurface.over(valley, radius_mm=1.0)
@@ -193,7 +194,7 @@ def _cells(surface: ToolSurface, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarr
     return tuple(np.rint((a - o) / k.node_step).astype(int) for a, o in ((y, k.node_y0), (x, k.node_x0)))
 
 
-def test_a_surface_that_could_not_be_computed_is_none(make_lens, monkeypatch):
+def test_a_surface_that_could_not_be_computed_is_none(monkeypatch):
     """Its lattice is computed in threads: what fails there is no lattice of whatever the memory held before."""
 
     def run_out_of_memory(*_: object) -> None:

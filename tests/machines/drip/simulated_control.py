@@ -11,13 +11,13 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import inf
 
-from machines.errors import PortLostError
+from tests.machines.simulated_port import SimulatedPort
 
 DC1, DC3 = b"\x11", b"\x13"
 
 
 @dataclass(slots=True, kw_only=True)
-class SimulatedControl:
+class SimulatedControl(SimulatedPort):
     """margin_bytes  : room left when DC3 is sent
     latency_s     : from the control's wire to the reader (USB adapter)
     line_s        : time a block takes to execute
@@ -28,7 +28,6 @@ class SimulatedControl:
     parity_bit    : words of the control carry even parity in bit 7 (read with 8 bits by a wrong setting)
     """
 
-    bytes_per_s: float
     buffer_bytes: int = 1024
     margin_bytes: int = 16
     latency_s: float = 0.0
@@ -38,16 +37,13 @@ class SimulatedControl:
     ready_at_s: float = 1.0
     resend_s: float = 0.05
     parity_bit: bool = False
-    url: str = "simulated://control"
 
-    now_s: float = 0.0
     received: bytearray = field(default_factory=bytearray)
     executed: list[bytes] = field(default_factory=list)
     overruns: int = 0
     early: int = 0  # bytes before the first DC1
     most_after_stop: int = 0
     stops: int = 0
-    unplugged: bool = False
     _buffer: bytearray = field(default_factory=bytearray)
     _wire: deque[tuple[float, int]] = field(default_factory=deque)  # byte and when it arrives at the control
     _words: deque[tuple[float, bytes]] = field(default_factory=deque)  # DC1/DC3 and when the reader sees them
@@ -60,27 +56,17 @@ class SimulatedControl:
     _started: bool = False
     _tape_marks: int = 0
     _planner: deque[bytes] = field(default_factory=deque)
-    _woken: bool = False
-
-    @property
-    def wire_bytes_per_s(self) -> float | None:
-        return self.bytes_per_s
 
     # The port.
 
-    def clock(self) -> float:
-        return self.now_s
-
     def write(self, data: bytes) -> None:
-        if self.unplugged:
-            raise PortLostError(self.url, "the device is gone")
+        self.require_plugged()
         for byte in data:
             self._wire_free_s = max(self._wire_free_s, self.now_s) + 1 / self.bytes_per_s
             self._wire.append((self._wire_free_s, byte))
 
     def read(self, timeout_s: float) -> bytes:
-        if self.unplugged:
-            raise PortLostError(self.url, "the device is gone")
+        self.require_plugged()
         end_s = self.now_s + max(timeout_s, 1e-6)
         while True:
             if self._woken:
@@ -95,15 +81,6 @@ class SimulatedControl:
             self._step(at_s)
             if at_s >= end_s and not (self._words and self._words[0][0] <= self.now_s):
                 return b""
-
-    def write_realtime(self, data: bytes) -> bool:
-        return False
-
-    def wake(self) -> None:
-        self._woken = True
-
-    def close(self) -> None:
-        pass
 
     # The control.
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.drip.driver import BYTES_AFTER_STOP, DripDriver, DripOptions
+from machines.drip.driver import BYTES_AFTER_STOP, DripDriver
 from machines.drip.feed import ByteFeed, Pace
 from machines.driver import (
     Event,
@@ -52,8 +52,8 @@ def run(driver: DripDriver, most_s: float = 900.0) -> list[Event]:
     raise AssertionError(f"not done after {most_s} s: {driver.status}")
 
 
-def connect(control: SimulatedControl, link: LinkSettings, **options: float) -> DripDriver:
-    driver = DripDriver(control, link, options=DripOptions(**options))  # type: ignore[arg-type]
+def connect(control: SimulatedControl, link: LinkSettings) -> DripDriver:
+    driver = DripDriver(control, link)
     driver.connect()
     driver.poll(0.0)
     return driver
@@ -119,6 +119,14 @@ def slow_control(**traits: object) -> SimulatedControl:
     return SimulatedControl(**(given_traits | traits))  # type: ignore[arg-type]
 
 
+def feeding(lines: list[ProgramLine], **traits: object) -> tuple[SimulatedControl, DripDriver]:
+    """A slow control to which a program has begun to go."""
+    control = slow_control(**traits)
+    driver = connect(control, LINK)
+    driver.start(iter(lines))
+    return control, driver
+
+
 def test_an_adapter_that_queues_deeply_would_overrun() -> None:
     """The law above is not vacuous: with 512 bytes under way the same control loses bytes."""
     control = slow_control()
@@ -133,19 +141,15 @@ def test_an_adapter_that_queues_deeply_would_overrun() -> None:
 
 def test_the_line_is_kept_busy_when_the_control_takes_all() -> None:
     """97 % of the wire while the control never says stop but at the tape marks."""
-    control = slow_control(buffer_bytes=1 << 20, stop_every=0, line_s=0.0, ready_at_s=0.0, resend_s=0.0)
-    driver = connect(control, LINK)
     lines = program(600)
-    driver.start(iter(lines))
+    control, driver = feeding(lines, buffer_bytes=1 << 20, stop_every=0, line_s=0.0, ready_at_s=0.0, resend_s=0.0)
     run(driver)
     busy_s = len(on_wire(lines)) / LINK.wire_bytes_per_s
     assert control.now_s < busy_s / 0.97 + 1.0
 
 
 def test_not_a_byte_before_the_first_dc1() -> None:
-    control = slow_control(ready_at_s=130.0)
-    driver = connect(control, LINK)
-    driver.start(iter(program(3)))
+    control, driver = feeding(program(3), ready_at_s=130.0)
     events = [event for _ in range(120) for event in driver.poll(1.0)]
     assert not control.received
     assert "first DC1" in driver.status.detail
@@ -157,10 +161,8 @@ def test_not_a_byte_before_the_first_dc1() -> None:
 
 
 def test_a_stop_is_obeyed_even_if_its_parity_bit_is_read_as_data() -> None:
-    control = slow_control(parity_bit=True)
-    driver = connect(control, LINK)
     lines = program(80)
-    driver.start(iter(lines))
+    control, driver = feeding(lines, parity_bit=True)
     events = run(driver)
     assert control.overruns == 0
     assert bytes(control.received) == on_wire(lines)
@@ -214,10 +216,8 @@ def test_with_an_unknown_buffer_nothing_is_called_executed() -> None:
 
 
 def test_hold_stops_the_bytes_and_resume_goes_on_where_it_stopped() -> None:
-    control = slow_control(line_s=0.0)
-    driver = connect(control, LINK)
     lines = program(100)
-    driver.start(iter(lines))
+    control, driver = feeding(lines, line_s=0.0)
     for _ in range(4):
         driver.poll(0.5)
     driver.hold()
@@ -232,9 +232,7 @@ def test_hold_stops_the_bytes_and_resume_goes_on_where_it_stopped() -> None:
 
 
 def test_abort_says_that_the_position_is_not_known() -> None:
-    control = slow_control()
-    driver = connect(control, LINK)
-    driver.start(iter(program(100)))
+    control, driver = feeding(program(100))
     driver.poll(1.0)
     driver.poll(1.0)
     driver.abort()
@@ -274,23 +272,8 @@ def test_tape_marks_of_the_file_are_not_doubled_and_nothing_follows_the_last() -
     assert isinstance(run(behind)[-1], Faulted)
 
 
-@pytest.mark.parametrize("nulls", [0, 3, 40])
-def test_the_control_may_stop_listening_behind_the_last_tape_mark(nulls: int) -> None:
-    """It says DC3 at `%` and never DC1 again: blank tape behind it must not keep the program from ending."""
-    control = slow_control()
-    driver = connect(control, LINK, leader_nulls=nulls, trailer_nulls=nulls)
-    lines = program(10)
-    driver.start(iter(lines))
-    assert ProgramDone() in run(driver)
-    text = bytes(control.received)
-    assert text.startswith(bytes(nulls) + on_wire(lines))
-    assert text.rstrip(b"\0") == bytes(nulls) + on_wire(lines)
-
-
 def test_a_pulled_cable_is_a_fault_and_not_an_exception() -> None:
-    control = slow_control()
-    driver = connect(control, LINK)
-    driver.start(iter(program(100)))
+    control, driver = feeding(program(100))
     driver.poll(1.0)
     driver.poll(1.0)
     control.unplugged = True
@@ -335,9 +318,7 @@ def test_what_this_link_cannot_do_is_refused_and_a_lost_dc1_can_be_vouched_for()
 
 
 def test_an_unlock_that_came_too_late_when_its_bytes_were_ready_opens_nothing() -> None:
-    control = slow_control(ready_at_s=1e9)
-    driver = connect(control, LINK)
-    driver.start(iter(program(1)))
+    control, driver = feeding(program(1), ready_at_s=1e9)
     driver.poll(5.0)
     looks = iter([False, True])
 

@@ -11,7 +11,7 @@ from machines.gcode import refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.scan import ProgramScan
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, limits_of
 from machines.profile import load_profile
 from service.milling.preflight_child import examine
 

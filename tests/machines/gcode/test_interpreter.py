@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from machines.errors import ProgramRefusedError
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
-from machines.gcode.step import Step
+from machines.gcode.modal import ModalState, Step
 from tests.machines.gcode.conftest import programs
 
 READY = ModalState(position_mm=(0.0, 0.0, 0.0), feed_mm_per_min=100.0)

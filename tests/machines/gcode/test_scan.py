@@ -12,15 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.errors import CamError
-from cam.reading.gcode import read_program
 from machines.errors import ProgramRefusedError
 from machines.gcode import scan as scan_module
 from machines.gcode import tally
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
+from machines.gcode.modal import ModalState, Step
 from machines.gcode.program import piece_digest
 from machines.gcode.scan import ProgramScan, ScanBatch
-from machines.gcode.step import Step
+from tests.cam.programs import read_program
 from tests.machines.gcode.conftest import WRONG_LINES, programs
 
 RATES = (5000.0, 5000.0, 1500.0)

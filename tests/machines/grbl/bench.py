@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from machines.driver import Event, MillState, ProgramLine
+from machines.driver import Command, CommandDone, Event, Faulted, MillState, ProgramDone, ProgramLine
 from machines.grbl.driver import GrblDriver
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.simulated.endpoints import MemoryPort
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.mill import SimulatedMill
@@ -51,6 +51,10 @@ class Tap:
         self.written.append((self.port.clock(), bytes(data)))
         self.port.write(data)
 
+    def write_realtime(self, data: bytes) -> bool:
+        self.write(data)
+        return True
+
     def wake(self) -> None:
         self.port.wake()
 
@@ -67,10 +71,11 @@ class Bench:
     faults: tuple[Fault, ...] = ()
     options: GrblOptions = field(default_factory=GrblOptions)
     baud: int | None = 115200
+    link: Callable[[MemoryPort], Tap] = Tap
 
     def __post_init__(self) -> None:
         self.mill = SimulatedMill(self.traits, Faults(self.faults))
-        self.tap = Tap(MemoryPort(self.mill, baud=self.baud))
+        self.tap = self.link(MemoryPort(self.mill, baud=self.baud))
         self.driver = GrblDriver(self.tap, options=self.options)
         self.events: list[Event] = []
         self.most_in_flight = 0
@@ -96,6 +101,37 @@ class Bench:
         self.driver.connect()
         assert self.until(lambda: self.state() in (MillState.IDLE, MillState.ALARM), 10.0), self.driver.status
         return self
+
+    def start(self, lines: list[ProgramLine], *, past_line: int = 0) -> None:
+        """Start a program; with `past_line`, wait until more lines than that are executed."""
+        self.driver.start(iter(lines))
+        if past_line:
+            self.until(lambda: self.driver.progress.executed_line > past_line)
+
+    def run(self, lines: list[ProgramLine], within_s: float = 60.0) -> None:
+        """Run a program to its end, without a fault."""
+        self.start(lines)
+        self.finish(within_s)
+
+    def finish(self, within_s: float = 60.0) -> None:
+        assert self.until(lambda: self.of(ProgramDone) or self.of(Faulted), within_s), self.driver.status
+        assert not self.of(Faulted), self.of(Faulted)
+
+    def do(self, command: Command, within_s: float = 60.0) -> CommandDone:
+        """Carry out a command, and return how it ended."""
+        count = len(self.of(CommandDone))
+        self.driver.command(command)
+        assert self.until(lambda: len(self.of(CommandDone)) > count, within_s)
+        return self.of(CommandDone)[-1]
+
+    def hold(self, within_s: float = 5.0) -> None:
+        """Hold, and wait until the mill stands."""
+        self.driver.hold()
+        assert self.until(lambda: self.state() is MillState.HELD, within_s)
+
+    def written(self, begin: int = 0) -> bytes:
+        """Return what went over the wire from that write on."""
+        return b"".join(data for _, data in self.tap.written[begin:])
 
     def of(self, kind: type[Event]) -> list[Event]:
         return [event for event in self.events if isinstance(event, kind)]

@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import pytest
-from grbl_bench import Bench, numbered, spiral
 
 from machines.driver import (
-    CommandDone,
     FaultCause,
     Faulted,
     Home,
@@ -29,30 +27,24 @@ from machines.grbl.session import GrblSession
 from machines.grbl.settings import find_missing_option
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import GRBL_11, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, numbered, spiral
 
 HOMED = replace(GRBL_11, homing=True).with_settings({20: 1, 21: 1})
 
 
-def done(bench: Bench, command: object, within_s: float = 200.0) -> CommandDone:
-    count = len(bench.of(CommandDone))
-    bench.driver.command(command)
-    assert bench.until(lambda: len(bench.of(CommandDone)) > count, within_s)
-    return bench.of(CommandDone)[-1]
-
-
 def homed(traits: Traits = HOMED) -> Bench:
     bench = Bench(traits).connected()
-    done(bench, Unlock() if traits.homing_alarm else Home())
+    bench.do(Unlock() if traits.homing_alarm else Home())
     bench.until(lambda: bench.state() is MillState.IDLE)
-    done(bench, SendBlock("G0X-20Y-20Z-5"))
-    done(bench, SendBlock("M3S1000"))
+    bench.do(SendBlock("G0X-20Y-20Z-5"))
+    bench.do(SendBlock("M3S1000"))
     bench.pass_time(2.0)  # the spindle is reported now and then
     assert bench.driver.status.spindle_on
     return bench
 
 
 def cut(bench: Bench, *blocks: bytes) -> None:
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *blocks, b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *blocks, b"M2"]))
     bench.pass_time(0.5)
 
 
@@ -116,17 +108,17 @@ def test_back_to_work_after(number: int) -> None:
     assert (status.spindle_rpm == 0.0) is not row.spindle_on
     ready = lambda: bench.state() is MillState.ALARM and bench.driver._session.link.phase.value == "ready"  # noqa: E731
     assert bench.until(ready, 10.0), bench.driver.status
-    written = b"".join(data for _, data in bench.tap.written[begin:])
+    written = bench.written(begin)
     assert (b"\x18" in written) is row.resets
     if number not in (4, 5):
         assert bench.until(lambda: bench.driver.status.epoch > epoch, 5.0)
         assert bench.until(ready, 10.0), bench.driver.status
     assert bench.driver.status.position_trusted is (row.trusted and not failing)
     assert f"ALARM:{number} " in bench.driver.status.detail  # why it is locked, until it is no more
-    assert not done(bench, Unlock()).failure
+    assert not bench.do(Unlock()).failure
     assert bench.until(lambda: bench.state() is MillState.IDLE, 3.0)
     assert not bench.driver.status.detail
-    assert not done(bench, Jog((0.0, 0.0, 0.5), 600.0)).failure
+    assert not bench.do(Jog((0.0, 0.0, 0.5), 600.0)).failure
 
 
 @pytest.mark.parametrize(
@@ -145,7 +137,7 @@ def test_a_critical_alarm_is_left_though_message_or_reset_are_lost(traits: Trait
     assert bench.of(Faulted)[0].cause is FaultCause.ALARM
     assert bench.until(lambda: bench.of(Restarted)[1:] and bench.state() is MillState.ALARM, 3.0)
     assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 3.0)
-    resets = b"".join(data for _, data in bench.tap.written).count(b"\x18")
+    resets = bench.written().count(b"\x18")
     assert 1 <= resets <= 4
 
 
@@ -182,7 +174,7 @@ def test_at_opening_a_port_that_answers_nothing_gets_no_reset_but_one_may_be_sen
         bench.driver.command(Reset())  # not at once: it may only be slow
     assert bench.until(lambda: bench.driver._session.link.offers_reset, 3.0)
     assert "send a reset" in bench.driver.status.detail
-    assert set(b"".join(data for _, data in bench.tap.written)) == set(b"?")
+    assert set(bench.written()) == set(b"?")
     bench.driver.command(Reset())
     assert bench.until(lambda: bench.state() is MillState.ALARM, 5.0)
     assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
@@ -231,8 +223,8 @@ def test_a_mill_that_falls_silent_while_it_is_stopped_can_be_reset() -> None:
 
 def placed(traits: Traits = GRBL_11) -> Bench:
     bench = Bench(traits).connected()
-    done(bench, Jog((3.0, 2.0, 1.0), 900.0))
-    done(bench, TrustPosition())
+    bench.do(Jog((3.0, 2.0, 1.0), 900.0))
+    bench.do(TrustPosition())
     bench.pass_time(1.0)
     return bench
 
@@ -257,7 +249,7 @@ def test_zero_proves_nothing() -> None:
     bench.mill.power_cycle()
     assert not restarted(bench)
     bench = Bench().connected()
-    done(bench, TrustPosition())
+    bench.do(TrustPosition())
     bench.mill.press("reset")
     assert not restarted(bench)
 
@@ -285,7 +277,7 @@ def test_another_place_after_our_own_reset_is_a_lost_position() -> None:
 
 def test_our_own_stop_keeps_the_position_at_zero_too() -> None:
     bench = Bench().connected()
-    done(bench, TrustPosition())
+    bench.do(TrustPosition())
     bench.driver.command(Reset())
     assert restarted(bench)
 
@@ -293,9 +285,9 @@ def test_our_own_stop_keeps_the_position_at_zero_too() -> None:
 def test_laser_mode_is_refused_with_the_cure() -> None:
     bench = Bench(GRBL_11.with_settings({32: 1})).connected()
     with pytest.raises(NotAllowedError, match=r"laser mode.*\$32=0"):
-        bench.driver.start(iter(spiral(5)[0]))
-    assert not done(bench, SendBlock("$32=0")).failure
-    bench.driver.start(iter(spiral(5)[0]))
+        bench.start(spiral(5)[0])
+    assert not bench.do(SendBlock("$32=0")).failure
+    bench.start(spiral(5)[0])
 
 
 def test_what_it_was_tried_on_is_told() -> None:
@@ -317,4 +309,4 @@ def test_a_mist_that_the_controller_has_not_is_known_before_the_start(
     bench = Bench(traits).connected()
     words = find_missing_option(bench.driver.settings, mist_line=mist_line)
     assert bool(words) is refused and ("line 12: M7" in words) is refused
-    assert done(bench, SendBlock("M7")).failure.startswith("M7: error:20") is (not traits.mist)
+    assert bench.do(SendBlock("M7")).failure.startswith("M7: error:20") is (not traits.mist)

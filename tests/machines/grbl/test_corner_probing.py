@@ -7,17 +7,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from grbl_bench import Bench
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from machines.driver import CommandDone, MillState, ProbeCorner, SetZero
 from machines.errors import NotAllowedError
 from machines.grbl.permits import check_command
-from machines.grbl.probing import APART_MM, find_reached_mm, find_zero_mm
+from machines.grbl.sequences import APART_MM, find_reached_mm, find_zero_mm
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.simulated.traits import GRBL_11, CornerPlate
+from tests.machines.grbl.bench import Bench
 
 STEP_MM = 1 / 250
 TOP_MM = -5.0  # of the plate; the mill's tool begins at 0, 0, 0
@@ -43,13 +43,6 @@ def bench_with_plate(asked: ProbeCorner, left_mm: float = -7.0, front_mm: float 
     return Bench(traits.with_settings({int(name[1:]): value for name, value in settings.items()})).connected()
 
 
-def ended(bench: Bench) -> CommandDone:
-    assert bench.until(lambda: bench.of(CommandDone), WITHIN_S)
-    done = bench.of(CommandDone)[0]
-    assert isinstance(done, CommandDone)
-    return done
-
-
 def zero_mm(bench: Bench) -> tuple[float, ...]:
     """The work zero as the controller has stored it."""
     return tuple(bench.mill.firmware.interpreter.stored["G54"])
@@ -68,8 +61,7 @@ def test_the_zero_set_is_the_corners_whatever_the_plate_the_cutter_and_the_start
 ) -> None:
     asked = replace(ASKED, wall_x_mm=walls[0], wall_y_mm=walls[1], cutter_radius_mm=radius, margin_mm=margin)
     bench = bench_with_plate(asked, -left, -front)
-    bench.driver.command(asked)
-    assert ended(bench).failure == ""
+    assert bench.do(asked, WITHIN_S).failure == ""
     bench.pass_time(2.0)
     assert zero_mm(bench) == pytest.approx(corner_mm(asked, -left, -front), abs=STEP_MM)
     assert bench.driver.status.machine_mm == pytest.approx((0.0, 0.0, TOP_MM + asked.retract_mm), abs=STEP_MM)
@@ -109,7 +101,8 @@ def test_whatever_happens_in_the_midst_all_zeros_are_set_or_none(end: str, at_s:
     bench.pass_time(at_s)
     if not bench.of(CommandDone):
         ENDS[end](bench)
-    done = ended(bench)
+    assert bench.until(lambda: bench.of(CommandDone), WITHIN_S)
+    (done,) = bench.of(CommandDone)
     set_mm = zero_mm(bench)
     if done.failure:
         assert set_mm == NONE or set_mm == pytest.approx(corner_mm(ASKED), abs=STEP_MM)
@@ -123,16 +116,14 @@ def test_whatever_happens_in_the_midst_all_zeros_are_set_or_none(end: str, at_s:
 )
 def test_a_plate_that_is_not_there_or_touched_from_the_start_sets_nothing(changed: dict[str, float], said: str) -> None:
     bench = Bench(replace(GRBL_11, **changed)).connected()
-    bench.driver.command(ASKED)
-    assert said in ended(bench).failure and zero_mm(bench) == NONE
+    assert said in bench.do(ASKED, WITHIN_S).failure and zero_mm(bench) == NONE
     assert {segment.end[:2] for segment in bench.mill.recording.segments} <= {(0.0, 0.0)}
 
 
 def test_a_tool_that_comes_down_on_the_plate_stops_there_and_says_what_to_do() -> None:
     """It began farther from the plate's left face than it goes aside."""
     bench = bench_with_plate(ASKED, left_mm=-30.0)
-    bench.driver.command(ASKED)
-    assert "begin nearer to the corner" in ended(bench).failure and zero_mm(bench) == NONE
+    assert "begin nearer to the corner" in bench.do(ASKED, WITHIN_S).failure and zero_mm(bench) == NONE
     assert min(segment.end[2] for segment in bench.mill.recording.segments) >= TOP_MM - STEP_MM
     assert bench.mill.firmware.interpreter.modal["distance"] == "G90"
 
@@ -146,10 +137,12 @@ def test_the_slow_touch_counts_and_one_far_from_the_fast_one_ends_it(early_mm: f
     bench.driver.command(ASKED)
     bench.until(lambda: any(b"G53" in data for _, data in bench.tap.written))
     bench.mill.firmware.traits = true
+    assert bench.until(lambda: bench.of(CommandDone), WITHIN_S)
+    failure = bench.of(CommandDone)[0].failure
     if early_mm < APART_MM:
-        assert ended(bench).failure == "" and zero_mm(bench) == pytest.approx(corner_mm(ASKED), abs=STEP_MM)
+        assert failure == "" and zero_mm(bench) == pytest.approx(corner_mm(ASKED), abs=STEP_MM)
     else:
-        assert "was touched at" in ended(bench).failure and zero_mm(bench) == NONE
+        assert "was touched at" in failure and zero_mm(bench) == NONE
 
 
 @given(st.tuples(st.floats(-310, 5), st.floats(-310, 5), st.floats(-90, 5)), st.booleans(), st.integers(0, 7))
@@ -186,10 +179,7 @@ def test_a_ball_that_would_not_touch_with_its_side_is_refused(changed: dict[str,
 def test_what_was_vouched_for_is_all_of_it() -> None:
     """Work coordinates are trusted as after a zero set by hand, and read back from the controller."""
     bench = bench_with_plate(ASKED)
-    bench.driver.command(ASKED)
-    done = ended(bench)
+    done = bench.do(ASKED, WITHIN_S)
     assert bench.driver.status.position_trusted
     assert done.answer["offsets"]["G54"] == pytest.approx(find_zero_mm(ASKED, tuple(done.answer["contact_machine_mm"])))
-    bench.events.clear()
-    bench.driver.command(SetZero("Z"))
-    assert ended(bench).failure == ""
+    assert bench.do(SetZero("Z")).failure == ""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
-from grbl_bench import Bench, Tap, numbered, spiral
 
 from machines.driver import (
     CheckMode,
@@ -32,15 +29,14 @@ from machines.errors import NotAControllerError, NotAllowedError
 from machines.grbl.driver import GrblDriver
 from machines.grbl.settings import is_parser_state
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, Tap, numbered, spiral
 
 
 @pytest.mark.parametrize("traits", [GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC], ids=["1.1", "echo", "hal", "fluidnc"])
 def test_the_path_cut_is_the_path_programmed(traits: Traits) -> None:
     bench = Bench(traits).connected()
     lines, points = spiral(500)
-    bench.driver.start(iter(lines))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 120.0)
-    assert not bench.of(Faulted)
+    bench.run(lines, 120.0)
     assert bench.last_whole(points) == 500
     assert bench.driver.progress.executed_line == len(lines)
     assert bench.most_in_flight <= traits.rx_advertised - 1 and bench.mill.serial.lost_overflow == 0
@@ -52,7 +48,7 @@ def test_modes_that_a_program_leaves_hold_for_the_next_one() -> None:
     """The controller keeps G91; held against a path in G90 the mill would be off it."""
     bench = Bench().connected()
     for number, blocks in enumerate(([b"G21G91G94G17", b"G1X1F600"], [b"G1X1F600"]), 1):
-        bench.driver.start(iter(numbered(blocks)))
+        bench.start(numbered(blocks))
         assert bench.until(lambda count=number: len(bench.of(ProgramDone)) == count or bench.of(Faulted))
     assert not bench.of(Faulted), bench.of(Faulted)
     assert bench.driver.status.work_mm == pytest.approx((2.0, 0.0, 0.0), abs=0.006)
@@ -66,7 +62,7 @@ def test_protections_say_what_will_be_before_and_what_is_while_a_program_runs() 
     assert "while a program runs: reported positions" in before[1] and "corridor 0.017 mm" in before[1]
     assert before[0].startswith("echo") and "soft limits" in before[2]
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     assert not bench.driver.protections  # nothing was compared yet
     bench.until(lambda: bench.driver.progress.executed_line > 20)
     assert bench.driver.protections[0].startswith("reported positions are held against the path 10 times a second")
@@ -81,17 +77,15 @@ def test_what_was_written_is_the_program_and_realtime_bytes_only() -> None:
     bench = Bench().connected()
     begin = len(bench.tap.written)
     lines, _ = spiral(100)
-    bench.driver.start(iter(lines))
-    bench.until(lambda: bench.of(ProgramDone))
-    data = b"".join(data for _, data in bench.tap.written[begin:])
+    bench.run(lines)
+    data = bench.written(begin)
     assert data.replace(b"?", b"") == b"".join(line.text + b"\n" for line in lines)
 
 
 def test_the_wire_never_has_more_than_twelve_milliseconds_waiting() -> None:
     bench = Bench(GRBLHAL).connected()
     begin = len(bench.tap.written)
-    bench.driver.start(iter(spiral(300)[0]))
-    bench.until(lambda: bench.of(ProgramDone))
+    bench.run(spiral(300)[0])
     empty_s = 0.0
     for at_s, data in bench.tap.written[begin:]:
         empty_s = max(empty_s, at_s) + len(data) / 11520.0
@@ -101,8 +95,7 @@ def test_the_wire_never_has_more_than_twelve_milliseconds_waiting() -> None:
 def test_hold_and_resume_in_the_middle() -> None:
     bench = Bench().connected()
     lines, points = spiral(300)
-    bench.driver.start(iter(lines))
-    bench.until(lambda: bench.driver.progress.executed_line > 100)
+    bench.start(lines, past_line=100)
     bench.driver.hold()
     assert bench.tap.written[-1][1].startswith(b"!")  # written at once, not at the next poll
     assert bench.until(lambda: bench.state() is MillState.HELD, 2.0)
@@ -117,8 +110,7 @@ def test_hold_and_resume_in_the_middle() -> None:
 def test_a_hold_from_a_button_is_neither_fault_nor_stall() -> None:
     bench = Bench().connected()
     lines, points = spiral(200)
-    bench.driver.start(iter(lines))
-    bench.until(lambda: bench.driver.progress.executed_line > 60)
+    bench.start(lines, past_line=60)
     bench.mill.press("hold")
     assert bench.until(lambda: bench.state() is MillState.HELD, 2.0)
     bench.pass_time(20.0)
@@ -131,13 +123,12 @@ def test_abort_holds_first_then_clears_and_keeps_the_position() -> None:
     bench = Bench().connected()
     bench.driver.command(TrustPosition())
     lines, points = spiral(300)
-    bench.driver.start(iter(lines))
-    bench.until(lambda: bench.driver.progress.executed_line > 100)
+    bench.start(lines, past_line=100)
     begin = len(bench.tap.written)
     bench.driver.abort()
     assert bench.until(lambda: bench.of(Stopped), 5.0)
     assert bench.of(Stopped) == [Stopped(position_kept=True)]
-    stops = b"".join(data for _, data in bench.tap.written[begin:]).replace(b"?", b"")
+    stops = bench.written(begin).replace(b"?", b"")
     assert stops.partition(b"$")[0] == b"!\x18"
     assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0)
     done = bench.last_whole(points)
@@ -149,7 +140,7 @@ def test_abort_holds_first_then_clears_and_keeps_the_position() -> None:
 def test_a_program_stop_waits_for_a_person() -> None:
     blocks = [b"G21G90G94G17", b"G1X1F600", b"M0", b"G1X2", b"M2"]
     bench = Bench().connected()
-    bench.driver.start(iter(numbered(blocks)))
+    bench.start(numbered(blocks))
     assert bench.until(lambda: bench.state() is MillState.TOOL, 10.0)
     bench.pass_time(60.0)
     assert not bench.of(Faulted) and bench.state() is MillState.TOOL
@@ -157,36 +148,25 @@ def test_a_program_stop_waits_for_a_person() -> None:
     assert bench.until(lambda: bench.of(ProgramDone), 10.0)
 
 
-def test_long_moves_and_dwells_are_no_stall() -> None:
-    blocks = [b"G21G90G94G17", b"G1X20F30", b"G4P15", b"M3S5000", b"G1X0F30", b"M2"]
-    bench = Bench().connected()
-    bench.driver.start(iter(numbered(blocks)))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 200.0)
-    assert not bench.of(Faulted)
-
-
 def test_offsets_written_by_a_program_are_sent_alone() -> None:
     blocks = [b"G21G90G94G17", b"G1X1F600", b"G10L2P2X0Y0Z0", b"G1X2", b"G1X3", b"M2"]
     bench = Bench().connected()
-    bench.driver.start(iter(numbered(blocks)))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 30.0)
+    bench.run(numbered(blocks), 30.0)
     assert not bench.of(Faulted) and bench.mill.serial.lost_deaf == 0
 
 
 def test_inch_reports_are_followed_in_mm() -> None:
     bench = Bench(GRBL_11.with_settings({13: 1})).connected()
     lines, points = spiral(200)
-    bench.driver.start(iter(lines))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
+    bench.run(lines)
     assert not bench.of(Faulted) and bench.last_whole(points) == 200
     bench.pass_time(1.0)
     assert bench.driver.status.work_mm[2] == pytest.approx(5.0, abs=0.003)
 
 
 def test_the_handshake_never_resets_and_never_moves() -> None:
-    bench = Bench(GRBLHAL)
-    bench.connected()
-    data = b"".join(data for _, data in bench.tap.written)
+    bench = Bench(GRBLHAL).connected()
+    data = bench.written()
     assert set(data.replace(b"?", b"").split(b"\n")) == {b"$I", b"$$", b"$#", b"$G", b""}
     assert bench.driver.settings.rx_bytes == 1024 and bench.driver.settings.planner_blocks == 100
 
@@ -195,10 +175,8 @@ def test_a_locked_mill_is_alarm_until_unlocked_or_homed() -> None:
     bench = Bench(Traits(homing=True)).connected()
     assert bench.state() is MillState.ALARM
     with pytest.raises(NotAllowedError, match="alarm"):
-        bench.driver.start(iter(()))
-    bench.driver.command(Home())
-    assert bench.until(lambda: bench.of(CommandDone), 200.0)
-    assert bench.of(CommandDone)[-1].failure == ""
+        bench.start(())
+    assert bench.do(Home(), 200.0).failure == ""
     assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0) and bench.driver.status.position_trusted
 
 
@@ -209,19 +187,10 @@ def test_unlocking_does_not_make_a_position_trusted() -> None:
     assert not bench.driver.status.position_trusted
 
 
-def test_a_damaged_memory_answers_an_error_before_its_banner() -> None:
-    bench = Bench(Traits(damaged_eeprom=True)).connected()
-    lines, points = spiral(50)
-    bench.driver.start(iter(lines))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
-    assert bench.last_whole(points) == 50
-
-
 def test_a_reset_from_outside_ends_the_epoch_and_the_program() -> None:
     bench = Bench().connected()
     bench.driver.command(TrustPosition())
-    bench.driver.start(iter(spiral(300)[0]))
-    bench.until(lambda: bench.driver.progress.executed_line > 50)
+    bench.start(spiral(300)[0], past_line=50)
     epoch = bench.driver.status.epoch
     bench.mill.power_cycle()
     assert bench.until(lambda: bench.of(Faulted), 5.0)
@@ -232,8 +201,7 @@ def test_a_reset_from_outside_ends_the_epoch_and_the_program() -> None:
 
 def test_a_pulled_cable_is_a_state_not_an_exception() -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
-    bench.until(lambda: bench.driver.progress.executed_line > 50)
+    bench.start(spiral(300)[0], past_line=50)
     bench.mill.unplug()
     assert bench.until(lambda: bench.of(Faulted), 5.0)
     assert bench.of(Faulted)[0].cause is FaultCause.PORT_LOST and bench.state() is MillState.DISCONNECTED
@@ -245,17 +213,14 @@ def test_a_pulled_cable_is_a_state_not_an_exception() -> None:
 @pytest.mark.parametrize("percent", [10, 87, 100, 133, 200])
 def test_feed_override_reaches_any_percentage_while_streaming(percent: int) -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(2000)[0]))
-    bench.until(lambda: bench.driver.progress.executed_line > 20)
-    bench.driver.command(Override("feed", percent))
-    assert bench.until(lambda: bench.of(CommandDone), 20.0)
-    assert bench.of(CommandDone)[0].failure == "" and bench.driver.status.overrides[0] == percent
+    bench.start(spiral(2000)[0], past_line=20)
+    assert bench.do(Override("feed", percent)).failure == "" and bench.driver.status.overrides[0] == percent
     assert not bench.of(Faulted)
 
 
 def test_an_override_ends_once_and_a_stop_ends_it() -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(2000)[0]))
+    bench.start(spiral(2000)[0])
     bench.pass_time(1.0)
     bench.driver.command(Override("feed", 120))
     bench.pass_time(5.0)
@@ -269,8 +234,8 @@ def test_an_override_ends_once_and_a_stop_ends_it() -> None:
 
 def test_rapid_override_and_refused_values() -> None:
     bench = Bench().connected()
-    bench.driver.command(Override("rapid", 25))
-    assert bench.until(lambda: bench.of(CommandDone), 10.0) and bench.driver.status.overrides[1] == 25
+    bench.do(Override("rapid", 25))
+    assert bench.driver.status.overrides[1] == 25
     for what, percent in (("rapid", 30), ("feed", 9), ("feed", 201), ("speed", 100)):
         with pytest.raises(NotAllowedError, match=r"override"):
             bench.driver.command(Override(what, percent))
@@ -278,8 +243,7 @@ def test_rapid_override_and_refused_values() -> None:
 
 def test_jog_arrives_and_can_be_cancelled() -> None:
     bench = Bench().connected()
-    bench.driver.command(Jog((5.0, 0.0, -2.0), 600.0))
-    assert bench.until(lambda: bench.of(CommandDone), 10.0)
+    bench.do(Jog((5.0, 0.0, -2.0), 600.0))
     assert bench.driver.status.machine_mm == pytest.approx((5.0, 0.0, -2.0), abs=0.005)
     bench.driver.command(Jog((50.0, 0.0, 0.0), 600.0))
     assert bench.until(lambda: bench.state() is MillState.JOG, 2.0)
@@ -291,9 +255,7 @@ def test_jog_arrives_and_can_be_cancelled() -> None:
 def test_probing_sets_the_contact_to_the_height_of_the_plate() -> None:
     """The surface is at physical Z -5; the tool overshoots while braking, the zero must not."""
     bench = Bench().connected()
-    bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=900.0, plate_mm=1.5, retract_mm=3.0))
-    assert bench.until(lambda: bench.of(CommandDone), 60.0)
-    done = bench.of(CommandDone)[0]
+    done = bench.do(ProbeZ(depth_mm=10.0, feed_mm_per_min=900.0, plate_mm=1.5, retract_mm=3.0))
     assert done.failure == "" and done.answer["contact_machine_mm"][2] == pytest.approx(-5.0, abs=0.02)
     bench.pass_time(2.0)
     status = bench.driver.status
@@ -302,18 +264,13 @@ def test_probing_sets_the_contact_to_the_height_of_the_plate() -> None:
 
 def test_a_probe_that_meets_nothing_sets_nothing() -> None:
     bench = Bench(Traits(probe_surface_mm=None)).connected()
-    bench.driver.command(ProbeZ(depth_mm=3.0, feed_mm_per_min=100.0))
-    assert bench.until(lambda: bench.of(CommandDone), 60.0)
-    assert "ALARM:5" in bench.of(CommandDone)[0].failure
+    assert "ALARM:5" in bench.do(ProbeZ(depth_mm=3.0, feed_mm_per_min=100.0)).failure
 
 
 def test_zero_setting_is_read_back() -> None:
     bench = Bench().connected()
-    bench.driver.command(Jog((5.0, 4.0, -2.0), 600.0))
-    bench.until(lambda: bench.of(CommandDone), 10.0)
-    bench.driver.command(SetZero("XYZ"))
-    assert bench.until(lambda: len(bench.of(CommandDone)) == 2, 5.0)
-    assert bench.of(CommandDone)[1].answer["offsets"]["G54"] == pytest.approx([5.0, 4.0, -2.0], abs=0.005)
+    bench.do(Jog((5.0, 4.0, -2.0), 600.0))
+    assert bench.do(SetZero("XYZ")).answer["offsets"]["G54"] == pytest.approx([5.0, 4.0, -2.0], abs=0.005)
     bench.pass_time(2.0)
     assert bench.driver.status.work_mm == pytest.approx((0.0, 0.0, 0.0), abs=0.005)
     assert bench.driver.status.position_trusted
@@ -324,8 +281,7 @@ def test_a_dry_run_moves_nothing_and_leaves_check_mode() -> None:
     bench.driver.command(CheckMode(on=True))
     assert bench.until(lambda: bench.state() is MillState.CHECK, 5.0)
     lines, _ = spiral(200)
-    bench.driver.start(iter(lines))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 30.0)
+    bench.run(lines, 30.0)
     assert not bench.of(Faulted) and not bench.mill.recording.segments
     bench.driver.command(CheckMode(on=False))
     assert bench.until(lambda: bench.of(Restarted) and bench.state() is MillState.IDLE, 10.0)
@@ -333,18 +289,14 @@ def test_a_dry_run_moves_nothing_and_leaves_check_mode() -> None:
 
 def test_settings_are_answered_as_plain_data() -> None:
     bench = Bench().connected()
-    bench.driver.command(ReadSettings())
-    assert bench.until(lambda: bench.of(CommandDone), 5.0)
-    answer = bench.of(CommandDone)[0].answer
+    answer = bench.do(ReadSettings()).answer
     assert answer["settings"]["values"]["110"].startswith("5000") and "G54" in answer["offsets"]
     assert "G21" in answer["parser_state"]
 
 
 def test_a_typed_block_is_refused_by_the_controller_in_words() -> None:
     bench = Bench().connected()
-    bench.driver.command(SendBlock("G81 X1"))
-    assert bench.until(lambda: bench.of(CommandDone), 5.0)
-    assert "error:20 (G or M code not supported" in bench.of(CommandDone)[0].failure
+    assert "error:20 (G or M code not supported" in bench.do(SendBlock("G81 X1")).failure
     for text in ("G1 X1!", "", "$H", "G1\nX1", "é"):
         with pytest.raises(NotAllowedError):
             bench.driver.command(SendBlock(text))
@@ -352,13 +304,12 @@ def test_a_typed_block_is_refused_by_the_controller_in_words() -> None:
 
 def test_commands_that_do_not_go_with_a_program_are_refused() -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
-    bench.until(lambda: bench.driver.progress.executed_line > 20)
+    bench.start(spiral(300)[0], past_line=20)
     for command in (Home(), Unlock(), Reset(), Jog(), SetZero(), SendBlock("G0X0"), ReadSettings(), CheckMode(on=True)):
         with pytest.raises(NotAllowedError, match=r"run|under way"):
             bench.driver.command(command)
     with pytest.raises(NotAllowedError):
-        bench.driver.start(iter(()))
+        bench.start(())
     assert bench.until(lambda: bench.of(ProgramDone)) and not bench.of(Faulted)
 
 
@@ -409,25 +360,15 @@ def test_what_is_not_a_controller_is_named_and_only_asked(answer: bytes, words: 
         events += driver.poll(0.2)
         assert port.now_s < 30.0
     assert set(port.asked) == {ord("?")}
-    assert (
-        isinstance(driver.failure, NotAControllerError)
-        and words in str(driver.failure)
-        and "dumb://" in str(driver.failure)
-    )
+    assert isinstance(driver.failure, NotAControllerError)
+    assert words in str(driver.failure) and "dumb://" in str(driver.failure)
     assert any(isinstance(event, Faulted) and words in event.words for event in events)
-
-
-def test_a_wrong_baud_rate_is_named() -> None:
-    bench = Bench(baud=9600)
-    bench.driver.connect()
-    assert bench.until(lambda: bench.driver.failure is not None, 15.0)
-    assert not bench.mill.recording.segments
 
 
 def test_a_running_mill_is_found_running_and_can_be_aborted() -> None:
     """The host that streamed has died; a new one connects while the rest of the buffer is cut."""
     bench = Bench().connected()
-    bench.driver.start(iter(numbered([b"G21G90G94", *(b"G1X%dF300" % (k % 2 * 20) for k in range(1, 9))])))
+    bench.start(numbered([b"G21G90G94", *(b"G1X%dF300" % (k % 2 * 20) for k in range(1, 9))]))
     bench.pass_time(3.0)
     second = GrblDriver(bench.tap)
     second.connect()
@@ -440,26 +381,6 @@ def test_a_running_mill_is_found_running_and_can_be_aborted() -> None:
     while not any(isinstance(event, Stopped) for event in events):
         events += second.poll(0.1)
         assert bench.mill.now_s < end_s + 5.0
-    assert math.isclose(bench.mill.firmware.stepper.x % 20, bench.mill.firmware.stepper.x % 20)
-
-
-def test_the_driver_runs_on_any_chunks() -> None:
-    """Bytes one by one, with a USB adapter's latency, or in large pieces: the same program is done."""
-
-    class Chopped(Tap):
-        def read(self, timeout_s: float) -> bytes:
-            self.rest = getattr(self, "rest", b"") or super().read(timeout_s)
-            data, self.rest = self.rest[:1], self.rest[1:]
-            return data
-
-    bench = Bench()
-    bench.tap = Chopped(bench.tap.port)
-    bench.driver = GrblDriver(bench.tap)
-    bench.connected()
-    lines, points = spiral(60)
-    bench.driver.start(iter(lines))
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
-    assert bench.last_whole(points) == 60
 
 
 @pytest.mark.parametrize(("mark", "place"), [(b"[GC:", k) for k in range(3, 40)] + [(b"$131=", k) for k in range(12)])
@@ -477,10 +398,7 @@ def test_what_was_damaged_on_the_way_is_asked_for_again(mark: bytes, place: int)
                 data = data[: at + place] + data[at + place + 1 :]
             return data
 
-    bench = Bench()
-    bench.tap = Losing(bench.tap.port)
-    bench.driver = GrblDriver(bench.tap)
-    bench.connected()
+    bench = Bench(link=Losing).connected()
     assert bench.tap.lost and bench.driver.settings.travel_mm == (300.0, 300.0, 80.0)
     assert bench.driver.settings.parser_state.split()[:6] == ["G0", "G54", "G17", "G21", "G90", "G94"]
 
@@ -498,3 +416,34 @@ def test_what_was_damaged_on_the_way_is_asked_for_again(mark: bytes, place: int)
 )
 def test_a_parser_state_names_one_of_each_group(words: str, right: bool) -> None:
     assert is_parser_state(words) is right
+
+
+WARM_UP_S = 300
+PROGRAM = (
+    b"G21G90G94G17G54|G0Z5|G0X-2Y-2|G1X10F1200|Y8|X-2|Y-2|M3S3000|G4P%d|M3S12000|G4P4|M8|G0X0Y0|Z1|G1Z-0.5F600|X8|Y6|"
+    b"G0Z5|M9|M5|M2" % WARM_UP_S
+).split(b"|")
+
+
+@pytest.mark.parametrize("traits", [GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC], ids=["1.1", "echo", "hal", "fluidnc"])
+def test_a_long_warm_up_is_no_fault_and_coolant_runs_while_it_cuts(traits: Traits) -> None:
+    """Five minutes without an answer are the program's own; where the mill cuts, spindle and coolant are on."""
+    bench = Bench(traits).connected()
+    bench.start(numbered(PROGRAM))
+    firmware, deep = bench.mill.firmware, []
+    while not (bench.of(ProgramDone) or bench.of(Faulted)):
+        assert bench.mill.now_s < 2 * WARM_UP_S
+        bench.events += bench.driver.poll(0.2)
+        if (at := bench.driver.status.work_mm) is not None and at[2] < -0.4:
+            deep.append((firmware.spindle, set(firmware.interpreter.coolant)))
+    assert not bench.of(Faulted), bench.of(Faulted)
+    assert deep[:-1] and all(state == ("M3", {"M8"}) for state in deep[1:-1])
+    assert firmware.spindle == "M5" and firmware.interpreter.coolant == set()
+    assert bench.mill.now_s > WARM_UP_S
+
+
+@pytest.mark.parametrize("traits", [GRBL_11, GRBLHAL], ids=["1.1", "hal"])
+def test_the_end_of_a_program_switches_coolant_off_even_if_it_does_not_say_so(traits: Traits) -> None:
+    bench = Bench(traits).connected()
+    bench.run(numbered([line for line in PROGRAM if line not in (b"M9", b"G4P%d" % WARM_UP_S)]), 120.0)
+    assert bench.of(ProgramDone) and bench.mill.firmware.interpreter.coolant == set()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-from grbl_bench import Bench, Tap, numbered, spiral
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,20 +20,20 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import ProgramChangedError
-from machines.grbl.driver import GrblDriver
-from machines.grbl.options import GrblOptions
+from machines.grbl.link import GrblOptions
 from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
-from machines.grbl.timeouts import BANNER_S, REPORT_SILENCE_S
+from machines.grbl.timeouts import BANNER_S
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import GRBL_11, GRBL_11_ECHO, Traits
+from tests.machines.grbl.bench import Bench, Tap, numbered, spiral
 
 FIRST_POINT_LINE = 7  # of the spiral
 
 
 def faulted(bench: Bench, lines: list[ProgramLine], within_s: float = 60.0) -> Faulted:
     """Run into the fault and through the stop; '!' must have been written by the poll that brought the event."""
-    bench.driver.start(iter(lines))
+    bench.start(lines)
     begin = len(bench.tap.written)
     ended = lambda: bench.of(Faulted) or bench.of(ProgramDone)  # noqa: E731
     assert bench.until(lambda: ended() or bench.state() is MillState.HELD, within_s)
@@ -88,14 +87,6 @@ def test_an_alarm_in_a_program_is_named_and_its_missing_reply_is_not_waited_for(
     assert bench.driver.status.position_trusted  # a soft limit stops before it is hit
 
 
-def test_a_lost_reply_is_found() -> None:
-    lines, points = spiral(200)
-    bench = Bench(faults=(Fault(kind="lose-reply", line=100),)).connected()
-    fault = faulted(bench, lines)
-    assert fault.cause in (FaultCause.STALL, FaultCause.REPLY_COUNT) and "line" in fault.words
-    assert bench.driver.progress.executed_line - FIRST_POINT_LINE + 1 <= bench.last_whole(points) + 3
-
-
 def test_a_restart_in_the_middle_skips_nothing() -> None:
     """Planner and segments hold up to 21 short blocks; the claim stays behind them."""
     for line in range(60, 200, 7):
@@ -123,31 +114,26 @@ def test_a_restart_among_lines_that_change_nothing_skips_nothing() -> None:
         assert claimed <= bench.last_whole(points)
 
 
-def test_a_dropped_point_is_seen_by_the_corridor() -> None:
-    """X105 instead of X10.5: no error from the controller, every line answered, but reports leave the path."""
+def bench_that_loses(old: bytes, new: bytes) -> Bench:
+    """A byte of a point is lost on the way: no error from the controller, every line answered."""
 
     class Dropping(Tap):
         def write(self, data: bytes) -> None:
-            super().write(data.replace(b"X10.5", b"X105"))
+            super().write(data.replace(old, new))
 
-    bench = Bench()
-    bench.tap = Dropping(bench.tap.port)
-    bench.driver = GrblDriver(bench.tap)
-    bench.connected()
+    return Bench(link=Dropping).connected()
+
+
+def test_a_dropped_point_is_seen_by_the_corridor() -> None:
+    """Reports leave the path."""
+    bench = bench_that_loses(b"X10.5", b"X105")
     fault = faulted(bench, numbered([b"G21G90G94G17", b"G1X1F600", b"X2Y4", b"X10.5", b"X0", b"M2"]))
     assert fault.cause is FaultCause.OFF_PATH and "allowed 0.0" in fault.words
     assert max(x for x, _, _ in bench.cut_ends()) < 10.5 + 600 / 60 * (bench.options.poll_s + 0.2)
 
 
 def test_a_program_that_ends_in_the_wrong_place_is_not_done() -> None:
-    class Dropping(Tap):
-        def write(self, data: bytes) -> None:
-            super().write(data.replace(b"X10.53", b"X10.5"))
-
-    bench = Bench()
-    bench.tap = Dropping(bench.tap.port)
-    bench.driver = GrblDriver(bench.tap)
-    bench.connected()
+    bench = bench_that_loses(b"X10.53", b"X10.5")
     fault = faulted(bench, numbered([b"G21G90G94G17", b"G1X10F600", b"X10.53"]))
     assert fault.cause is FaultCause.OFF_PATH and not bench.of(ProgramDone)
 
@@ -167,7 +153,7 @@ def test_with_echo_dropped_and_doubled_bytes_are_stopped_too(kind: str) -> None:
     for byte in range(1500, 1530, 3):
         bench = Bench(GRBL_11_ECHO, faults=(Fault(kind=kind, byte=byte),)).connected()
         lines, points = spiral(150)
-        bench.driver.start(iter(lines))
+        bench.start(lines)
         assert bench.until(lambda bench=bench: bench.of(Faulted) or bench.of(ProgramDone), 60.0)
         bench.pass_time(3.0)
         bench.last_whole(points)
@@ -189,10 +175,10 @@ def test_a_program_that_changes_under_way_holds_the_mill() -> None:
 def test_bytes_that_act_at_once_never_get_into_a_stream(text: bytes) -> None:
     bench = Bench().connected()
     begin = len(bench.tap.written)
-    bench.driver.start(iter([ProgramLine(1, 0, b"G21"), ProgramLine(2, 4, text)]))
+    bench.start([ProgramLine(1, 0, b"G21"), ProgramLine(2, 4, text)])
     assert bench.until(lambda: bench.of(Stopped), 10.0)
     assert bench.of(Faulted)[0].cause is FaultCause.PROGRAM_CHANGED
-    data = b"".join(data for _, data in bench.tap.written[begin:])
+    data = bench.written(begin)
     assert not text or text not in data
 
 
@@ -266,16 +252,6 @@ def test_a_block_refused_while_bytes_are_taken_puts_the_hold_before_them() -> No
     assert session.output(1.0)[:2] == b"!?"
 
 
-def test_silence_is_a_fault() -> None:
-    session, now_s = streaming_session(), 1.0
-    while session.link.phase is Phase.STREAMING and now_s < 100.0:
-        now_s += 0.05
-        session.tick(now_s)
-        session.output(now_s)
-    assert now_s < 1.0 + REPORT_SILENCE_S + 0.5
-    assert any(isinstance(event, Faulted) and event.cause is FaultCause.STALL for event in session.take_events())
-
-
 def said_for(session: GrblSession, report: bytes, seconds: float, now_s: float) -> float:
     """The same report ten times a second."""
     for _ in range(int(seconds * 10)):
@@ -322,7 +298,7 @@ def test_counting_costs_half_a_per_cent_where_the_planner_never_covers_it() -> N
 
     def seconds() -> float:
         bench = Bench(GRBL_11.with_settings({120: 5000, 121: 5000})).connected()
-        bench.driver.start(iter(numbered([*blocks, b"M2"])))
+        bench.start(numbered([*blocks, b"M2"]))
         begin_s = bench.mill.now_s
         assert bench.until(lambda: bench.of(ProgramDone), 300.0)
         return bench.mill.now_s - begin_s

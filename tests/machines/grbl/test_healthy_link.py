@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from grbl_bench import Bench, numbered, spiral
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +12,7 @@ from machines.grbl.flow_control import COUNT_EVERY_S, COUNT_LATE_S
 from machines.grbl.timeouts import IDLE_S, REPORT_SILENCE_S
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, numbered, spiral
 
 Block = bytes
 PLACE = st.integers(0, 40).map(lambda n: n / 2)
@@ -71,7 +71,7 @@ def test_no_program_stalls_on_a_healthy_link(
     traits: Traits,
 ) -> None:
     bench = Bench(traits.with_settings({120: acceleration, 121: acceleration, 122: acceleration / 2})).connected()
-    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X0Y0Z0F600", *blocks, b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", b"G1X0Y0Z0F600", *blocks, b"M2"]))
     begin_s = bench.mill.now_s
     if override is not None:
         bench.driver.command(Override(*override))
@@ -96,7 +96,7 @@ def test_a_controller_that_falls_silent_is_found_whatever_it_does(blocks: list[B
     """Power of its processor gone, cable and adapter still there: no answer to '?' any more."""
     bench = Bench().connected()
     long = [b"G1X100Y100F30", b"G4P100"]
-    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X0Y0Z0F600", *blocks, *long, b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", b"G1X0Y0Z0F600", *blocks, *long, b"M2"]))
     bench.pass_time(at_s)
     if bench.state() in (MillState.TOOL, MillState.HELD) or bench.of(ProgramDone):
         return
@@ -112,7 +112,7 @@ def test_a_lost_answer_is_found_when_answers_are_counted(line: int) -> None:
     """Not at the end of the program, but with the next count; and nothing is claimed that was not cut."""
     lines, points = spiral(3000)
     bench = Bench(faults=(Fault(kind="lose-reply", line=line),)).connected()
-    bench.driver.start(iter(lines))
+    bench.start(lines)
     assert bench.until(lambda: bench.mill.faults.log, 60.0)
     lost_s = bench.mill.now_s
     assert bench.until(lambda: bench.of(Faulted) or bench.of(ProgramDone), 120.0)
@@ -132,7 +132,7 @@ FINE = [b"G21G90G94G17G1F1500", *(b"X%.3fY%.3f" % (0.03 * (k % 997), 0.01 * (k %
 def test_in_fine_segments_an_answer_too_few_or_too_many_is_found_within_seconds(kind: str) -> None:
     """No planner cover for a count there; a doubled line end is answered twice, and the window would overflow."""
     bench = Bench().connected()
-    bench.driver.start(iter(numbered(FINE)))
+    bench.start(numbered(FINE))
     bench.pass_time(5.0)
     bench.mill.arm(Faults((Fault(kind=kind, line=5),)))  # of the line end itself, where it is doubled
     bench.until(lambda: bench.mill.faults.log, 10.0)
@@ -148,7 +148,7 @@ def test_an_answer_that_came_twice_shows_in_the_buffer_at_once(line: int) -> Non
     """With Bf: in the reports ($10=3) nobody waits for the next count, and the buffer never overflows."""
     lines, points = spiral(2000)
     bench = Bench(WITH_BUFFER, faults=(Fault(kind="duplicate-reply", line=line),)).connected()
-    bench.driver.start(iter(lines))
+    bench.start(lines)
     assert bench.until(lambda: bench.mill.faults.log, 60.0)
     doubled_s = bench.mill.now_s
     assert bench.until(lambda: bench.of(Faulted), 60.0)
@@ -166,7 +166,7 @@ def test_counting_does_not_slow_the_mill() -> None:
     def seconds() -> float:
         lines, _ = spiral(3000)
         bench = Bench().connected()
-        bench.driver.start(iter(lines))
+        bench.start(lines)
         begin_s = bench.mill.now_s
         assert bench.until(lambda: bench.of(ProgramDone), 300.0)
         return bench.mill.now_s - begin_s
@@ -176,16 +176,3 @@ def test_counting_does_not_slow_the_mill() -> None:
         patch.setattr("machines.grbl.flow_control.COUNT_EVERY_S", 1e9)
         assert seconds() == pytest.approx(with_counts, abs=0.15)
     assert with_counts > 4 * COUNT_EVERY_S
-
-
-@pytest.mark.parametrize("absent_s", [1.0, 5.0, 60.0])
-def test_a_computer_that_slept_blames_nobody(absent_s: float) -> None:
-    """Our own absence is no silence of the mill: what it said meanwhile lies in the port, unread."""
-    lines, _ = spiral(3000)
-    bench = Bench().connected()
-    bench.driver.start(iter(lines))
-    for _ in range(3):
-        bench.pass_time(1.0)
-        bench.mill.advance(bench.mill.now_s + absent_s)
-    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 600.0)
-    assert not bench.of(Faulted), bench.of(Faulted)

@@ -6,14 +6,13 @@ import re
 from collections.abc import Callable
 
 import pytest
-from grbl_bench import Bench, Tap, numbered
 from hypothesis import given
 from hypothesis import strategies as st
 
 from machines.driver import Faulted, MillState, ProgramDone
-from machines.grbl.driver import GrblDriver
 from machines.grbl.replies import LineSplitter, name_foreign, parse
 from machines.simulated.endpoints import MemoryPort
+from tests.machines.grbl.bench import Bench, Tap, numbered
 
 Say = Callable[[bytes, int], list[bytes]]
 """A line without its end, and how many `ok` came so far -> the lines that are said instead."""
@@ -45,9 +44,6 @@ class OddLink(Tap):
             self.oks += line == b"ok"
             said += self.say(line, self.oks)
         return first + b"".join(line + self.end for line in said)
-
-    def write_realtime(self, data: bytes) -> bool:
-        return self.port.write_realtime(data)
 
 
 def plain(line: bytes, _: int) -> list[bytes]:
@@ -107,13 +103,11 @@ ENDS = {"LF": b"\n", "LF CR": b"\n\r", "CR CR LF": b"\r\r\n", "NUL": b"\r\n\0", 
 
 def run(say: Say, end: bytes = b"\r\n", first: bytes = b"") -> tuple[Bench, str]:
     """Connect and run; why it was refused, "" if it ran."""
-    bench = Bench(baud=None)
-    bench.tap = OddLink(MemoryPort(bench.mill, baud=None), say, end, first)
-    bench.driver = GrblDriver(bench.tap, options=bench.options)
+    bench = Bench(baud=None, link=lambda port: OddLink(port, say, end, first))
     bench.driver.connect()
     bench.until(lambda: bench.state() in (MillState.IDLE, MillState.DISCONNECTED), 90.0)
     if bench.state() is MillState.IDLE:
-        bench.driver.start(iter(numbered(PROGRAM)))
+        bench.start(numbered(PROGRAM))
         bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 200.0)
     failures = [event.words for event in bench.of(Faulted)]
     assert failures or bench.of(ProgramDone), bench.driver.status

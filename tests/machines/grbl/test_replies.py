@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.grbl.codes import ALARMS, ERRORS, alarm_words, error_words
 from machines.grbl.replies import (
+    ALARMS,
+    ERRORS,
     OK,
     AlarmReply,
     Banner,
@@ -21,6 +22,8 @@ from machines.grbl.replies import (
     Setting,
     Startup,
     Status,
+    alarm_words,
+    error_words,
     parse,
 )
 

@@ -6,7 +6,6 @@ from collections import deque
 from pathlib import Path
 
 import pytest
-from grbl_bench import Bench, Tap, numbered, spiral
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +18,8 @@ from machines.runs import START_CHECKS, Confirmation, RunState
 from machines.simulated.endpoints import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
+from tests.machines.grbl.bench import Bench, Tap, numbered, spiral
+from tests.trials.kill_program import facts_of
 
 DELAYS_S = (0.0, 0.3, 0.4, 0.6, 1.0, 1.5)
 
@@ -35,10 +36,6 @@ class DelayedLink(Tap):
     def write(self, data: bytes) -> None:
         self.written.append((self.clock(), bytes(data)))
         self.there.append((self.clock() + self.delay_s, bytes(data)))
-
-    def write_realtime(self, data: bytes) -> bool:
-        self.write(data)
-        return True
 
     def read(self, timeout_s: float) -> bytes:
         mill, end_s = self.port.mill, self.clock() + max(timeout_s, 0.0)
@@ -57,9 +54,7 @@ class DelayedLink(Tap):
 
 
 def slow_bench(delay_s: float, traits: Traits = GRBL_11) -> Bench:
-    bench = Bench(traits, baud=None)
-    bench.tap = DelayedLink(MemoryPort(bench.mill, baud=None), delay_s)
-    bench.driver = GrblDriver(bench.tap, options=bench.options)
+    bench = Bench(traits, baud=None, link=lambda port: DelayedLink(port, delay_s))
     bench.driver.connect()
     assert bench.until(lambda: bench.state() is MillState.IDLE, 60.0), bench.driver.status
     bench.pass_time(2.0)  # the work offset comes with every tenth report
@@ -83,7 +78,7 @@ def test_a_program_runs_at_every_delay(delay_s: float, traits: Traits, segment_m
     """It runs dry between its lines, is held and resumed, and every segment is cut once."""
     bench = slow_bench(delay_s, traits)
     turns = [b"G1X%.3fY%.3fF1500" % (segment_mm * (k % 7 + 1), segment_mm * (k // 7)) for k in range(60)]
-    bench.driver.start(iter(numbered([b"G21G90G94G17", *turns, b"G4P1", b"M3S1000", b"G0X0", b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", *turns, b"G4P1", b"M3S1000", b"G0X0", b"M2"]))
     bench.until(lambda: bench.driver.progress.answered_line >= hold_at, 300.0)
     if not bench.of(ProgramDone):
         bench.driver.hold()
@@ -100,7 +95,7 @@ def test_a_program_runs_at_every_delay(delay_s: float, traits: Traits, segment_m
 def test_an_abort_keeps_the_position(delay_s: float, resumed: bool) -> None:
     """No reset goes out for reports that were made before the '!' arrived: the mill may move by then."""
     bench = slow_bench(delay_s)
-    bench.driver.start(iter(spiral(400, turn_rad=0.3)[0]))
+    bench.start(spiral(400, turn_rad=0.3)[0])
     bench.until(lambda: bench.driver.progress.answered_line > 20, 120.0)
     if resumed:  # it goes on while reports of a standing mill are still on their way
         bench.driver.hold()
@@ -118,7 +113,7 @@ def test_an_abort_keeps_the_position(delay_s: float, resumed: bool) -> None:
 def test_an_abort_of_a_move_that_is_not_reported_yet_keeps_the_position(delay_s: float) -> None:
     """The mill is said to be idle, but it moves by now, and takes long to stop."""
     bench = slow_bench(delay_s, GRBL_11.with_settings({120: 10, 121: 10, 122: 10}))
-    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X150F5000", b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", b"G1X150F5000", b"M2"]))
     bench.pass_time(1.1 * delay_s)
     bench.driver.abort()
     assert bench.until(lambda: bench.of(Stopped), 60.0)
@@ -162,11 +157,11 @@ def test_what_the_link_is_busy_with_is_named_and_not_the_mill() -> None:
     bench = slow_bench(1.0)
     bench.driver.command(CheckMode(True))
     with pytest.raises(NotAllowedError, match="start: the link is busy"):
-        bench.driver.start(iter(numbered([b"G0X1"])))
+        bench.start(numbered([b"G0X1"]))
 
 
 @pytest.mark.parametrize("delay_s", DELAYS_S)
-def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path: Path, kill_trial: object) -> None:
+def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path: Path) -> None:
     """What the controller is asked before a start fits into the time of an order."""
     path = tmp_path / "p.nc"
     path.write_text("G21G90G94G17G54\nM3S8000\nG0Z5\nG0X1Y1\nG1Z-0.1F200\nG1X5F600\nG0Z5\nM5\nM2\n")
@@ -180,7 +175,7 @@ def test_a_start_that_a_person_ordered_is_still_in_time(delay_s: float, tmp_path
         wall_clock=lambda: 1.8e9 + sim.now_s,
         pause=lambda seconds: sim.advance(sim.now_s + seconds),
     )
-    facts = kill_trial.facts_of(path)  # type: ignore[attr-defined]
+    facts = facts_of(path)
 
     def until(done: object) -> None:
         end_s = sim.now_s + 200.0

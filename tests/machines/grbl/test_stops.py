@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable
 
 import pytest
-from grbl_bench import Bench, numbered, spiral
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -26,10 +25,13 @@ from machines.driver import (
     SendBlock,
     SetZero,
     Stopped,
+    TrustPosition,
     Unlock,
 )
 from machines.errors import NotAllowedError
+from machines.grbl.states import FROM_EVERYWHERE, MOVES, Phase, may_move
 from machines.simulated.traits import GRBL_11
+from tests.machines.grbl.bench import Bench, numbered, spiral
 
 CORNER = {"depth_mm": 10, "plate_mm": 1, "wall_x_mm": 1, "wall_y_mm": 1, "cutter_radius_mm": 1, "margin_mm": 8}
 # What a person may do; "hold", "abort" and "jog-cancel" are stops. "write" lets bytes leave, "hear" brings answers.
@@ -106,7 +108,7 @@ def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list
         else:
             TIMES[name](bench)
         if stopped:
-            written = b"".join(data for _, data in bench.tap.written[mark:])
+            written = bench.written(mark)
             assert b"~" not in written and b"\xa3" not in written, (stopped, written)
             if stopped != "jog-cancel":  # which ends a jog; a probe's next line may follow
                 for line in written.translate(None, bytes(range(0x80, 0x100)) + b"?!\x18").split(b"\n"):
@@ -116,10 +118,9 @@ def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list
 def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
     """Seen on a real mill: '!' was put before a '~' that waited, "!~" went out, and the mill ran."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(2.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     reached = bench.mill.recording.count
     session = bench.driver._session  # the driver itself writes it at once
     session.resume(bench.mill.now_s)
@@ -133,10 +134,9 @@ def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
 def test_a_report_from_before_a_hold_confirms_nothing() -> None:
     """Resumed and held again at once: the '!' is lost, and the answer to a '?' before it still says Hold."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(1.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     session, now_s = bench.driver._session, bench.mill.now_s
     session.link.poll_at_s = now_s
     session.tick(now_s)
@@ -164,8 +164,7 @@ def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
     bench = Bench().connected()
     bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=300.0))
     bench.pass_time(0.5)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     assert "hold" in bench.of(CommandDone)[0].failure
     with pytest.raises(NotAllowedError, match=r"G38\.2.*reset"):
         bench.driver.resume()
@@ -179,7 +178,7 @@ def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
 
 def begin_program(bench: Bench) -> None:
     lines, _ = spiral(300)
-    bench.driver.start(iter(lines))
+    bench.start(lines)
 
 
 WHAT_IS_HELD: dict[str, Callable[[Bench], None]] = {
@@ -198,8 +197,7 @@ def test_a_cycle_start_at_the_machine_after_our_hold_is_noticed_and_said(what: s
     bench = Bench().connected()
     WHAT_IS_HELD[what](bench)
     assert bench.until(lambda: bench.mill.firmware.stepper.moving and bench.mill.firmware.stepper.speed > 3.0, 10.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+    bench.hold()
     bench.pass_time(after_s)
     said = len(bench.of(Notice))
     bench.mill.press("start")
@@ -220,8 +218,7 @@ def test_our_own_resume_is_no_cycle_start_at_the_machine() -> None:
     begin_program(bench)
     bench.pass_time(2.0)
     for _ in range(3):
-        bench.driver.hold()
-        assert bench.until(lambda: bench.state() is MillState.HELD, 5.0)
+        bench.hold()
         bench.driver.resume()
         assert bench.until(lambda: bench.state() is MillState.RUN, 5.0)
         bench.pass_time(1.0)
@@ -231,7 +228,7 @@ def test_our_own_resume_is_no_cycle_start_at_the_machine() -> None:
 def test_a_hold_during_the_handshake_does_not_end_the_link() -> None:
     bench = Bench()
     bench.driver.connect()
-    bench.until(lambda: b"$$" in b"".join(data for _, data in bench.tap.written), 5.0)
+    bench.until(lambda: b"$$" in bench.written(), 5.0)
     bench.driver.hold()
     bench.pass_time(60.0)
     assert bench.state() is MillState.HELD
@@ -254,10 +251,9 @@ def test_a_hold_asked_for_in_an_alarm_does_not_colour_later_jogs() -> None:
 def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
     """Key repeat on a held mill: each press put the next '?' off by 0.05 s, until the link was given up."""
     bench = Bench().connected()
-    bench.driver.start(iter(spiral(300)[0]))
+    bench.start(spiral(300)[0])
     bench.pass_time(1.0)
-    bench.driver.hold()
-    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.hold()
     bench.mill.press("door")  # stays held whatever is pressed
     bench.pass_time(1.0)
     bench.mill.press("close-door")
@@ -275,8 +271,65 @@ def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
 
 def test_an_order_refused_leaves_nothing_behind() -> None:
     bench = Bench().connected()
-    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X50F300", b"M2"])))
+    bench.start(numbered([b"G21G90G94G17", b"G1X50F300", b"M2"]))
     bench.pass_time(1.0)
     with pytest.raises(NotAllowedError):
         bench.driver.resume()
     assert bench.driver._session.link.urgent.count(b"~") == 0
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.01, 0.25, 1.0])
+@pytest.mark.parametrize("between", [None, "?"])
+def test_an_abort_after_a_hold_of_an_idle_mill_leaves_it_idle(later_s: float, between: str | None) -> None:
+    """The '!' of the hold is on its way: what the mill said before it is no proof that it stays idle."""
+    bench = Bench().connected()
+    bench.driver.command(TrustPosition())
+    if between:  # a report from before the hold is still to come
+        bench.driver._session.link.poll_at_s = bench.mill.now_s
+        write(bench)
+    bench.driver.hold()
+    assert bench.state() is MillState.HOLDING
+    bench.pass_time(later_s)
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 5.0)
+    bench.pass_time(3.0)
+    assert bench.state() is MillState.IDLE and bench.mill.firmware.state == "Idle"
+    assert bench.of(Stopped) == [Stopped(position_kept=True)]
+
+
+def test_a_hold_that_was_lost_on_an_idle_mill_ends_with_the_next_report() -> None:
+    bench = Bench().connected()
+    bench.driver._session.hold(bench.mill.now_s)
+    bench.driver._session.link.urgent.clear()  # its wire is cut
+    bench.pass_time(1.0)
+    assert bench.state() is MillState.IDLE
+
+
+@pytest.mark.parametrize("phase", ["streaming", "stopping", "clearing", "hailing", "identifying", "ready"])
+@pytest.mark.parametrize("first", ["hold", "abort"])
+def test_an_abort_asked_for_in_any_phase_of_another_stop_leaves_no_mill_held(phase: str, first: str) -> None:
+    """Its '!' leaves at once, from any thread: it may reach a controller that has just been reset."""
+    bench = Bench().connected()
+    begin_program(bench)
+    bench.pass_time(1.0)
+    if first == "hold":
+        bench.hold()
+    if phase != "streaming":
+        bench.driver.abort()
+        assert bench.until(lambda: bench.driver._session.link.phase.value == phase, 5.0)
+    assert bench.driver.urge("abort")
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 5.0)
+    bench.pass_time(5.0)
+    assert bench.state() is MillState.IDLE and bench.mill.firmware.state == "Idle", bench.driver.status
+
+
+def test_every_phase_is_in_the_table_and_can_be_left_and_reached() -> None:
+    assert set(MOVES) == set(Phase)
+    reached = set().union(*MOVES.values()) | FROM_EVERYWHERE
+    assert reached == set(Phase)
+
+
+def test_a_program_starts_only_from_ready_and_a_stop_ends_in_a_reset_or_a_new_epoch() -> None:
+    assert [phase for phase in Phase if may_move(phase, Phase.STREAMING)] == [Phase.READY]
+    assert MOVES[Phase.STOPPING] == {Phase.CLEARING}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.modal import ModalState
-from machines.gcode.step import Step
+from machines.gcode.modal import ModalState, Step
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.timeouts import MARGIN_S, longest_homing_s, longest_wait_s, motion_time_s
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import random
 import threading
 import time
@@ -17,43 +16,8 @@ from machines.errors import JournalError
 from machines.journal.disk import RealDisk, RealFile, ThreadSyncer
 from machines.journal.journal import Journal, decode, encode, read_journal, records_in
 from phrases.phrase import Phrase
-from tests.machines.inline_syncer import InlineSyncer
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-class FailingFile(RealFile):
-    """The disk is full after so many bytes, or its fsync fails."""
-
-    def __init__(self, path: Path, disk: FailingDisk) -> None:
-        super().__init__(path)
-        self.disk = disk
-
-    def write(self, data: bytes) -> None:
-        if self.disk.room < len(data):
-            super().write(data[: self.disk.room])
-            self.disk.room = 0
-            raise OSError(errno.ENOSPC, "No space left on device")
-        self.disk.room -= len(data)
-        super().write(data)
-
-    def sync(self) -> None:
-        if self.disk.sync_fails:
-            raise OSError(errno.EIO, "Input/output error")
-
-
-class FailingDisk(RealDisk):
-    room = 1 << 40
-    sync_fails = False
-
-    def create(self, path: Path) -> FailingFile:
-        return FailingFile(path, self)
+from tests.machines.disks import ROOM, Clock, FullDisk, InlineSyncer
+from tests.trials.kill_bench import LossyDisk
 
 
 def filled(folder: Path, count: int, *, rotate_bytes: int = 1000, disk: RealDisk | None = None) -> Journal:
@@ -137,10 +101,10 @@ def test_reopened_after_a_tear_it_goes_on_in_a_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_power_loss_costs_at_most_the_time_between_two_syncs(seed: int, tmp_path: Path, kill_trial: object) -> None:
+def test_power_loss_costs_at_most_the_time_between_two_syncs(seed: int, tmp_path: Path) -> None:
     """Records every 0.1 s, fsync every 0.5 s, files of 600 bytes: what is left is at most 0.6 s old."""
     chance = random.Random(seed)
-    disk = kill_trial.LossyDisk()  # type: ignore[attr-defined]
+    disk = LossyDisk()
     clock = Clock()
     journal = Journal(tmp_path, disk=disk, syncer=InlineSyncer(clock, 0.5), rotate_bytes=600)
     journal.append("start", at=0.0)
@@ -162,7 +126,7 @@ def test_power_loss_costs_at_most_the_time_between_two_syncs(seed: int, tmp_path
 
 @pytest.mark.parametrize("room", [0, 1, 30, 200, 500, 999])
 def test_a_full_disk_is_an_error_and_the_journal_goes_on_when_there_is_room(room: int, tmp_path: Path) -> None:
-    disk = FailingDisk()
+    disk = FullDisk()
     journal = filled(tmp_path, 5, disk=disk)
     disk.room = room
     with pytest.raises(JournalError, match="no space left"):
@@ -175,7 +139,7 @@ def test_a_full_disk_is_an_error_and_the_journal_goes_on_when_there_is_room(room
         journal.repair()
     content = read_journal(tmp_path)
     assert content is not None and failed_at - 1 <= content.state["line"] < 100
-    disk.room = 1 << 40
+    disk.room = ROOM
     journal.repair()
     journal.append("mark", other=1)
     journal.close()
@@ -184,7 +148,7 @@ def test_a_full_disk_is_an_error_and_the_journal_goes_on_when_there_is_room(room
 
 
 def test_a_failed_fsync_shows_at_the_next_append(tmp_path: Path) -> None:
-    disk, clock = FailingDisk(), Clock()
+    disk, clock = FullDisk(), Clock()
     journal = Journal(tmp_path, disk=disk, syncer=InlineSyncer(clock, 0.5))
     journal.append("mark", line=1)
     disk.sync_fails = True

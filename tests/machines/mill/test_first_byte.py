@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from machines.driver import CheckMode, Jog, MillState, Override, ProbeCorner, ProbeZ, Reset, SendBlock, SetZero, Unlock
+from machines.driver import CheckMode, Jog, Override, ProbeCorner, ProbeZ, Reset, SendBlock, SetZero, Unlock
 from machines.gcode.program import ProgramReader
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, Caller, OrderRefusedError, Permit, Stop
 from machines.runs import RunState
@@ -91,12 +91,9 @@ def make_ready(shop: Shop, order: str) -> None:
         shop.started().until(RunState.FINISHED)
         shop.id = shop.mill.park(shop.facts, shop.path, "next").id
     elif order == "resume":
-        shop.started().mill.hold()
-        shop.until(RunState.HELD)
+        shop.started().held()
     elif order == "recover":
-        shop.started().mill.abort()
-        shop.until(RunState.ABORTED)
-        shop.bench.until_state(MillState.IDLE)
+        shop.started().aborted()
     shop.pass_s(1.0)
 
 

@@ -15,7 +15,6 @@ from machines.driver import (
     Home,
     Jog,
     MillState,
-    Override,
     ProbeZ,
     Reset,
     SendBlock,
@@ -25,13 +24,13 @@ from machines.driver import (
 )
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
 from machines.journal.journal import Journal, read_journal
-from machines.preflight.limits import AT_PRESENT_ZERO
-from machines.preflight.preflight import Finding
+from machines.preflight.preflight import AT_PRESENT_ZERO, Finding
 from machines.runs import START_CHECKS, Confirmation, RunState
 from machines.simulated import reports
 from phrases.phrase import Phrase
-from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.disks import ROOM, InlineSyncer
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
+from tests.trials.kill_trial import one_kill
 
 
 def test_a_run_to_its_end(shop: Shop) -> None:
@@ -44,14 +43,6 @@ def test_a_run_to_its_end(shop: Shop) -> None:
     content = read_journal(shop.bench.folder / "runs" / shop.id)
     assert content is not None and content.state["state"] == "finished" and content.state["offsets"]["G54"] == [0, 0, 0]
     assert content.state["checks"] == sorted(START_CHECKS) and "values" in content.state["settings"]
-
-
-def test_after_a_program_z_is_to_be_touched_off_until_it_was(shop: Shop) -> None:
-    shop.started().until(RunState.FINISHED)
-    assert "re-probe Z" in shop.mill.snapshot.needs[0]
-    shop.bench.until_state(MillState.IDLE)
-    shop.bench.command_done(SetZero("Z"))
-    assert shop.mill.snapshot.needs == ()
 
 
 def test_what_is_said_of_the_work_zero_is_forgotten_when_it_is_set_again(shop: Shop) -> None:
@@ -158,8 +149,8 @@ def test_a_button_on_the_machine_holds_the_run_and_is_no_fault(shop: Shop) -> No
     shop.until(RunState.FINISHED)
 
 
-def test_m0_holds_the_run_until_a_person_resumes(tmp_path: Path, kill_trial: Any) -> None:
-    shop = Shop(tmp_path, kill_trial, [*LINES[:20], "M0", *LINES[20:]])
+def test_m0_holds_the_run_until_a_person_resumes(tmp_path: Path) -> None:
+    shop = Shop(tmp_path, [*LINES[:20], "M0", *LINES[20:]])
     shop.started()
     shop.until(RunState.HELD)
     assert "waits for a person" in shop.mill.snapshot.run.words
@@ -171,10 +162,7 @@ def test_m0_holds_the_run_until_a_person_resumes(tmp_path: Path, kill_trial: Any
 
 
 def test_abort_ends_in_aborted_and_the_part_is_not_lost(shop: Shop) -> None:
-    shop.started()
-    shop.mill.abort()
-    shop.until(RunState.ABORTED)
-    shop.bench.until_state(MillState.IDLE)
+    shop.started().aborted()
     assert shop.mill.status.position_trusted
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready and plan.resume_line == shop.mill.run(shop.id).executed_line + 1
@@ -187,9 +175,7 @@ def test_abort_ends_in_aborted_and_the_part_is_not_lost(shop: Shop) -> None:
 def test_a_recovery_that_is_stopped_on_its_way_in_forgets_nothing(shop: Shop) -> None:
     shop.started(20)
     for _ in range(2):
-        shop.mill.abort()
-        shop.until(RunState.ABORTED)
-        shop.bench.until_state(MillState.IDLE)
+        shop.aborted()
         executed = shop.mill.run(shop.id).executed_line
         assert executed > 10
         shop.mill.recover(shop.id, YES_ALL)
@@ -199,10 +185,7 @@ def test_a_recovery_that_is_stopped_on_its_way_in_forgets_nothing(shop: Shop) ->
 
 
 def test_recovery_needs_the_word_for_the_position(shop: Shop) -> None:
-    shop.started()
-    shop.mill.abort()
-    shop.until(RunState.ABORTED)
-    shop.bench.until_state(MillState.IDLE)
+    shop.started().aborted()
     with pytest.raises(NotAllowedError, match="confirmation of: position"):
         shop.mill.recover(shop.id, YES)
 
@@ -279,10 +262,10 @@ def test_a_zero_is_set_anew_until_a_program_starts(shop: Shop) -> None:
 
 
 @pytest.mark.parametrize("order", ["hold", "abort"])
-def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Path, kill_trial: Any, order: str) -> None:
+def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Path, order: str) -> None:
     """The mill goes on with what it holds, long moves here; the hold reaches it when the cable is back."""
     lines = [*LINES[:5], *(f"G1 X{10 + 40 * (i % 2)} F600" for i in range(1, 40)), "G0 Z5", "M2"]
-    shop = Shop(tmp_path, kill_trial, lines).started(2)
+    shop = Shop(tmp_path, lines).started(2)
     shop.bench.sim.unplug()
     shop.until(RunState.INTERRUPTED)
     getattr(shop.mill, order)()
@@ -292,7 +275,7 @@ def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Pat
     if order == "hold":
         shop.bench.until_state(MillState.HELD)
         assert shop.state is RunState.INTERRUPTED
-        assert [need.code for need in shop.mill.plan_recovery(shop.id).needs][:1] == ["stand still"]
+        assert shop.needs[:1] == ["stand still"]
     else:
         shop.until(RunState.ABORTED)
     before = shop.cuts
@@ -304,7 +287,7 @@ def test_what_is_asked_while_the_link_is_away_is_carried_out_first(tmp_path: Pat
 
 def test_a_full_disk_holds_the_mill_and_resume_tries_again(shop: Shop) -> None:
     shop.started()
-    shop.disk.room = False
+    shop.disk.room = 0
     shop.bench.until_state(MillState.HELD)
     assert "no space left" in shop.mill.snapshot.run.words
     before = shop.cuts
@@ -312,16 +295,16 @@ def test_a_full_disk_holds_the_mill_and_resume_tries_again(shop: Shop) -> None:
         shop.mill.resume()
     shop.pass_s(20.0)
     assert shop.cuts == before
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.mill.resume()
     shop.until(RunState.FINISHED)
 
 
 def test_nothing_starts_without_a_journal(shop: Shop) -> None:
-    shop.disk.room = False
+    shop.disk.room = 0
     with pytest.raises(JournalError):
         shop.mill.start(shop.id, YES)
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.pass_s(5.0)
     assert shop.cuts == 0 and shop.state is RunState.PARKED
     shop.mill.start(shop.id, YES)
@@ -331,13 +314,6 @@ def test_nothing_starts_without_a_journal(shop: Shop) -> None:
 def test_two_owners_of_one_folder(shop: Shop) -> None:
     with pytest.raises(NotAllowedError, match=r"another agent or stream \(process [0-9]+\) owns this mill"):
         shop.bench.new_mill()
-
-
-def test_an_override_reaches_the_mill_in_the_middle_of_a_run(shop: Shop) -> None:
-    shop.started()
-    shop.mill.command(Override("feed", 50))
-    shop.bench.until(lambda: shop.mill.snapshot.status.overrides[0] == 50)
-    shop.until(RunState.FINISHED)
 
 
 def test_what_is_not_allowed_says_state_and_way_out(shop: Shop) -> None:
@@ -378,8 +354,8 @@ def test_time_left_follows_how_the_run_goes(shop: Shop) -> None:
         assert left_s == pytest.approx(really_s, rel=0.4)
 
 
-def test_journal_marks_come_at_least_every_second(tmp_path: Path, kill_trial: Any) -> None:
-    shop = Shop(tmp_path, kill_trial, LINES)
+def test_journal_marks_come_at_least_every_second(tmp_path: Path) -> None:
+    shop = Shop(tmp_path, LINES)
     seen: list[float] = []
     write = Journal.append
 
@@ -396,3 +372,16 @@ def test_journal_marks_come_at_least_every_second(tmp_path: Path, kill_trial: An
     assert max(gaps) <= 1.0
     assert InlineSyncer(lambda: 0.0).failure == ""
     shop.mill.close()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_every_segment_is_cut_in_order_after_kills_and_power_losses(seed: int, tmp_path: Path) -> None:
+    trial = one_kill(seed, tmp_path)
+    assert trial.faults == []
+
+
+def test_the_trials_kill_and_recut(tmp_path: Path) -> None:
+    """Guards the test above: trials in which nothing dies would prove nothing."""
+    trials = [one_kill(seed, tmp_path / str(seed), 60) for seed in range(6)]
+    assert sum(trial.kills for trial in trials) >= 4
+    assert any(trial.recut for trial in trials)

@@ -22,6 +22,7 @@ from machines.mill.thread import MillThread
 from machines.preflight.preflight import Bounds, Preflight
 from machines.recovery.plan_model import Reentry
 from machines.runs import RunState
+from tests.machines.disks import ROOM
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
 LONG_MOVES = [*LINES[:5], *(f"G1 X{10 + 40 * (i % 2)} F600" for i in range(1, 40)), "G0 Z5", "M2"]
@@ -34,11 +35,6 @@ def unplugged(shop: Shop, seconds: float) -> None:
     shop.pass_s(seconds)
     shop.bench.sim.replug()
     shop.bench.until_state(MillState.IDLE)
-
-
-def replaced_owner(shop: Shop) -> None:
-    shop.bench.kill(host_power=False)
-    shop.bench.mill = shop.bench.new_mill()
 
 
 # ---------------------------------------------------------------------- a mill that went on alone
@@ -58,7 +54,7 @@ def test_what_the_mill_did_alone_is_booked_when_it_stands(shop: Shop) -> None:
 def test_it_is_booked_after_the_death_of_the_owner_as_well(shop: Shop) -> None:
     shop.started(10)
     known = shop.mill.run(shop.id).executed_line
-    replaced_owner(shop)
+    shop.replace_owner()
     shop.bench.sim.advance(shop.bench.sim.now_s + 30.0)
     shop.bench.until_state(MillState.IDLE)
     shop.pass_s(1.0)
@@ -78,8 +74,7 @@ def test_after_the_mill_was_touched_its_place_proves_nothing(shop: Shop, command
     shop.mill.command(command)
     shop.pass_s(10.0)
     assert shop.mill.run(shop.id).executed_line == known
-    replaced_owner(shop)
-    shop.bench.until_state(MillState.IDLE)
+    shop.replace_owner(MillState.IDLE)
     shop.pass_s(2.0)
     assert shop.mill.run(shop.id).executed_line == known
 
@@ -94,7 +89,7 @@ def test_a_restart_while_out_of_sight_proves_nothing(shop: Shop) -> None:
     shop.bench.until_state(MillState.IDLE)
     shop.pass_s(3.0)
     assert shop.mill.run(shop.id).executed_line == known
-    assert [need.code for need in shop.mill.plan_recovery(shop.id).needs] == ["position"]
+    assert shop.needs == ["position"]
 
 
 # ---------------------------------------------------------------------- stops
@@ -112,9 +107,18 @@ def test_abort_stops_a_jog_although_a_parked_run_waits(shop: Shop) -> None:
     assert shop.bench.sim.physical_mm == before and before[0] < 20.0
 
 
+def test_an_abort_after_a_hold_takes_a_parked_run_back_and_leaves_the_mill_idle(shop: Shop) -> None:
+    """At once: the mill has not yet said that it holds."""
+    shop.mill.hold()
+    shop.mill.abort()
+    assert shop.state is RunState.ABORTED
+    shop.pass_s(3.0)
+    assert shop.mill.status.state is MillState.IDLE
+
+
 def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Shop) -> None:
     shop.started()
-    shop.disk.room = False
+    shop.disk.room = 0
     shop.bench.until_state(MillState.HELD)
     for _ in range(3):
         shop.bench.sim.press("start")
@@ -123,16 +127,14 @@ def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Sho
     cuts = shop.cuts
     shop.pass_s(20.0)
     assert shop.cuts == cuts
-    shop.disk.room = True
+    shop.disk.room = ROOM
     shop.mill.resume()
     shop.until(RunState.FINISHED)
 
 
 @pytest.mark.parametrize("orders", [("hold", "abort"), ("abort", "hold")])
-def test_of_two_latched_orders_the_abort_stays_and_resume_is_refused(
-    tmp_path: Path, kill_trial: Any, orders: tuple[str, str]
-) -> None:
-    shop = Shop(tmp_path, kill_trial, LONG_MOVES).started(2)
+def test_of_two_latched_orders_the_abort_stays_and_resume_is_refused(tmp_path: Path, orders: tuple[str, str]) -> None:
+    shop = Shop(tmp_path, LONG_MOVES).started(2)
     shop.bench.sim.unplug()
     shop.until(RunState.INTERRUPTED)
     for order in orders:
@@ -145,8 +147,8 @@ def test_of_two_latched_orders_the_abort_stays_and_resume_is_refused(
     shop.mill.close()
 
 
-def test_an_abort_whose_end_was_not_seen_is_given_again_when_the_link_is_back(tmp_path: Path, kill_trial: Any) -> None:
-    shop = Shop(tmp_path, kill_trial, LONG_MOVES).started(2)
+def test_an_abort_whose_end_was_not_seen_is_given_again_when_the_link_is_back(tmp_path: Path) -> None:
+    shop = Shop(tmp_path, LONG_MOVES).started(2)
     shop.mill.abort()
     shop.bench.sim.unplug()
     shop.until(RunState.INTERRUPTED)
@@ -224,8 +226,7 @@ def test_no_byte_of_a_program_leaves_before_its_start_is_safe_on_disk(
 def test_a_stop_that_comes_while_an_order_waits_for_the_disk_is_the_last_word(shop: Shop, order: str) -> None:
     act = (lambda mill: mill.start(shop.id, YES)) if order == "start" else (lambda mill: mill.resume())
     if order == "resume":
-        shop.started().mill.hold()
-        shop.until(RunState.HELD)
+        shop.started().held()
     before = shop.state, shop.cuts
     caller = Caller(grant=shop.mill.orders.issue_grant().word)
     shop.disk.before_write = shop.mill.orders.count_stop
@@ -237,12 +238,12 @@ def test_a_stop_that_comes_while_an_order_waits_for_the_disk_is_the_last_word(sh
 
 def test_the_reminder_to_touch_off_outlives_the_agent(shop: Shop) -> None:
     shop.started().until(RunState.FINISHED)
-    replaced_owner(shop)
+    shop.replace_owner()
     assert "re-probe Z" in shop.mill.snapshot.needs[0]
     shop.bench.until_state(MillState.IDLE)
     shop.bench.command_done(SetZero("Z"))
     assert shop.mill.snapshot.needs == ()
-    replaced_owner(shop)
+    shop.replace_owner()
     assert shop.mill.snapshot.needs == ()
 
 
@@ -253,14 +254,14 @@ def test_a_clock_set_back_keeps_the_order_of_runs(shop: Shop) -> None:
         shop.mill._runs._wall = lambda wall_s=wall_s: wall_s
         made.append(shop.mill.park(shop.facts, shop.path, "part").id)
     assert made == sorted(made) and len(set(made)) == 5
-    replaced_owner(shop)
+    shop.replace_owner()
     assert [view.id for view in shop.mill.runs][::-1] == [shop.id, *made]
 
 
 def test_an_interrupted_run_is_the_one_shown_after_the_death_of_its_owner(shop: Shop) -> None:
     shop.started()
     other = shop.mill.park(shop.facts, shop.path, "next").id
-    replaced_owner(shop)
+    shop.replace_owner()
     assert shop.mill.snapshot.run.id == shop.id and shop.state is RunState.INTERRUPTED
     assert shop.mill.run(other).state is RunState.PARKED
 
@@ -275,7 +276,7 @@ def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, mon
     names = {path.name for path in RunFolders(shop.bench.folder).folder.iterdir()}
     assert shop.id in names and one in names and len(names) == 4
     assert {view.id for view in shop.mill.runs} == names
-    replaced_owner(shop)
+    shop.replace_owner()
     assert shop.state is RunState.INTERRUPTED
 
 
@@ -341,12 +342,10 @@ def test_a_program_that_would_begin_straight_down_beside_the_block_is_not_starte
     shop.mill.hold()
 
 
-def test_a_program_that_would_begin_on_a_slant_is_started_only_from_over_what_it_mills(
-    tmp_path: Path, kill_trial: Any
-) -> None:
+def test_a_program_that_would_begin_on_a_slant_is_started_only_from_over_what_it_mills(tmp_path: Path) -> None:
     """Its first rapid ends a millimetre above the block: from beside it that may hit a clamp, from any height."""
     lines = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 X10 Y10 Z1", "G1 Z-1 F200", *LINES[5:]]
-    shop = Shop(tmp_path, lines=lines, kill_trial=kill_trial)
+    shop = Shop(tmp_path, lines=lines)
     shop.facts = framed(shop.facts)
     run_id = shop.mill.park(shop.facts, shop.path, "slant").id
     for jog in ((0.0, 0.0, 0.0), (0.0, 0.0, 30.0)):
@@ -359,7 +358,7 @@ def test_a_program_that_would_begin_on_a_slant_is_started_only_from_over_what_it
     shop.bench.command_done(Jog((10.0, 10.0, 0.0), 2000.0))
     shop.mill.start(run_id, YES)
     shop.mill.hold()
-    shop.mill.close()
+    shop.mill.close(detach=True)
 
 
 def test_a_program_that_begins_in_machine_coordinates_asks_for_a_homed_mill(shop: Shop) -> None:
@@ -381,10 +380,7 @@ def abort_a_run(shop: Shop, *, zero_z_mm: float) -> None:
     shop.facts = framed(shop.facts)
     homed(shop, False, (-100.0, -100.0, zero_z_mm))
     shop.id = shop.mill.park(shop.facts, shop.path, "placed").id
-    shop.started()
-    shop.mill.abort()
-    shop.until(RunState.ABORTED)
-    shop.bench.until_state(MillState.IDLE)
+    shop.started().aborted()
 
 
 def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
@@ -398,8 +394,7 @@ def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
 
 def test_where_nobody_knows_how_high_the_mill_gets_a_way_back_in_beyond_that_is_told(shop: Shop) -> None:
     abort_a_run(shop, zero_z_mm=-6.0)
-    replaced_owner(shop)
-    shop.bench.until_state(MillState.IDLE)
+    shop.replace_owner(MillState.IDLE)
     shop.mill._planner.reentry = dataclasses.replace(shop.mill._planner.reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.refusals == () and any("not certain: on the way back in Z would go" in words for words in plan.words)
@@ -428,9 +423,7 @@ def framed(facts: Preflight) -> Preflight:
 def test_an_order_is_for_the_setup_or_the_plan_that_was_seen(shop: Shop, order: str, change: Command) -> None:
     """Somebody else has set a zero since the person looked."""
     if order == "recover":
-        shop.started().mill.abort()
-        shop.until(RunState.ABORTED)
-        shop.bench.until_state(MillState.IDLE)
+        shop.started().aborted()
         seen = shop.mill.plan_recovery(shop.id).digest
     else:
         shop.bench.command_done(Jog((5.0, 0.0, 0.0), 600.0))

@@ -6,7 +6,6 @@ import random
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,6 +13,8 @@ from machines.driver import MillState
 from machines.errors import NotAllowedError
 from machines.mill.thread import MillThread
 from machines.runs import START_CHECKS, Confirmation, RunState
+from tests.trials.kill_bench import Bench
+from tests.trials.kill_program import facts_of
 
 YES = Confirmation("ann", START_CHECKS)
 LINES = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200"]
@@ -21,12 +22,12 @@ LINES += [f"G1 X{10 + 100 * (i % 2)} F100" for i in range(1, 400)] + ["G0 Z5", "
 
 
 @pytest.fixture
-def thread(tmp_path: Path, kill_trial: Any) -> Iterator[MillThread]:
+def thread(tmp_path: Path) -> Iterator[MillThread]:
     path = tmp_path / "p.nc"
     path.write_text("\n".join(LINES) + "\n")
-    bench = kill_trial.Bench(tmp_path / "mill", random.Random(1), homing=False, hal=False)
+    bench = Bench(tmp_path / "mill", random.Random(1), homing=False, hal=False)
     bench.until_state(MillState.IDLE)
-    facts = kill_trial.facts_of(path)
+    facts = facts_of(path)
     made = MillThread(bench.mill)
     made.start()
     made.call(lambda mill: mill.park(facts, path, "part"))

@@ -8,19 +8,12 @@ from collections.abc import Callable
 import pytest
 
 from machines.mill.orders import CARRY_OUT_S, GRANT_S, LEASE_S, Grant, OrderGate, OrderRefusedError, Refusal
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.machines.disks import Clock
 
 
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    return Clock(100.0)
 
 
 @pytest.fixture

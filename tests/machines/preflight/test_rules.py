@@ -20,9 +20,8 @@ from cam.moves import cut, rapid
 from cam.parts import PassFrame, programs
 from cam.posts.dialects import POSTS
 from cam.posts.post import ProgramSetup
-from cam.program import generate_program
 from machines.errors import ProgramRefusedError
-from machines.preflight.limits import MillLimits, limits_of
+from machines.preflight.preflight import MillLimits, limits_of
 from machines.preflight.rules import RULES
 from machines.profile import load_profile
 from optics.heightfield import Heightfield
@@ -33,6 +32,7 @@ from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.stages.programs import first_stock
 from service.milling.preflight_child import examine
 from service.progress import report_progress
+from tests.cam.programs import generate_program
 
 DIALECTS = sorted(POSTS)
 SAFE_Z, TOP_Z, RPM = 5.0, -1.0, 12_000.0

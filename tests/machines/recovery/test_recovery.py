@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
+from machines.errors import MillCode
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
@@ -22,6 +22,7 @@ from machines.recovery.needs import position_doubt
 from machines.recovery.plan_model import Need, Present, RecoveryPlan, Reentry
 from machines.recovery.planner import plan_recovery
 from phrases.phrase import Phrase
+from tests.trials.kill_program import facts_of
 
 HEAD = ["G21 G90 G94 G17 G54", "M3 S12000", "M8", "G0 Z5", "G0 X10 Y10", "G1 Z-1 F200"]
 RASTER = [
@@ -37,11 +38,11 @@ NOW = Present(status=IDLE, offsets=OFFSETS, parser_state="G1 G54 G17 G21 G90 G94
 class Shop:
     """A program on disk and what pre-flight knows of it."""
 
-    def __init__(self, folder: Path, lines: list[str], kill_trial: Any, every_lines: int = 5) -> None:
+    def __init__(self, folder: Path, lines: list[str], every_lines: int = 5) -> None:
         self.lines = lines
         self.path = folder / "p.nc"
         self.path.write_text("\n".join(lines) + "\n")
-        self.facts: Preflight = kill_trial.facts_of(self.path, every_lines)
+        self.facts: Preflight = facts_of(self.path, every_lines)
         self.record: dict[str, Any] = {
             "id": "r", "sha256": self.facts.sha256, "offsets": OFFSETS, "position_trusted": True,
         }  # fmt: skip
@@ -56,8 +57,8 @@ class Shop:
 
 
 @pytest.fixture
-def raster(tmp_path: Path, kill_trial: Any) -> Shop:
-    return Shop(tmp_path, HEAD + RASTER + TAIL, kill_trial)
+def raster(tmp_path: Path) -> Shop:
+    return Shop(tmp_path, HEAD + RASTER + TAIL)
 
 
 def ends(sent: list[tuple[int, str]], start: ModalState) -> list[tuple[int, Any]]:
@@ -92,9 +93,9 @@ def test_overlap_is_one_move(raster: Shop, executed: int) -> None:
 
 @given(executed=st.integers(7, 20), z=st.floats(-30, 40), x=st.floats(-50, 50))
 @settings(max_examples=60, deadline=None)
-def test_up_before_across_before_down_and_the_spindle_first(executed: int, z: float, x: float, kill_trial: Any) -> None:
+def test_up_before_across_before_down_and_the_spindle_first(executed: int, z: float, x: float) -> None:
     with TemporaryDirectory() as folder:
-        shop = Shop(Path(folder), HEAD + RASTER + TAIL, kill_trial)
+        shop = Shop(Path(folder), HEAD + RASTER + TAIL)
         status = dataclasses.replace(IDLE, work_mm=(x, 4.0, z), machine_mm=(x, 4.0, z))
         plan = shop.plan(executed, dataclasses.replace(NOW, status=status))
     interpreter = Interpreter(ModalState(position_mm=(x, 4.0, z)))
@@ -124,16 +125,16 @@ def test_a_spindle_that_spins_up_has_its_dwell_before_anything_moves(raster: Sho
 
 @pytest.mark.parametrize(("slowest", "down"), [(200, 200), (900, 300)])
 def test_down_is_no_faster_than_a_plunge_nor_than_the_program_ever_goes(
-    tmp_path: Path, kill_trial: Any, slowest: int, down: int
+    tmp_path: Path, slowest: int, down: int
 ) -> None:
     lines = ["G21 G90", "G0 Z5", "G0 X0 Y0", f"G1 Z-1 F{slowest}", "X1", "X2 F1200", "X3", "G0 Z5", "M2"]
-    shop = Shop(tmp_path, lines, kill_trial)
+    shop = Shop(tmp_path, lines)
     shop.facts = dataclasses.replace(shop.facts, feeds_mm_per_min=(slowest, 1200.0))
     assert f"G1 Z-1 F{down}" in shop.plan(6).blocks
 
 
-def test_travel_is_as_high_as_the_program_itself_goes(tmp_path: Path, kill_trial: Any) -> None:
-    shop = Shop(tmp_path, ["G21 G90", "G0 Z22", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z22", "M2"], kill_trial)
+def test_travel_is_as_high_as_the_program_itself_goes(tmp_path: Path) -> None:
+    shop = Shop(tmp_path, ["G21 G90", "G0 Z22", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z22", "M2"])
     assert "G0 Z22" in shop.plan(5).blocks
 
 
@@ -144,7 +145,7 @@ def test_a_tool_that_is_higher_stays_high_until_it_is_across(raster: Shop) -> No
     assert blocks[across + 1] == "G0 Z5" and not any(block.startswith("G0 Z") for block in blocks[:across])
 
 
-def test_arc_starts_again_from_its_start_with_its_mode(tmp_path: Path, kill_trial: Any) -> None:
+def test_arc_starts_again_from_its_start_with_its_mode(tmp_path: Path) -> None:
     lines = [
         "G21 G90",
         "G0 Z5",
@@ -155,15 +156,15 @@ def test_arc_starts_again_from_its_start_with_its_mode(tmp_path: Path, kill_tria
         "X6 Y0 I1 J0",
         "G0 Z5",
     ]
-    shop = Shop(tmp_path, lines, kill_trial)
+    shop = Shop(tmp_path, lines)
     plan = shop.plan(6)
     assert plan.position_mm == (2.0, 0.0, -1.0)
     assert next(text for number, text in shop.sent(plan) if number) == "G2X4Y0I1J0"
 
 
-def test_inch_and_plane_come_back(tmp_path: Path, kill_trial: Any) -> None:
+def test_inch_and_plane_come_back(tmp_path: Path) -> None:
     lines = ["G20 G90 G18", "G0 Z0.2", "G0 X0 Y0", "G1 Z-0.1 F20", "X1", "X2", "X3", "G0 Z0.2"]
-    shop = Shop(tmp_path, lines, kill_trial)
+    shop = Shop(tmp_path, lines)
     plan = shop.plan(6)
     assert plan.position_mm == pytest.approx((25.4, 0.0, -2.54))
     steps = dict(ends(shop.sent(plan), ModalState(position_mm=(0.0, 0.0, 5.0))))
@@ -177,10 +178,8 @@ def test_inch_and_plane_come_back(tmp_path: Path, kill_trial: Any) -> None:
         (["G21 G90", "G0 X0 Y0 Z5", "G92 X5", "G0 X0 Y0 Z5", "G1 Z-1 F100", "X1", "X2"], 6, "G92"),
     ],
 )
-def test_what_cannot_be_rebuilt_is_refused(
-    tmp_path: Path, lines: list[str], executed: int, words: str, kill_trial: Any
-) -> None:
-    plan = Shop(tmp_path, lines, kill_trial).plan(executed)
+def test_what_cannot_be_rebuilt_is_refused(tmp_path: Path, lines: list[str], executed: int, words: str) -> None:
+    plan = Shop(tmp_path, lines).plan(executed)
     assert not plan.ready and words in plan.refusals[0] and any("REFUSED" in one for one in plan.words)
 
 
@@ -193,7 +192,7 @@ def test_a_program_that_changed_on_disk_is_refused(raster: Shop) -> None:
     assert "changed on disk" in raster.plan(10).refusals[0]
 
 
-def test_a_tool_change_is_not_stepped_back_over(tmp_path: Path, kill_trial: Any) -> None:
+def test_a_tool_change_is_not_stepped_back_over(tmp_path: Path) -> None:
     lines = [
         "G21 G90",
         "G0 Z5",
@@ -208,7 +207,7 @@ def test_a_tool_change_is_not_stepped_back_over(tmp_path: Path, kill_trial: Any)
         "G1 Z-2",
         "X9",
     ]
-    shop = Shop(tmp_path, lines, kill_trial, every_lines=100)
+    shop = Shop(tmp_path, lines, every_lines=100)
     for executed in (8, 9):
         plan = shop.plan(executed)
         assert plan.overlap_line == 10 and plan.position_mm == (1.0, 0.0, 5.0) and "M3 S9000" in plan.blocks
@@ -354,9 +353,9 @@ def test_the_height_is_that_in_the_frame_of_the_program(raster: Shop) -> None:
     assert blocks[across - 1] == "G0 Z5"
 
 
-def test_a_one_way_link_is_recovered_by_its_sequence_numbers(tmp_path: Path, kill_trial: Any) -> None:
+def test_a_one_way_link_is_recovered_by_its_sequence_numbers(tmp_path: Path) -> None:
     lines = ["N10 G21 G90", "N20 G0 X0 Y0 Z5", *(f"N{10 * n} G1 X{n} F100" for n in range(3, 60)), "G0 Z5", "M2"]
-    shop = Shop(tmp_path, lines, kill_trial)
+    shop = Shop(tmp_path, lines)
     shop.facts = dataclasses.replace(shop.facts, dialect="okuma-osp")
     plan = shop.plan(12, sent_line=40)
     refusal = " ".join(plan.refusals)
@@ -376,10 +375,8 @@ def test_what_leaves_the_travel_is_a_refusal_only_where_nothing_has_to_be_done_f
 
 
 @pytest.mark.parametrize(("top_mm", "travel_z"), [(None, "5"), (9.0, "5"), (3.25, "3.25")])
-def test_the_way_in_is_as_high_as_the_mill_gets(
-    tmp_path: Path, top_mm: float | None, travel_z: str, kill_trial: Any
-) -> None:
-    shop = Shop(tmp_path, ["G21 G90", "G0 Z2", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z2", "M2"], kill_trial)
+def test_the_way_in_is_as_high_as_the_mill_gets(tmp_path: Path, top_mm: float | None, travel_z: str) -> None:
+    shop = Shop(tmp_path, ["G21 G90", "G0 Z2", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z2", "M2"])
     assert f"G0 Z{travel_z}" in shop.plan(5, dataclasses.replace(NOW, top_mm=top_mm)).blocks
     assert "G0 Z2" in shop.plan(5, dataclasses.replace(NOW, top_mm=1.0)).blocks  # refused by whoever checks the travel
 

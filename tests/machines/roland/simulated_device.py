@@ -13,7 +13,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import inf
 
+import pytest
+
 from machines.driver import Triple
+from machines.roland.usb_device import RollingmillDevice
 from tests.machines.roland.simulated_blocks import BlockInterpreter, Cut, SimulatedAxes
 
 ERROR_PROGRAM, ERROR_COVER = 0x0F01, 0x0109  # the first is ours: what a refused block reports is not known
@@ -243,3 +246,12 @@ class UsbFace:
 
     def managed_release_interface(self, device: object, interface: int) -> None:
         self.mill.released += 1
+
+
+def open_simulated(mill: SimulatedMdx40a) -> RollingmillDevice:
+    """Our device on rollingmill's own link and machine, which think that they talk to pyusb."""
+    machine, usb = pytest.importorskip("rollingmill.machine"), pytest.importorskip("rollingmill.usb")
+    face = UsbFace(mill)
+    link = usb.MdxUSB(face, 0, face, 2000)
+    errors = (SimulatedUsbError,)
+    return RollingmillDevice(link, machine.MDX40A(link), link_errors=errors, clock=mill.clock, wait=mill.wait)

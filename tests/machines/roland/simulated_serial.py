@@ -10,42 +10,30 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import inf
 
-from machines.errors import PortLostError
+from tests.machines.simulated_port import SimulatedPort
 
 
 @dataclass(slots=True, kw_only=True)
-class SimulatedSerialMill:
+class SimulatedSerialMill(SimulatedPort):
     """margin_bytes : room left when CTS drops (a UART's FIFO may still send some)
     fifo_bytes   : bytes that leave after CTS has dropped
     command_s    : time one `;`-terminated command takes
     """
 
-    bytes_per_s: float = 960.0
     buffer_bytes: int = 2048
     margin_bytes: int = 64
     fifo_bytes: int = 16
     command_s: float = 0.05
-    error: int = 0
-    url: str = "simulated://mill"
 
-    now_s: float = 0.0
     received: bytearray = field(default_factory=bytearray)
     executed: list[bytes] = field(default_factory=list)
     overruns: int = 0
-    unplugged: bool = False
     most_unsent: int = 0
     _queue: deque[int] = field(default_factory=deque)
     _buffer: bytearray = field(default_factory=bytearray)
     _next_byte_s: float = inf
     _command_ends_s: float = inf
     _after_cts: int = 0
-    _replies: bytes = b""
-    _escape: bytes = b""
-    _woken: bool = False
-
-    @property
-    def wire_bytes_per_s(self) -> float | None:
-        return self.bytes_per_s
 
     @property
     def cts(self) -> bool:
@@ -54,37 +42,22 @@ class SimulatedSerialMill:
     def unsent_bytes(self) -> int:
         return len(self._queue)
 
-    def clock(self) -> float:
-        return self.now_s
-
     def write(self, data: bytes) -> None:
-        if self.unplugged:
-            raise PortLostError(self.url, "the device is gone")
+        self.require_plugged()
         self._queue += data
         self.most_unsent = max(self.most_unsent, len(self._queue))
         self._schedule()
 
     def read(self, timeout_s: float) -> bytes:
-        if self.unplugged:
-            raise PortLostError(self.url, "the device is gone")
+        self.require_plugged()
         end_s = self.now_s + max(timeout_s, 1e-6)
-        while not self._replies and not self._woken:
+        while not self._woken:
             at_s = min(self._next_byte_s, self._command_ends_s, end_s)
             self._step(at_s)
             if at_s >= end_s:
                 break
         self._woken = False
-        data, self._replies = self._replies, b""
-        return data
-
-    def write_realtime(self, data: bytes) -> bool:
-        return False
-
-    def wake(self) -> None:
-        self._woken = True
-
-    def close(self) -> None:
-        pass
+        return b""
 
     def run_dry(self) -> None:
         while min(self._next_byte_s, self._command_ends_s) < inf:
@@ -113,27 +86,8 @@ class SimulatedSerialMill:
         self._schedule()
 
     def _arrive(self, byte: int) -> None:
-        if byte == 0x1B or self._escape:
-            self._escape += bytes([byte])
-            if len(self._escape) == 3:
-                self._control(self._escape)
-                self._escape = b""
-            return
         if len(self._buffer) >= self.buffer_bytes:
             self.overruns += 1
-            self.error = 16
             return
         self.received.append(byte)
         self._buffer.append(byte)
-
-    def _control(self, code: bytes) -> None:
-        match code:
-            case b"\x1b.B":
-                self._replies += b"%d\r" % (self.buffer_bytes - len(self._buffer))
-            case b"\x1b.E":
-                self._replies += b"%d\r" % self.error
-                self.error = 0
-            case b"\x1b.K":
-                self._buffer.clear()
-            case _:
-                pass

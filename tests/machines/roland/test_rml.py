@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from machines.errors import ProgramRefusedError
 from machines.profile import MachineProfile
-from machines.roland.rml import RmlFacts, RmlInterpreter, check_rml
-from machines.roland.rml_commands import parse
+from machines.roland.rml import RmlFacts, RmlInterpreter, check_rml, parse
 
 MILL = MachineProfile(
     name="mill",

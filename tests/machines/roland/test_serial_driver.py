@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machines.driver import Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine, Stopped
+from machines.driver import Event, Faulted, MillState, ProgramDone, ProgramLine, Stopped
 from machines.profile import LinkSettings
-from machines.roland.serial_driver import OS_QUEUE_BYTES, RolandSerialDriver, RolandSerialOptions
+from machines.roland.serial_driver import RolandSerialDriver
 from tests.machines.roland.simulated_serial import SimulatedSerialMill
 
 LINK = LinkSettings(driver="roland-serial", baud=9600, flow="rtscts", rx_bytes=2048)
@@ -70,40 +70,15 @@ def test_hold_lets_out_no_more_than_the_little_that_waits_in_the_port() -> None:
     assert len(mill.received) == sum(len(line.text) + 1 for line in program(500))
 
 
-def test_a_port_that_cannot_tell_what_it_holds_makes_the_driver_more_careful() -> None:
-    class Mute:
-        unsent_bytes = None
-
-    driver = RolandSerialDriver(Mute(), LINK)  # type: ignore[arg-type]
-    assert driver.status.buffer_bytes == 2048 + OS_QUEUE_BYTES
-
-
-def test_a_mill_that_reports_an_error_stops_the_stream_in_words() -> None:
-    mill = SimulatedSerialMill()
-    driver = RolandSerialDriver(mill, LINK, options=RolandSerialOptions(queries=True))
+def test_abort_ends_the_sending_and_says_that_the_position_is_not_known() -> None:
+    mill = SimulatedSerialMill(command_s=1.0)
+    driver = RolandSerialDriver(mill, LINK)
     driver.connect()
     driver.start(iter(program(400)))
-    for _ in range(3):
-        driver.poll(1.0)
-    assert "bytes of its buffer are free" in driver.status.detail
-    mill.error = 15
-    fault = next(event for event in run(driver, mill) if isinstance(event, Faulted))
-    assert fault.cause is FaultCause.DEVICE
-    assert "framing or parity" in fault.words
-    assert driver.status.state is MillState.ALARM
-
-
-def test_abort_clears_the_buffer_only_in_families_that_have_the_code() -> None:
-    for abort_code in (False, True):
-        mill = SimulatedSerialMill(command_s=1.0)
-        driver = RolandSerialDriver(mill, LINK, options=RolandSerialOptions(abort_code=abort_code))
-        driver.connect()
-        driver.start(iter(program(400)))
-        driver.poll(1.0)
-        driver.poll(1.0)
-        driver.abort()
-        assert Stopped(position_kept=False) in driver.poll(0.5)
-        driver.poll(2.0)
-        begun = len(mill.executed)
-        mill.run_dry()
-        assert (len(mill.executed) <= begun + 1) is abort_code
+    driver.poll(1.0)
+    driver.abort()
+    assert Stopped(position_kept=False) in driver.poll(0.5)
+    sent = len(mill.received) + mill.unsent_bytes()
+    driver.poll(2.0)
+    mill.run_dry()
+    assert len(mill.received) == sent

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import dist
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -22,11 +23,10 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import NotAllowedError, PortError
-from machines.roland.mdx40a import decode_state
-from machines.roland.usb_device import RollingmillDevice, open_mdx40a
+from machines.roland.usb_device import decode_state, open_mdx40a
 from machines.roland.usb_driver import RolandUsbDriver
 from tests.machines.roland.simulated_blocks import SimulatedAxes
-from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
+from tests.machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace, open_simulated
 
 machine = pytest.importorskip("rollingmill.machine")
 usb = pytest.importorskip("rollingmill.usb")
@@ -47,21 +47,28 @@ def square(turns: int) -> list[bytes]:
     return cuts
 
 
-def library_device(mill: SimulatedMdx40a) -> RollingmillDevice:
-    """Our device on rollingmill's link and machine, which think they talk to pyusb."""
-    face = UsbFace(mill)
-    link = usb.MdxUSB(face, 0, face, 2000)
-    return RollingmillDevice(
-        link, machine.MDX40A(link), link_errors=(SimulatedUsbError,), clock=mill.clock, wait=mill.wait
-    )
-
-
 def connect(mill: SimulatedMdx40a, dialect: str = "roland-nc") -> RolandUsbDriver:
-    driver = RolandUsbDriver(library_device(mill), dialect=dialect)
+    driver = RolandUsbDriver(open_simulated(mill), dialect=dialect)
     driver.connect()
     driver.poll(0.5)
     assert driver.status.state is MillState.IDLE, driver.status
     return driver
+
+
+def begin(lines: list[ProgramLine], **traits: Any) -> tuple[SimulatedMdx40a, RolandUsbDriver]:
+    """A mill to which a program has begun to go."""
+    mill = SimulatedMdx40a(**traits)
+    driver = connect(mill)
+    driver.start(iter(lines))
+    return mill, driver
+
+
+def cutting(turns: int, polls: int) -> tuple[SimulatedMdx40a, RolandUsbDriver]:
+    """A mill in the middle of some turns of a square."""
+    mill, driver = begin(listing(*square(turns)))
+    for _ in range(polls):
+        driver.poll(0.5)
+    return mill, driver
 
 
 def run(driver: RolandUsbDriver, mill: SimulatedMdx40a, most_s: float = 4000.0) -> list[Event]:
@@ -79,10 +86,8 @@ def fault_of(events: list[Event]) -> Faulted:
 
 
 def test_a_program_is_cut_whole_in_order_and_the_bracket_is_closed_behind_it() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
     lines = listing(*square(3))
-    driver.start(iter(lines))
+    mill, driver = begin(lines)
     assert ProgramDone() in run(driver, mill)
     assert mill.begun == [line.text for line in lines]
     assert mill.counter == sum(len(line.text) + 2 for line in lines)
@@ -104,10 +109,8 @@ def test_a_line_called_executed_is_cut_and_the_counter_alone_would_lie(
     turns: int, blocks: int, poll_s: float, transfer_s: float
 ) -> None:
     """At any moment what the driver calls executed is executed; what the counter calls taken is not yet."""
-    mill = SimulatedMdx40a(blocks=blocks, transfer_s=transfer_s)
-    driver = connect(mill)
     lines = listing(*square(turns))
-    driver.start(iter(lines))
+    mill, driver = begin(lines, blocks=blocks, transfer_s=transfer_s)
     ahead = 0
     while ProgramDone() not in driver.poll(poll_s):
         progress, done = driver.progress, len(mill.begun) - (mill.axes.move is not None)
@@ -118,9 +121,7 @@ def test_a_line_called_executed_is_cut_and_the_counter_alone_would_lie(
 
 
 def test_executed_follows_the_mill_closely() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(5))))
+    mill, driver = begin(listing(*square(5)))
     worst = 0
     while ProgramDone() not in driver.poll(0.2):
         worst = max(worst, len(mill.begun) - driver.progress.executed_line)
@@ -134,9 +135,7 @@ def test_rows_of_the_finest_pitch_are_told_apart() -> None:
         y, far = f"{0.02 * row:.3f}", row % 2 == 0
         xs = ("0.0", "5.0", "10.0") if far else ("10.0", "5.0", "0.0")
         cuts += [f"G01 X{x} Y{y if x != '5.0' else y[:-1] + '7'} F1200.0".encode() for x in xs]
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*cuts)))
+    mill, driver = begin(listing(*cuts))
     lags = []
     while ProgramDone() not in driver.poll(0.2):
         lags.append(len(mill.begun) - driver.progress.executed_line)
@@ -145,10 +144,8 @@ def test_rows_of_the_finest_pitch_are_told_apart() -> None:
 
 
 def test_hold_lets_the_mill_finish_what_it_has_and_resume_skips_nothing() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
     lines = listing(*square(4))
-    driver.start(iter(lines))
+    mill, driver = begin(lines)
     for _ in range(8):
         driver.poll(0.5)
     driver.hold()
@@ -165,11 +162,7 @@ def test_hold_lets_the_mill_finish_what_it_has_and_resume_skips_nothing() -> Non
 
 
 def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.press_view()
     events = [event for _ in range(200) for event in driver.poll(0.5)]
     assert not any(isinstance(event, Faulted) for event in events)
@@ -180,11 +173,7 @@ def test_the_view_button_is_a_pause_and_neither_a_fault_nor_a_stall() -> None:
 
 
 def test_the_cover_is_an_emergency_stop_named_in_words() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.open_door()
     fault = fault_of(run(driver, mill))
     assert fault.cause is FaultCause.DEVICE
@@ -201,10 +190,8 @@ def test_the_cover_is_an_emergency_stop_named_in_words() -> None:
 )
 def test_a_block_the_mill_refuses_stops_the_stream_at_that_line(block: bytes) -> None:
     """If pre-flight let such a block pass, counter and error bit of the mill (or our own reader) show it."""
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
     lines = listing(b"G01 Z-1.0 F300.0", block, b"G01 X5.0")
-    driver.start(iter(lines))
+    mill, driver = begin(lines)
     fault = fault_of(run(driver, mill))
     assert fault.cause in (FaultCause.DEVICE, FaultCause.PROGRAM_CHANGED)
     if fault.cause is FaultCause.DEVICE:
@@ -225,9 +212,7 @@ def test_a_wrong_command_set_is_refused_before_the_first_byte() -> None:
 
 def test_a_lift_above_the_top_of_the_machine_is_never_sent() -> None:
     """The simulated mill shows why: after it, everything is a rapid at Z0."""
-    mill = SimulatedMdx40a(origins_mm={3: (50.0, 50.0, -2.0)})
-    driver = connect(mill)
-    driver.start(iter(listing(*square(1))))
+    mill, driver = begin(listing(*square(1)), origins_mm={3: (50.0, 50.0, -2.0)})
     fault = fault_of(run(driver, mill))
     assert "machine Z 3.000 mm, above the top" in fault.words
     assert not mill.cuts
@@ -240,11 +225,7 @@ def test_a_lift_above_the_top_of_the_machine_is_never_sent() -> None:
 
 
 def test_abort_stops_the_mill_and_says_so_when_it_stands() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     before = len(mill.cuts)
     driver.abort()
     assert Stopped(position_kept=True) in run(driver, mill)
@@ -276,11 +257,7 @@ def test_rml_follows_the_user_origin() -> None:
 
 
 def test_a_pulled_cable_is_a_fault_in_words() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(6):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=6)
     mill.unplugged = True
     fault = fault_of(run(driver, mill))
     assert fault.cause is FaultCause.PORT_LOST
@@ -303,29 +280,23 @@ def test_a_mill_that_neither_counts_nor_moves_is_a_stall() -> None:
 
 
 def test_a_long_slow_move_is_no_stall() -> None:
-    mill = SimulatedMdx40a(blocks=1)
-    driver = connect(mill)
-    driver.start(iter(listing(b"G01 Z-1.0 F300.0", b"G01 X20.0 F7.0", b"G01 X0.0", b"G01 X1.0", b"G01 X2.0")))
+    mill, driver = begin(
+        listing(b"G01 Z-1.0 F300.0", b"G01 X20.0 F7.0", b"G01 X0.0", b"G01 X1.0", b"G01 X2.0"), blocks=1
+    )
     assert ProgramDone() in run(driver, mill)
 
 
 def test_a_mill_that_pauses_between_its_moves_is_not_done_before_the_last() -> None:
     """Idle for a moment with blocks still in its buffer: done means standing still for longer than that."""
-    mill = SimulatedMdx40a(gap_s=0.45)
-    driver = connect(mill)
     lines = listing(*square(2))
-    driver.start(iter(lines))
+    mill, driver = begin(lines, gap_s=0.45)
     while ProgramDone() not in driver.poll(0.05):
         assert driver.progress.executed_line <= len(mill.begun)
     assert mill.begun == [line.text for line in lines]
 
 
 def test_a_counter_that_jumps_is_a_fault_and_the_mill_is_stopped() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(*square(4))))
-    for _ in range(4):
-        driver.poll(0.5)
+    mill, driver = cutting(turns=4, polls=4)
     mill.counter += 1000
     assert fault_of(run(driver, mill)).cause is FaultCause.REPLY_COUNT
     cuts = len(mill.cuts)
@@ -334,17 +305,13 @@ def test_a_counter_that_jumps_is_a_fault_and_the_mill_is_stopped() -> None:
 
 
 def test_the_counter_may_wrap() -> None:
-    mill = SimulatedMdx40a(counter=(1 << 32) - 20)
-    driver = connect(mill)
-    driver.start(iter(listing(*square(1))))
+    mill, driver = begin(listing(*square(1)), counter=(1 << 32) - 20)
     assert ProgramDone() in run(driver, mill)
     assert mill.counter < 1000
 
 
 def test_a_changed_frame_is_said_and_stops_the_following() -> None:
-    mill = SimulatedMdx40a()
-    driver = connect(mill)
-    driver.start(iter(listing(b"G55", *square(1))))
+    mill, driver = begin(listing(b"G55", *square(1)))
     events = run(driver, mill)
     assert any(isinstance(event, Notice) and "changes the work frame" in event.words for event in events)
     assert ProgramDone() in events

@@ -12,82 +12,65 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from machines.simulated import GRBL_11, MemoryPort, SimulatedMill, Traits
+from machines.simulated import GRBL_11
+from tests.machines.simulated.terminal import Terminal
 
 HOMED = replace(GRBL_11, homing=True).with_settings({20: 1, 21: 1})
 BANNER, LOCKED = "Grbl 1.1h ['$' for help]", "[MSG:'$H'|'$X' to unlock]"
 RESET_TO_CONTINUE = "[MSG:Reset to continue]"
 
 
-class Terminal:
-    """A mill that has started, and the words that come back."""
-
-    def __init__(self, traits: Traits) -> None:
-        self.mill = SimulatedMill(traits)
-        self.port = MemoryPort(self.mill)
-        self.wait(1.0)
-
-    def wait(self, seconds: float) -> list[str]:
-        end, words = self.port.clock() + seconds, b""
-        while self.port.clock() < end:
-            words += self.port.read(end - self.port.clock())
-        return [line for line in words.decode("latin-1").split("\r\n") if line]
-
-    def ask(self, text: str, seconds: float = 0.2) -> list[str]:
-        self.port.write(text.encode("latin-1"))
-        return self.wait(seconds)
-
-    def homed(self, more: str = "M3S1000\n") -> None:
-        self.ask("$X\n" if self.mill.firmware.traits.homing_alarm else "$H\n", 120.0)
-        self.ask("G0X-20Y-20Z-5\n" + more, 8.0)
+def homed(t: Terminal) -> None:
+    t.ask("$X\n" if t.mill.firmware.traits.homing_alarm else "$H\n", 120.0)
+    t.ask("G0X-20Y-20Z-5\nM3S1000\n", 8.0)
 
 
 def run_into_a_limit_switch(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("G1X-30F600\n", 0.5)
     t.mill.press("limit")
 
 
 def run_out_of_the_travel(t: Terminal) -> None:
     """While it moves: it has to stop in good order first."""
-    t.homed()
+    homed(t)
     t.ask("G1X-30F600\n", 0.5)
     assert t.mill.firmware.state == "Run"
     t.ask("X20\n", 0.0)
 
 
 def reset_in_motion(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("G1X-30F600\n", 0.5)
     t.ask("\x18", 0.0)
 
 
 def probe_what_touches_already(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("G0Z-40\n", 5.0)
     t.ask("G38.2Z-50F600\n", 0.0)
 
 
 def probe_in_the_air(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("G38.2Z-6F600\n", 0.0)
 
 
 def reset_while_homing(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("$H\n", 1.0)
     t.ask("\x18", 0.0)
 
 
 def open_the_door_while_homing(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("$H\n", 1.0)
     t.mill.press("door")
     t.mill.press("close-door")
 
 
 def fail_to_home(t: Terminal) -> None:
-    t.homed()
+    homed(t)
     t.ask("$H\n", 0.0)
 
 
@@ -175,7 +158,7 @@ STATES = {
 
 def in_state(name: str) -> Terminal:
     t = Terminal(HOMED)
-    t.homed()
+    homed(t)
     for part in STATES[name].reach.split("|"):
         t.ask(part, STATES[name].seconds)
     assert t.ask("?", 0.05)[-1].startswith(f"<{name}")
@@ -195,12 +178,3 @@ def test_a_state_as_the_firmware_has_it(name: str) -> None:
         if byte == "\x18":
             assert t.mill.firmware.position_lost is row.loses_position
             assert not t.mill.firmware.spindle_on()
-
-
-def test_homing_hears_nothing_but_a_reset_and_the_door() -> None:
-    t = Terminal(HOMED)
-    assert t.ask("$H\n", 0.5) == []
-    assert t.ask("?!~$X\nG0X1\n", 2.0) == []
-    words = t.wait(120.0)
-    assert words[0].startswith("<Home|MPos:-1.000,-1.000,-1.000") and words[1] == "ok"
-    assert not t.mill.firmware.position_lost

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.simulated import GRBL_11, MemoryPort, SimulatedMill
+from machines.simulated import GRBL_11, SimulatedMill
+from tests.machines.simulated.terminal import power_up
 
 FAST = replace(GRBL_11, lines_per_s=None)
 ACCEL, RATE = 400.0, 5000.0 / 60
@@ -20,9 +21,7 @@ ACCEL, RATE = 400.0, 5000.0 / 60
 def run(lines: list[str], traits=FAST) -> SimulatedMill:
     """A mill that has executed these lines, sent one after the other's ok."""
     mill = SimulatedMill(traits)
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
-    mill.output()
+    port = power_up(mill, None)
     waiting, k = 0, 0
     while k < len(lines) or waiting:
         while waiting < 4 and k < len(lines):
@@ -88,8 +87,7 @@ def test_a_hold_stops_on_the_path_within_its_braking_distance_and_resumes_to_the
     """Braking starts behind the segment buffer (6 x 10 ms at most), then takes v^2 / 2a with the a of the path."""
     traits = replace(FAST, rx_bytes=10_000)
     mill = SimulatedMill(traits)
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
+    port = power_up(mill, None)
     port.write(b"".join(b"%sX%.4fY%.4fZ%.4fF%d\n" % (g.encode(), x, y, z, f) for g, x, y, z, f in moves))
     mill.advance(1.0 + when)
     stepper = mill.firmware.stepper
@@ -123,8 +121,7 @@ def test_a_hold_stops_on_the_path_within_its_braking_distance_and_resumes_to_the
 def test_a_hold_brakes_behind_what_the_segment_buffer_holds():
     """40 to 50 ms at full speed, then v^2 / 2a: the figures of GRBL's segment buffer, not an instant stop."""
     mill = SimulatedMill(FAST)
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
+    port = power_up(mill, None)
     port.write(b"G1X200F4800\n")
     mill.advance(2.0)
     start = mill.firmware.stepper.where(mill.now_s)[0]
@@ -138,8 +135,7 @@ def test_a_hold_brakes_behind_what_the_segment_buffer_holds():
 def test_no_segment_is_longer_than_its_slot(moves):
     """The segment buffer bounds how long a hold waits: no piece of it lasts more than 10 ms."""
     mill = SimulatedMill(replace(FAST, rx_bytes=10_000))
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
+    port = power_up(mill, None)
     port.write(b"".join(b"%sX%.4fY%.4fZ%.4fF%d\n" % (g.encode(), x, y, z, f) for g, x, y, z, f in moves))
     for _ in range(50):
         mill.advance(mill.now_s + 0.05)
@@ -162,8 +158,7 @@ def test_an_arc_is_cut_within_its_tolerance():
 
 def test_feed_override_changes_the_speed_of_what_is_planned():
     mill = SimulatedMill(FAST)
-    port = MemoryPort(mill, None)
-    mill.advance(1.0)
+    port = power_up(mill, None)
     port.write(b"G1X50F600\nX100\n")
     mill.advance(2.0)
     assert mill.firmware.stepper.speed == pytest.approx(10.0)

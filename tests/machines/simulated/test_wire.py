@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.simulated import GRBL_11, KINDS, Fault, Faults, MemoryPort, Recording, SimulatedMill, parse_fault
+from machines.simulated import GRBL_11, KINDS, Fault, Faults, Recording, SimulatedMill, parse_fault
 from machines.simulated.serial_side import SerialSide
+from tests.machines.simulated.terminal import power_up
 
 
 @given(
@@ -63,9 +64,7 @@ def short_lines(n):
 
 def started(traits=GRBL_11, faults=None, seed=0, **more):
     mill = SimulatedMill(traits, faults, seed, **more)
-    port = MemoryPort(mill)
-    mill.advance(1.0)
-    mill.output()
+    port = power_up(mill)
     return mill, port
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.job.page_data.header import split_header
 from tests.page import canned_job
 from tests.page.canned_job import shape
 from tests.page.machine_states import MACHINE
 from tests.page.shop import Shop
+from tests.service.job.page_data.paths import split_header
 
 
 def test_the_canned_job_has_the_form_of_a_real_one(shop: Shop) -> None:

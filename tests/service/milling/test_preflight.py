@@ -14,8 +14,7 @@ import pytest
 
 from machines.errors import ProgramRefusedError
 from machines.grbl.settings import ControllerSettings
-from machines.preflight.limits import limits_of, placement_problems
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import Preflight, limits_of, placement_problems
 from machines.profile import MachineProfile, load_profile
 from service.milling import preflight as module
 from service.milling.preflight import PreflightError, run_preflight
@@ -233,7 +232,7 @@ def test_an_index_in_json_has_only_what_differs(read: Read) -> None:
 def test_the_planner_looks_ahead_as_far_in_cam_as_in_preflight() -> None:
     """GRBL 1.1 has 16 slots, one always free: `$I` and the profile say 15, the model of the planner wants 16."""
     from cam.duration import DurationModel
-    from service.job.spec.kinematics import kinematics_of
+    from service.job.spec.lens_task import kinematics_of
 
     assert GRBL.planner_blocks == limits_of(GRBL).planner_blocks == 15
     assert kinematics_of(GRBL).planner_blocks == 16

@@ -100,7 +100,7 @@ class Paper:
         return right - wide
 
     def draw_svg(self, drawing: str, x: float, y: float, scale: float) -> None:
-        """Draw what `service.job.report.drawing` draws."""
+        """Draw what `service.job.report.block` draws."""
         for node in fromstring(drawing):
             _Drawn(self, x, y, scale).draw(node)
 

@@ -19,8 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
 from service.job.report.figures.base import COLOURS, Array, new_figure, panel_height, png_bytes
-from service.job.report.figures.contour_sample import ContourSample
-from service.job.report.figures.path_sample import PathSample
+from service.job.report.figures.path_sample import ContourSample, PathSample
 
 __all__ = ["PathSample", "toolpath_png"]
 

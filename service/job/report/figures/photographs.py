@@ -82,7 +82,7 @@ def look_png(rectified: Array, predicted: Array, sentences: Sequence[str]) -> by
     figure = new_figure(12.9, 0.6 + high + words_in)
     panels = figure.subplots(1, 3)
     for axes, title, picture in zip(
-        panels, ("Photograph, set straight", "Foretold"), (rectified, predicted), strict=False
+        panels, ("Photograph, set straight", "Predicted"), (rectified, predicted), strict=False
     ):
         shown = np.where(np.isfinite(picture), picture, white)
         show_light(axes, shown, white)
@@ -90,7 +90,7 @@ def look_png(rectified: Array, predicted: Array, sentences: Sequence[str]) -> by
     difference = 100.0 * (rectified - predicted) / white
     limit = round_up(max(float(np.nanpercentile(np.abs(difference), 98.0)), 1.0))
     image = panels[2].imshow(difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    panels[2].set_title("Difference: photograph \N{MINUS SIGN} foretold", fontsize=11)
+    panels[2].set_title("Difference: photograph \N{MINUS SIGN} predicted", fontsize=11)
     panels[2].set_facecolor("0.8")
     for axes in panels:
         axes.set(xticks=[], yticks=[])

@@ -20,7 +20,7 @@ import structlog
 from phrases.phrase import Phrase
 from service.errors import FailedError, PictureError
 from service.http.problems import Problem
-from service.job.picture.limits import PictureFacts
+from service.job.picture import PictureFacts
 from service.processes.child import ChildCrashed, ChildDied, ChildError, ChildLate
 from service.processes.kept_child import ChildClosed, KeptChild, Superseded, TooManyWaiting
 from service.processes.kernel_cache import ESTIMATES, ready_mark

@@ -19,7 +19,7 @@ use_current_kernels()  # before numba is imported
 
 from PIL import Image  # noqa: E402
 
-from service.job.picture.limits import PictureLimits  # noqa: E402
+from service.job.picture import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
 from service.job.spec.loading import resolve_job, restore_job  # noqa: E402
 from service.job.stages.kept_plans import KeptPlans  # noqa: E402

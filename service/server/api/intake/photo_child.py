@@ -17,12 +17,12 @@ import base64  # noqa: E402
 from collections.abc import Callable  # noqa: E402
 
 from service.job import files as job_files  # noqa: E402
-from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
+from service.job.coupon.findings import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
 from service.job.coupon.programs import keep_coupon  # noqa: E402
-from service.job.finite_json import plain  # noqa: E402
+from service.job.files import plain  # noqa: E402
 from service.job.photo.looking import load_predicted_light, look_at  # noqa: E402
-from service.job.picture.limits import PictureLimits  # noqa: E402
+from service.job.picture import PictureLimits  # noqa: E402
 from service.job.picture.reading import read_wall_photo  # noqa: E402
 from service.processes.child_work import answer_requests  # noqa: E402
 

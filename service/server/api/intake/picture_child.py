@@ -22,8 +22,8 @@ from PIL import (  # noqa: F401
     WebPImagePlugin,
 )
 
+from service.job.picture import PictureLimits
 from service.job.picture.decoding import check_picture
-from service.job.picture.limits import PictureLimits
 from service.processes.child_work import answer_requests
 
 _BYTES_PER_PIXEL = 16  # a progressive CMYK JPEG holds its coefficients beside its pixels; an animation two canvases

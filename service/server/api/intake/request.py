@@ -11,7 +11,7 @@ from phrases.phrase import Phrase
 from service.errors import SpecError
 from service.http.problems import Kind, Problem
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.job.spec.section import RuleError
 from service.server.api.access.guard import Principal
 from service.server.api.intake.form import JobForm

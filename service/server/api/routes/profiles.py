@@ -15,7 +15,7 @@ from pydantic import Field
 
 from machines.profile import MachineProfile, ProfileError, load_profile, profile_names
 from service.http.schema import Body, phrase_views
-from service.job.spec.minimal import reduce_spec
+from service.job.spec.loading import reduce_spec
 from service.job.spec.own_files import forget_profile, read_stated_profiles, save_profile
 from service.job.spec.tools import BUILT_IN, forget_tools, library_file, load_tools, save_tools
 from service.server.api.access.guard import Operator, Reader, Writer

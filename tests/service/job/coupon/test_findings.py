@@ -17,7 +17,6 @@ from service.job.coupon.findings import (
     SENTENCES,
     CouponFinding,
     CouponResult,
-    PhotoRefused,
     measure_photo,
     print_findings,
     snippet,
@@ -25,8 +24,9 @@ from service.job.coupon.findings import (
 from service.job.coupon.photograph import Photo
 from service.job.coupon.piece import coupon_job, coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, PredictedPiece
+from service.job.photo.findings import UselessPhotoError
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from tests.optics.coupon.pieces import smooth_piece
 from tests.optics.photographs import camera, photographed
 
@@ -125,7 +125,7 @@ THOROUGH = ("blurred", "not_a_coupon", "not_finished")
 )
 def test_a_photograph_that_says_nothing_is_refused_with_the_reason(code: str) -> None:
     """One line names the file, what is wrong, and what would be right."""
-    with pytest.raises(PhotoRefused) as refused:
+    with pytest.raises(UselessPhotoError) as refused:
         measured(SPOILT[code]())
     assert refused.value.finding.code == code
     assert str(refused.value).startswith("wall.jpg: ")

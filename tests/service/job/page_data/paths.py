@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +13,6 @@ import numpy as np
 from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
-from service.job.page_data.header import split_header
 from service.job.page_data.path import PathDrawing
 
 MILL = Kinematics(
@@ -22,6 +22,13 @@ MILL = Kinematics(
     planner_blocks=16,
     lines_per_s=400.0,
 )
+
+
+def split_header(data: bytes) -> tuple[dict[str, Any], int]:
+    """The facts at the beginning of a file for the page, and where its arrays begin."""
+    end = data.index(b"\n") + 1
+    facts: dict[str, Any] = json.loads(data[:end])
+    return facts, end
 
 
 def batch_of(points_mm: Any, *, rapid: Any = False, pause_s: Any = -1.0, first_line: int = 1) -> MoveBatch:

@@ -18,10 +18,10 @@ from optics.spline import Array
 from service.cli import main as cli
 from service.errors import InputError, PictureError
 from service.job.arrays import heightfield_bytes, target_bytes
-from service.job.photo.findings import REFUSALS, SENTENCES, PhotoFinding, UselessPhotoError
+from service.job.photo.findings import SENTENCES, PhotoFinding, UselessPhotoError
 from service.job.photo.looking import _find_tilt, load_predicted_light, look_at
+from service.job.picture import PictureLimits
 from service.job.picture.light_png import picture_png
-from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import WallPhoto, read_wall_photo
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
@@ -96,12 +96,12 @@ def refused(photo: Array, job: Path) -> UselessPhotoError:
 def test_a_photograph_that_tells_nothing_is_refused_with_its_reason(job: Path, wall: Array) -> None:
     """One reason, by its code, and what to do."""
     other = np.asarray(Image.open("examples/logo.png").convert("L").resize(wall.shape[::-1]), dtype=np.float64) ** 2.2
-    assert refused(photo_of(wall, stops=-9), job).code == "too_dark"
-    assert refused(photo_of(wall, stops=5), job).code == "too_bright"
-    assert refused(photo_of(other), job).code == "not_this_lens"
-    assert refused(photo_of(wall, at={"aside_deg": 0.0, "filling": 0.06}), job).code == "too_small"
-    assert refused(photo_of(wall)[:, :330], job).code in ("cut_off", "not_this_lens")
-    assert refused(np.full(SHAPE, 0.5), job).code == "no_light"
+    assert refused(photo_of(wall, stops=-9), job).finding.code == "too_dark"
+    assert refused(photo_of(wall, stops=5), job).finding.code == "too_bright"
+    assert refused(photo_of(other), job).finding.code == "not_this_lens"
+    assert refused(photo_of(wall, at={"aside_deg": 0.0, "filling": 0.06}), job).finding.code == "too_small"
+    assert refused(photo_of(wall)[:, :330], job).finding.code in ("cut_off", "not_this_lens")
+    assert refused(np.full(SHAPE, 0.5), job).finding.code == "no_light"
 
 
 @pytest.mark.thorough
@@ -199,9 +199,8 @@ def test_every_code_has_a_sentence_that_its_values_make(job: Path) -> None:
         "terms": [{"order_x": 2, "order_y": 1, "um": 4.0, "deviation_um": 0.5}],
     }
     for code in SENTENCES:
-        assert PhotoFinding(code=code, values=values).sentence()
-    for code in REFUSALS:
-        assert str(UselessPhotoError("x", code, **values)).startswith("x: ")
+        found = PhotoFinding(code, values)
+        assert found.sentence() and str(UselessPhotoError("x", found)) == f"x: {found.sentence()}"
 
 
 def test_sides_are_those_of_the_viewer(job: Path) -> None:

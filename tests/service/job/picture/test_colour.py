@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
-from service.job.picture.colour import _make_profile, _pack_curve, _pack_profile
 from service.job.picture.decoding import _ADOBE_RGB, _SRGB, Colorimetry
+from service.job.picture.linear_light import _make_profile, _pack_curve, _pack_profile
 from service.job.picture.reading import Picture, read_picture, read_wall_photo
 from service.job.spec.model import ImageSpec
 from tests.service.job.picture.samples import SHARES, Array, linear_of
@@ -190,8 +190,8 @@ def test_a_broken_profile_is_said_and_srgb_taken(tmp_path: Path, mode: str, cut:
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 450), st.integers(0, 255)), max_size=6))
 def test_a_profile_with_changed_bytes_is_a_picture_or_a_line(changes: list[tuple[int, int]]) -> None:
-    from service.job.picture.colour import ProfileError, find_conversion
     from service.job.picture.decoding import DecodedPicture
+    from service.job.picture.linear_light import ProfileError, find_conversion
 
     profile = bytearray(_make_profile(P3, grey=False))
     for place, value in changes:

@@ -1,8 +1,15 @@
-"""Any picture Pillow reads becomes the right linear light, upright; what cannot be used is one line, told early."""
+"""Any picture Pillow reads becomes the right linear light, upright; what cannot be used is one line, told early. A
+measured picture of the light becomes rows of strength from rim to rim.
+
+A picture that looks the same in no mirror is followed all the way to the eye of the viewer: the light is traced here by
+Snell's law written out once more, and the viewer is described by where they stand, so that neither the forward model
+nor the one flipping function is taken at its word.
+"""
 
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from pathlib import Path
@@ -11,15 +18,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from PIL import Image
 
-from service.errors import PictureError
+from optics.heightfield import Heightfield
+from service.cli.main import run
+from service.client.submit import spec_text
+from service.errors import PictureError, ServiceError
+from service.job.arrays import load_heightfield
 from service.job.picture.linear_light import linear_to_srgb, srgb_to_linear
-from service.job.picture.reading import Picture, read_picture
+from service.job.picture.reading import Picture, light_rows, read_picture
 from service.job.picture.resampling import Span, weights_to_resample
+from service.job.spec.loading import resolve_spec
 from service.job.spec.model import ImageSpec
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
+
+SIDE_MM, THROW_MM, INDEX = 20.0, 40.0, 1.49
 
 
 def linear_of(level: float) -> float:
@@ -273,3 +288,142 @@ def test_a_flipped_byte_never_ends_in_anything_but_a_picture_or_a_line(place: in
             assert np.isfinite(read(path).linear).all()
         except PictureError as error:
             assert "\n" not in str(error)
+
+
+@pytest.fixture(scope="module", params=[pytest.param("lens", marks=pytest.mark.thorough), "behind"])
+def job(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A bright blob in the upper left of the picture, a smaller one half-way down at the left."""
+    folder = tmp_path_factory.mktemp("orientation")
+    y, x = np.mgrid[0:64, 0:64] / 63
+    blobs = ((1.0, 0.35, 0.15, 0.012), (0.5, 0.15, 0.65, 0.01))
+    light = 0.2 + sum(a * np.exp(-((x - u) ** 2 + (y - v) ** 2) / s) for a, u, v, s in blobs)
+    Image.fromarray(np.rint(255 * light / light.max()).astype(np.uint8)).save(folder / "p.png")
+    values = {
+        "image.pixels": 64, "image.tone": "linear", "optics.width_mm": SIDE_MM, "optics.height_mm": SIDE_MM,
+        "optics.throw_mm": THROW_MM, "optics.refractive_index": INDEX, "optics.viewed_from": request.param,
+    }  # fmt: skip
+    settings = [part for key, value in values.items() for part in ("--set", f"{key}={value}")]
+    assert run(["design", str(folder / "p.png"), "-o", str(folder / "out"), "--quiet", *settings]) == 0
+    return request.param, folder
+
+
+def landing_points(lens: Heightfield) -> NDArray[np.float64]:
+    """(n, 2) where parallel light that travels along +Z arrives on the screen, through a fine grid of lens points."""
+    grid = (np.arange(400) + 0.5) / 400 * SIDE_MM
+    x, y = (a.ravel() for a in np.meshgrid(grid, grid))
+    z, zx, zy = lens.spline().jets(x, y)[:3]
+    normal = np.stack([-zx, -zy, np.ones_like(zx)], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    cos_in = normal[:, 2]
+    cos_out = np.sqrt(1 - INDEX**2 * (1 - cos_in**2))
+    out = INDEX * np.array([0.0, 0.0, 1.0]) + (cos_out - INDEX * cos_in)[:, None] * normal
+    reach = (THROW_MM - z) / out[:, 2]
+    return np.stack([x + reach * out[:, 0], y + reach * out[:, 1]], axis=1)
+
+
+def seen_by_viewer(points_mm: NDArray[np.float64], viewed_from: str) -> NDArray[np.float64]:
+    """What the viewer's eye makes of the spots on the screen: a 64 x 64 picture, row 0 on top.
+
+    Both viewers stand upright, +Y up. On the lens's side one looks along +Z, and +X lies to the left hand; behind the
+    screen one looks along -Z, and +X lies to the right hand.
+    """
+    x, y = points_mm.T / SIDE_MM
+    to_the_right = 1 - x if viewed_from == "lens" else x
+    picture, _, _ = np.histogram2d(1 - y, to_the_right, bins=64, range=[[0, 1], [0, 1]])
+    return picture
+
+
+def likeness(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+def test_the_viewer_sees_the_picture_and_not_its_mirror(job: tuple[str, Path]) -> None:
+    viewed_from, folder = job
+    wanted = np.asarray(Image.open(folder / "p.png"), dtype=float)
+    seen = seen_by_viewer(landing_points(load_heightfield(folder / "out" / "heightfield.npz")), viewed_from)
+    assert likeness(seen, wanted) > 0.95
+    for mirrored in (seen[::-1], seen[:, ::-1], seen[::-1, ::-1], seen.T):
+        assert likeness(mirrored, wanted) < 0.6
+
+
+@pytest.mark.parametrize("name", ["target.png", "caustic.png"])
+def test_the_pictures_written_show_what_the_viewer_sees(job: tuple[str, Path], name: str) -> None:
+    _, folder = job
+    wanted = np.asarray(Image.open(folder / "p.png"), dtype=float)
+    shown = Image.open(folder / "out" / name).convert("L").resize((64, 64), Image.Resampling.BOX)
+    written = np.asarray(shown, dtype=float)
+    assert likeness(written, wanted) > 0.9
+    for mirrored in (written[::-1], written[:, ::-1], written[::-1, ::-1]):
+        assert likeness(mirrored, wanted) < 0.6
+
+
+def save_levels(levels: np.ndarray, path: Path) -> Path:
+    Image.fromarray(np.rint(levels).astype(np.uint16)).save(path)
+    return path
+
+
+@pytest.mark.parametrize(("width", "height"), [(200, 150), (64, 65), (63, 10), (8, 9)])
+def test_a_ramp_is_a_ramp_from_rim_to_rim(tmp_path: Path, width: int, height: int) -> None:
+    """Values in the middle of pixels; a point at the rim is the mean over half a box, a quarter of a box further in."""
+    x, y = (np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height
+    levels = 60000 * (0.1 + 0.3 * x[None, :] + 0.6 * y[:, None])
+    rows = np.array(light_rows(save_levels(levels, tmp_path / "a.png"), tone="linear"))
+    columns, lines = min(64, width), min(64, height)
+    assert rows.shape == (lines, columns)
+    place = [np.linspace(0, 1, n) for n in (columns, lines)]
+    for at, n in zip(place, (columns, lines), strict=True):
+        at[[0, -1]] += np.array([0.25, -0.25]) / (n - 1)
+    wanted = 0.1 + 0.3 * place[0][None, :] + 0.6 * place[1][:, None]
+    box_of_whole_pixels = 0.3 / width + 0.6 / height  # what a box loses by covering parts of pixels
+    assert rows == pytest.approx(wanted / wanted.max(), abs=box_of_whole_pixels)
+
+
+def test_dust_and_noise_are_averaged_away(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    levels = 40000 + 4000 * rng.standard_normal((640, 640))
+    rows = np.array(light_rows(save_levels(levels, tmp_path / "a.png"), tone="linear"))
+    assert rows[1:-1, 1:-1].std() / rows.mean() < 1.3 * 0.1 / 10  # boxes of 10 x 10 pixels
+
+
+def test_the_tones_are_those_of_the_job(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    Image.fromarray(np.repeat([[128, 255], [128, 255]], 4, axis=1).repeat(4, axis=0).astype(np.uint8)).save(path)
+    assert light_rows(path, tone="srgb")[0][0] == pytest.approx(0.216, abs=1e-3)
+    assert light_rows(path, tone="linear")[0][0] == pytest.approx(128 / 255, abs=1e-3)
+    linear = resolve_spec(overrides=["image.tone=linear"], light_picture=path).optics.light.profile
+    assert linear == [[0.502] * 4 + [1.0] * 4] * 8
+
+
+def test_what_is_no_picture_of_light_is_one_line(tmp_path: Path) -> None:
+    black, thin = tmp_path / "black.png", tmp_path / "thin.png"
+    Image.new("L", (8, 8)).save(black)
+    Image.new("L", (1, 9), 9).save(thin)
+    for path, words in ((black, "black everywhere"), (thin, "at least 8 x 8"), (tmp_path / "none.png", "none.png")):
+        with pytest.raises(ServiceError, match=words) as caught:
+            light_rows(path, tone="srgb")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ServiceError, match=r"gaussian_mm: 90 is not allowed beside profile"):
+        path = save_levels(np.full((8, 8), 9), tmp_path / "even.png")
+        resolve_spec(overrides=["optics.light.gaussian_mm=90"], light_picture=path)
+
+
+@pytest.mark.thorough
+def test_the_command_designs_for_the_light_and_the_job_remembers_it(tmp_path: Path) -> None:
+    x = np.linspace(0, 1, 40)
+    light = save_levels(50000 * (0.4 + 0.6 * x[None, :] * np.ones((30, 1))), tmp_path / "light.png")
+    picture = save_levels(30000 * (1.2 + np.sin(6 * x[None, :]) * np.cos(5 * x[:, None])), tmp_path / "p.png")
+    settings = [part for value in ("image.pixels=32", "image.tone=linear") for part in ("--set", value)]
+    assert (
+        run(["design", str(picture), "-o", str(tmp_path / "out"), "-q", "--light-picture", str(light), *settings]) == 0
+    )
+    spec = json.loads((tmp_path / "out" / "spec.json").read_text())
+    assert np.shape(spec["optics"]["light"]["profile"]) == (30, 40)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["optics"]["psnr_db"] > 30
+
+
+def test_the_client_sends_the_light_with_the_spec(tmp_path: Path) -> None:
+    path = save_levels(np.full((8, 9), 9000), tmp_path / "light.png")
+    text = spec_text(file=None, preset=None, overrides=(), light_picture=path)
+    assert text is not None
+    assert json.loads(text)["optics"]["light"]["profile"] == [[1.0] * 9] * 8

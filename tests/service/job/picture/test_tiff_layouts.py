@@ -17,7 +17,7 @@ import tifffile
 from PIL import Image
 
 from service.errors import PictureError
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.picture.reading import Picture, read_picture
 from service.job.spec.model import ImageSpec
 from service.server.api.intake.child_requests import PictureChecker

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from machines.profile import load_profile
 from service.job.planning.changes import changes_of
 from service.job.spec.loading import resolve_job
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 
 specs = st.builds(
     lambda preset, width_mm, throw_mm, hours, profile: resolve_job(

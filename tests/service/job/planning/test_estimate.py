@@ -18,8 +18,7 @@ from optics.heightfield import Array
 from optics.irradiance import target_irradiance
 from optics.metrics import psnr_db
 from service.errors import PictureError, SpecError
-from service.job.picture import decoding, reading
-from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture import OWN_PICTURE, PictureLimits, decoding, reading
 from service.job.picture.linear_light import srgb_to_linear
 from service.job.picture.reading import read_picture
 from service.job.picture.resampling import resize
@@ -32,7 +31,7 @@ from service.job.spec import lens_task
 from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up
 from service.job.stages import kept_plans
 from tests.phrases.sentences import untold
 from tests.service.job.stages.jobs import StagedJob, run_job

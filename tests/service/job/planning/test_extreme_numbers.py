@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.errors import ServiceError, SpecError
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.spec.loading import resolve_job
 from service.job.spec.model import JobSpec

@@ -23,7 +23,7 @@ from machines.profile import profile_names
 from optics.irradiance import target_irradiance
 from service.cli.main import run
 from service.errors import SpecError
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
@@ -33,11 +33,9 @@ from service.job.spec import lens_task
 from service.job.spec.lens_task import facts_of_light
 from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec, PlanSpec
-from service.job.spec.resolve import cam_passes_of, warn_of_removal, with_plan
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cam_passes_of, look_up, warn_of_removal, with_plan
 from service.job.stages.context import StageContext
-from service.job.stages.kept_plans import describe_plan
-from service.job.stages.passes import report_plan
+from service.job.stages.kept_plans import describe_plan, report_plan
 from service.job.stages.table import plan, shares, stage_key
 from service.wording import duration
 from tests.cam.planning.test_planner import Blur, bumps

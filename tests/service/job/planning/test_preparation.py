@@ -16,7 +16,7 @@ from optics.irradiance import target_irradiance
 from service.errors import SpecError
 from service.job import files as job_files
 from service.job.arrays import load_original, load_target
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.preparation import (
     aim_at_picture,
@@ -26,10 +26,10 @@ from service.job.planning.preparation import (
 )
 from service.job.report.finishing import make_finishing_card
 from service.job.report.optics import sentences_of_preparation
-from service.job.report.setup_sheet import render_report
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up
+from tests.service.job.report.sheet import render_report
 from tests.service.job.stages.jobs import save_picture, staged_job, tiny_spec
 
 DETAIL = "image.prepare=detail"

@@ -23,8 +23,7 @@ from service.job.report.figures.plan import plan_png
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cam_passes_of, look_up
 from service.wording import ball
 
 SIDE, PIXELS = 20.0, 48

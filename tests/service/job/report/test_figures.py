@@ -1,4 +1,8 @@
-"""Pictures: one exposure, the right way up, and a path sample that keeps what matters in bounded memory."""
+"""Pictures: one exposure, the right way up, and a path sample that keeps what matters in bounded memory; thumbnails:
+small in pixels and in bytes, in light as bright as the large ones.
+"""
+
+from __future__ import annotations
 
 import io
 
@@ -10,10 +14,11 @@ from PIL import Image
 
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
-from service.job.picture.light_png import picture_png, srgb_levels
+from service.job.picture.light_png import THUMBNAIL_BYTES, THUMBNAIL_SIDES, picture_png, srgb_levels, thumbnail_png
+from service.job.picture.linear_light import srgb_to_linear
 from service.job.report.figures.base import round_up
-from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.lens import flow_png, heightfield_png, shade_by_raking_light
+from service.job.report.figures.path_sample import ContourSample
 from service.job.report.figures.paths import PathSample, toolpath_png
 from service.job.report.figures.wall import comparison_png, through_focus_png
 
@@ -266,3 +271,36 @@ def test_a_toolpath_picture_shows_a_lens_that_does_not_fill_its_aperture():
     with_rim, without = dark(square), dark(None)
     assert with_rim.shape == without.shape
     assert (with_rim & ~without).sum() > 300  # pixels of the rim's sides
+
+
+def opened(content: bytes) -> Image.Image:
+    image = Image.open(io.BytesIO(content))
+    assert image.mode == "L"
+    return image
+
+
+@settings(max_examples=30, deadline=None)
+@given(ny=st.integers(1, 700), nx=st.integers(1, 700), seed=st.integers(0, 99))
+def test_whatever_the_picture_it_is_small_and_keeps_its_shape(ny: int, nx: int, seed: int) -> None:
+    """Noise is what packs worst."""
+    content = thumbnail_png(np.random.default_rng(seed).random((ny, nx)), white=1.0)
+    width, height = opened(content).size
+    assert len(content) <= THUMBNAIL_BYTES
+    assert max(width, height) == min(max(ny, nx), max(width, height)) and max(width, height) <= THUMBNAIL_SIDES[0]
+    assert abs(width * ny - height * nx) <= 0.5 * max(nx, ny) + max(width, height)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (192, 120)])
+def test_a_small_picture_is_the_large_one_itself(shape: tuple[int, int]) -> None:
+    light = np.linspace(0.0, 2.0, shape[0] * shape[1]).reshape(shape)
+    assert thumbnail_png(light, white=1.5) == picture_png(light, white=1.5)
+
+
+def test_a_pixel_is_the_mean_of_its_light() -> None:
+    """Not of its grey levels: black and white stripes are half of the light, which is no mid grey."""
+    light = np.tile([0.0, 1.0], (512, 256))
+    grey = np.asarray(opened(thumbnail_png(light, white=1.0)), dtype=float)
+    assert srgb_to_linear(grey / 255).mean() == pytest.approx(0.5, abs=0.01)
+    ramp = np.add.outer(np.linspace(0, 1, 384), np.linspace(0, 3, 384))
+    small = np.asarray(opened(thumbnail_png(ramp, white=4.0)), dtype=int)
+    assert np.abs(small - srgb_levels(ramp.reshape(192, 2, 192, 2).mean((1, 3)), white=4.0).astype(int)).max() <= 1

@@ -10,7 +10,7 @@ import pytest
 
 from service.job.report.figures.wall import as_milled_png, busiest_part
 from service.job.report.milled import CAUSES, detail_lost, sentences_as_milled
-from service.job.report.setup_sheet import render_report
+from tests.service.job.report.sheet import render_report
 
 MILLED = {
     "psnr_db": 24.4, "psnr_db_designed": 41.0, "ssim": 0.73, "misplaced_light": 0.05, "dark_leak": 0.0,

@@ -11,12 +11,11 @@ from PIL import Image
 
 from optics.tolerance import BlurPoint, FocusPoint, TiltPoint, Tolerances
 from service.cli.summary import summary_lines
-from service.job.report.drawing import side_view
-from service.job.report.figures.tolerances import tolerances_png
-from service.job.report.holding import BlockSizes
+from service.job.report.block import BlockSizes, side_view
+from service.job.report.figures.wall import tolerances_png
 from service.job.report.optics import lens_rows, light_sentences, score_rows, screen_sentence, tolerance_sentences
-from service.job.report.setup_sheet import render_report
 from service.job.spec.lens_task import source_spread_mm
+from tests.service.job.report.sheet import render_report
 
 TOLERANCES: dict[str, Any] = {
     "psnr_db": 41.0,

@@ -14,7 +14,8 @@ from pypdf import PageObject, PdfReader
 from service.job.picture.light_png import picture_png
 from service.job.report.figures.a4_sheet import HEIGHT, WIDTH, known, width_of, words_of, wrap
 from service.job.report.setup_pdf import render_setup_pdf
-from service.job.report.setup_sheet import describe_setup, render_report
+from service.job.report.setup_sheet import describe_setup
+from tests.service.job.report.sheet import render_report
 from tests.service.job.report.test_setup_sheet import PROGRAM, REPORT, SPEC, Page
 
 EDGE = 30.0  # white on each side of the paper

@@ -18,10 +18,9 @@ from service.job.report import setup_sheet
 from service.job.report.milled import detail_lost
 from service.job.report.pictures import PICTURES
 from service.job.report.setup_sheet import LANGUAGES, describe_setup, render_page
-from tests.service.job.report.test_checks import PASSED
 from tests.service.job.report.test_milled import MILLED
 from tests.service.job.report.test_optics import CLOSING, POLISH, TOLERANCES
-from tests.service.job.report.test_setup_sheet import PROGRAM, REPORT, SPEC
+from tests.service.job.report.test_setup_sheet import PASSED, PROGRAM, REPORT, SPEC
 from tests.service.job.spec.test_finish_library import SEEN, told
 
 # Each entry stands between two letters that nobody sees; what stands in for a placeholder is outside of them.

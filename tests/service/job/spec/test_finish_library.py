@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from service.errors import InputError
 from service.job.planning.finish_choice import list_finishings
 from service.job.report.finishing import make_finishing_card
-from service.job.report.setup_sheet import render_report
 from service.job.spec import finish_library
 from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
 from service.job.spec.lens_task import finish_of
 from service.job.spec.loading import resolve_job
 from service.job.stages.table import facts_of
+from tests.service.job.report.sheet import render_report
 
 SHIPPED = finish_library.built_in_processes()
 BY_HAND = [process for name, process in SHIPPED.items() if name != "none"]

@@ -1,6 +1,6 @@
 """What a person says of light, screen and outline reaches the optics as it was meant: right way round, in place.
 
-The viewer is described by where they stand, as in test_orientation, so that the one flipping function is not taken at
+The viewer is described by where they stand, as in test_reading, so that the one flipping function is not taken at
 its word.
 """
 

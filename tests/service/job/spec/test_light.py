@@ -13,8 +13,7 @@ from cam.materials import PMMA
 from optics.spectrum import Spectrum
 from service.job.spec.lens_task import bench_of, facts_of_light
 from service.job.spec.light import LedSpec, LightSpec, index_of, name_spectrum
-from service.job.spec.loading import resolve_job
-from service.job.spec.minimal import reduce_spec
+from service.job.spec.loading import reduce_spec, resolve_job
 from service.job.spec.model import JobSpec
 
 

@@ -23,29 +23,17 @@ from service.job.spec.loading import (
     validate_spec,
 )
 from service.job.spec.model import JobSpec
+from tests.service.job.stages.variants import BASE, flatten, schema_of
 
 BAD_VALUES = [
     # override, key in the message, what else the message must hold
     ("optics.widht_mm=3", "optics.widht_mm", ["width_mm"]),
-    ("optics.width_mm=-3", "optics.width_mm", ["-3", "from 0.5", "2000 mm"]),
     ("optics.width_mm=wide", "optics.width_mm", ["'wide'", "from 0.5", "2000 mm"]),
     ("optics.width_mm=nan", "optics.width_mm", ["nan", "2000"]),
     ("optics.width_mm=inf", "optics.width_mm", ["inf", "2000"]),
-    ("optics.width_mm=1e9", "optics.width_mm", ["1000000000.0", "2000"]),
     ("optics.width_mm=true", "optics.width_mm", ["true", "number"]),
     ("optics.width_mm=[1]", "optics.width_mm", ["[1]", "number"]),
-    ("optics.throw_mm=0", "optics.throw_mm", ["0 ", "from 1 "]),
-    ("optics.refractive_index=1", "optics.refractive_index", ["1.05 to 3"]),
-    ("optics.corrections=9", "optics.corrections", ["9", "0 to 3"]),
     ("optics.corrections=1.5", "optics.corrections", ["1.5", "whole number"]),
-    ("optics.method=magic", "optics.method", ["'magic'", "'transport', 'paper'"]),
-    ("optics.min_radius_mm=-1", "optics.min_radius_mm", ["-1", "0 to 25 mm"]),
-    ("optics.polish=1", "optics.polish", ["1", "true or false"]),
-    ("optics.branch=crossed", "optics.branch", ["'crossed'", "'auto', 'direct', 'inverted'"]),
-    ("optics.surface=prism", "optics.surface", ["'prism'", "'lens', 'mirror'"]),
-    ("optics.vertices_per_pixel=9", "optics.vertices_per_pixel", ["9", "1 to 8"]),
-    ("optics.vertices_per_pixel=0", "optics.vertices_per_pixel", ["0", "1 to 8"]),
-    ("optics.screen_shift_x_mm=far", "optics.screen_shift_x_mm", ["'far'", "-20000 to 20000 mm"]),
     ("optics.outline=star", "optics.outline", ["'star'", "'rectangle', 'ellipse'", "3 to 256 corners"]),
     ("optics.outline=[[0,0],[1,1]]", "optics.outline", ["3 to 256 corners"]),
     ("optics.outline=[[0,0],[1,1],[2]]", "optics.outline", ["3 to 256 corners"]),
@@ -85,21 +73,9 @@ BAD_VALUES = [
     ("optics={method='paper', polish=true}", "optics.polish", ["only false", "'paper'"]),
     ("optics={method='paper', light={gaussian_mm=90}}", "optics.light", ["parallel, even light", "'paper'"]),
     ("optics.height_mm=1", "spec", ["image.pixels", "rows", "16 to 4096"]),
-    ("image.pixels=4", "image.pixels", ["4", "16 to 4096"]),
-    ("image.tone=log", "image.tone", ["'log'", "'srgb', 'linear'"]),
-    ("image.invert=1", "image.invert", ["1", "true or false"]),
     ("image=3", "image", ["3", "pixels, tone, fit, invert"]),
-    ("stock.skim_mm=0", "stock.skim_mm", ["from 0.001"]),
-    ("stock.margin_mm=-1", "stock.margin_mm", ["-1", "0 to 200"]),
     ("stock.material=glass", "stock.material", ["'glass'", "'pmma'"]),
-    ("passes.0.pitch_mm=0", "passes.0.pitch_mm", ["0", "0.002 to 25 mm"]),
-    ("passes.0.pitch_mm=-0.1", "passes.0.pitch_mm", ["-0.1", "0.002 to 25 mm"]),
     ("passes.0.pitch_mm=9", "passes.0", ["9", "radius_mm = 3"]),
-    ("passes.0.radius_mm=0", "passes.0.radius_mm", ["from 0.01", "25 mm"]),
-    ("passes.0.step_down_mm=0.00001", "passes.0.step_down_mm", ["1e-05", "0.01 to 50 mm"]),
-    ("passes.0.strategy=zigzag", "passes.0.strategy", ["'zigzag'", "'raster', 'contour'"]),
-    ("passes.0.link=jump", "passes.0.link", ["'u-turn', 'retract'"]),
-    ("passes.0.direction=z", "passes.0.direction", ["'z'", "'x', 'y'"]),
     ("passes.0.where=rest", "spec", ["passes.0.where", "no pass before it"]),
     ("passes.1={radius_mm=1, pitch_mm=0.1, where='rest', strategy='contour'}", "passes.1", ["rows only"]),
     ("passes.1.shank_radius_mm=2", "passes.1", ["shank_radius_mm = 2", "flute_length_mm"]),
@@ -112,7 +88,6 @@ BAD_VALUES = [
     ("passes=[]", "passes", ["empty"]),
     ("passes=[{radius_mm=1}]", "passes.0.pitch_mm", ["missing", "0.002"]),
     ("plan={hours=3, blur_mm=1}", "plan", ["hours and blur_mm", "one of them"]),
-    ("plan.hours=0", "plan.hours", ["from 0.01"]),
     ("plan.speed=1", "plan.speed", ["hours, blur_mm, psnr_db"]),
     ("optics.foreseen_blur_mm=[1]", "optics.foreseen_blur_mm", ["2 numbers"]),
     ("preset=best", "preset", ["'best'", "'paper', 'draft', 'recommended'"]),
@@ -137,6 +112,28 @@ def test_a_bad_value_is_one_line_with_key_value_and_range(override: str, key: st
     assert "\n" not in line
     assert line.startswith(f"{key}:")
     assert all(word in line for word in words), line
+
+
+BOUNDED = [key for key in flatten(BASE) if {"enum", "minimum"} & set(schema_of(key)) and "light" not in key]
+
+
+@pytest.mark.parametrize("key", BOUNDED)
+def test_every_bounded_key_refuses_what_is_beyond_and_says_what_is_allowed(key: str) -> None:
+    schema = schema_of(key)
+    if names := schema.get("enum"):
+        wrong, words = ["magic", 1], [f"'{name}'" for name in names]
+    else:
+        wrong, words = (
+            [schema["minimum"] - 1, schema["maximum"] + 1],
+            [f"{schema[end]:g}" for end in ("minimum", "maximum")],
+        )
+    for value in wrong:
+        test_a_bad_value_is_one_line_with_key_value_and_range(f"{key}={value}", key, [str(value), *words])
+
+
+@pytest.mark.parametrize("key", [key for key in flatten(BASE) if schema_of(key).get("type") == "boolean"])
+def test_a_flag_is_true_or_false(key: str) -> None:
+    test_a_bad_value_is_one_line_with_key_value_and_range(f"{key}=1", key, ["1", "true or false"])
 
 
 def test_a_lens_of_too_many_vertices_is_one_line() -> None:
@@ -291,7 +288,7 @@ def test_a_damaged_spec_file_is_one_line(tmp_path: Path, name: str, content: byt
 
 
 def test_a_spec_file_without_an_end_is_refused() -> None:
-    with pytest.raises(SpecError, match="/dev/zero is too large"):
+    with pytest.raises(SpecError, match="/dev/zero: is too large"):
         resolve_spec(file=Path("/dev/zero"))
 
 

@@ -14,7 +14,7 @@ from service.errors import FailedError, SpecError
 from service.job.spec.finish import BEST, NONE
 from service.job.spec.finish_library import built_in_processes
 from service.job.spec.loading import load_stored_job, resolve_job, restore_job
-from service.job.spec.resolved import ResolvedJob
+from service.job.spec.resolve import ResolvedJob
 from service.job.stages.table import facts_of, plan, stage_key
 
 jobs = st.builds(

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import with_plan
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up, with_plan
 from service.job.stages.order import FileRef, StageOrder, StageResult, merge_notes, merge_reports
 from service.job.stages.run import run_order
 from service.job.stages.table import plan, stage_key

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cam.reading.gcode import read_program
 from machines.profile import load_profile
 from service.errors import ServiceError, SpecError
 from service.job.files import is_program, page_in, program_order, programs_in_order
-from service.job.report.around import around_sentences
-from service.job.report.setup_sheet import LANGUAGES, render_report
+from service.job.report.passes import around_sentences
+from service.job.report.setup_sheet import LANGUAGES
 from service.job.spec.loading import resolve_job, resolve_spec
-from service.job.spec.resolve import cut_out_of, facing_task_of, without_derived
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import cut_out_of, facing_task_of, look_up, without_derived
 from service.job.stages.table import plan
+from tests.cam.programs import read_program
+from tests.service.job.report.sheet import render_report
 from tests.service.job.report.test_sheet_in_languages import said_past_the_tables
 from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
 
@@ -215,7 +215,7 @@ def test_figures_left_out_follow_from_the_cutter_and_are_chosen_anew_for_another
 
 
 def test_an_estimate_counts_them(tmp_path: Path) -> None:
-    from service.job.picture.limits import OWN_PICTURE
+    from service.job.picture import OWN_PICTURE
     from service.job.planning.estimate import estimate
     from tests.service.job.stages.jobs import save_picture
 

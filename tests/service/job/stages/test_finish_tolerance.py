@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from optics.finish import Finish
 from service.job.report.finishing import list_finish_tolerance, make_finishing_card
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up
 from service.job.stages.as_finished import LOSS_DB, find_limit, minutes_ratio, work_longer
 from tests.service.job.stages.jobs import tiny_spec
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from optics.heightfield import Array
-from service.job.picture.limits import OWN_PICTURE
+from service.job.picture import OWN_PICTURE
 from service.job.planning.estimate import estimate
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import ResolvedJob, look_up
+from service.job.spec.resolve import ResolvedJob, look_up
 from service.job.stages import kept_plans
 from service.job.stages.kept_plans import KeptPlans
 from service.job.stages.run import run_order
@@ -124,7 +124,7 @@ def test_what_a_plan_depends_on_makes_another(tmp_path: Path, monkeypatch: pytes
 def test_other_sources_make_another_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made, plans = fake_plans(monkeypatch), KeptPlans(tmp_path)
     plans.make(JOB, TARGET, at_once=True)
-    monkeypatch.setattr("service.job.stages.table.state_of_sources", lambda module: "changed")
+    monkeypatch.setattr("service.job.stages.table.state_of_sources", lambda module, data: "changed")
     plans.make(JOB, TARGET, at_once=True)
     assert len(made) == 2
 

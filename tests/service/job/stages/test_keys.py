@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up
 from service.job.stages.order import FileRef, StageResult
 from service.job.stages.run import run_order
-from service.job.stages.source_state import modules_used, state_of_sources
 from service.job.stages.table import facts_of, part_of, plan, reads, shares, stage_key, stage_of
+from service.processes.source_tree import modules_used, state_of_sources
 from tests.service.job.stages.jobs import StagedJob, hashes, staged_job
 from tests.service.job.stages.variants import (
     ALONE,
@@ -350,7 +350,7 @@ def test_jobs_that_begin_at_once_find_the_same_sources() -> None:
     script = (
         "import gc, time\n"
         "from concurrent.futures import ThreadPoolExecutor\n"
-        "from service.job.stages.source_state import state_of_sources\n"
+        "from service.processes.source_tree import state_of_sources\n"
         "gc.callbacks.append(lambda *_: time.sleep(0))\n"
         "gc.set_threshold(50)\n"
         "with ThreadPoolExecutor(4) as slots:\n"

@@ -12,16 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optics.witness import NoMarksError
+from service.job import pipeline
 from service.job.files import is_program, page_in, program_order, programs_in_order
 from service.job.planning.witness import WitnessPlan, plan_witness
 from service.job.report.setup_sheet import LANGUAGES
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import with_plan
-from service.job.spec.resolved import look_up
+from service.job.spec.resolve import look_up, with_plan
 from service.job.stages.table import plan
+from service.progress import QuietReporter
 from service.wording import number
 from tests.service.job.report.test_sheet_in_languages import said_past_the_tables
-from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
+from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
 
 FELT = ('finish.process="felt"', "finish.minutes=1.2", "finish.k0_rad_per_mm=2.5", "finish.depth_um=16")
 ROOMY = (*FELT, "stock.margin_mm=24", "passes.1.pitch_mm=0.2")
@@ -76,6 +77,14 @@ def test_their_program_comes_after_the_passes_and_before_the_cut_out(job: Staged
     assert row["settings"]["radius_mm"] == job.spec.passes[-1].radius_mm
 
 
+def test_the_command_line_writes_the_same_programs(job: StagedJob, tmp_path: Path) -> None:
+    """Marks and cut-out both begin from the stock that the passes leave, in one process as in many."""
+    spec = tiny_spec(*ROOMY, CUT, "stock.thickness_mm=4")
+    pipeline.make(save_picture(tmp_path / "blob.png"), tmp_path / "out", look_up(spec), reporter=QuietReporter())
+    for name in filter(is_program, job.outputs):
+        assert (tmp_path / "out" / name).read_bytes() == job.bytes(name), name
+
+
 def test_the_lens_and_its_programs_are_what_they_are_without_them(job: StagedJob, tmp_path: Path) -> None:
     plain = staged_job(tmp_path, *ROOMY, CUT, "stock.thickness_mm=4", "finish.witness=false")
     plain.run_all(until="check", without=("caustic",))
@@ -90,7 +99,6 @@ def test_the_lens_and_its_programs_are_what_they_are_without_them(job: StagedJob
 
 def test_the_check_command_knows_them(job: StagedJob, tmp_path: Path) -> None:
     from service.job.checking import CheckSettings, check_programs
-    from service.progress import QuietReporter
 
     names = [name for name in job.outputs if is_program(name)] + ["spec.json", "report.json", "heightfield.npz"]
     for name in names:

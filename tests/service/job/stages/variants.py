@@ -1,5 +1,5 @@
-"""A spec in which every figure is given, and another allowed value for each of its keys: as it stands in OTHER, or in
-ALONE, or any that the schema allows.
+"""A spec in which every figure is given that has no usual value, and another allowed value for each of its keys: as it
+stands in OTHER, or in ALONE, or any that the schema allows.
 """
 
 from __future__ import annotations
@@ -10,84 +10,43 @@ from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 
 _ROW = {
-    "strategy": "raster",
-    "direction": "x",
-    "link": "u-turn",
-    "where": "everywhere",
-    "plunge_mm_per_min": 300.0,
-    "spindle_rpm": 9000.0,
-    "flute_length_mm": 15.0,
+    "radius_mm": 3.0, "plunge_mm_per_min": 300.0, "spindle_rpm": 9000.0, "flute_length_mm": 15.0,
     "shank_radius_mm": 3.0,
-}
+}  # fmt: skip
 _GIVEN: dict[str, Any] = {
     "preset": "draft",
-    "plan": {"hours": None, "blur_mm": None, "psnr_db": None},
-    "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False, "prepare": "none",
-              "prepare_detail_mm": None},
+    "image": {"pixels": 24, "tone": "linear"},
     "optics": {
-        "width_mm": 4.0, "height_mm": 4.0, "throw_mm": 20.0, "refractive_index": 1.49, "screen_width_mm": 4.0,
-        "screen_height_mm": 4.0, "min_radius_mm": 3.0, "method": "transport", "viewed_from": "lens", "corrections": 0,
-        "screen_shift_x_mm": 0.0, "screen_shift_y_mm": 0.0, "surface": "lens", "branch": "direct",
-        "outline": "rectangle", "creases": False, "vertices_per_pixel": 2, "polish": False,
-        "foreseen_blur_mm": [0.0, 0.0],
-        "light": {"kind": "collimated", "size_deg": None, "distance_mm": None, "size_mm": None, "profile": None,
-                  "spectrum": "white", "gaussian_mm": None},
+        "width_mm": 4.0, "height_mm": 4.0, "throw_mm": 20.0, "screen_width_mm": 4.0, "screen_height_mm": 4.0,
+        "min_radius_mm": 3.0, "corrections": 0, "branch": "direct",
     },
-    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0, "skim_mm": 0.1, "material": "pmma", "face": None,
-              "cut_out": None},
+    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0},
     "passes": [
-        {**_ROW, "name": "rough", "radius_mm": 3.0, "pitch_mm": 1.0, "stock_to_leave_mm": 0.2, "step_down_mm": 1.5,
+        {**_ROW, "name": "rough", "pitch_mm": 1.0, "stock_to_leave_mm": 0.2, "step_down_mm": 1.5,
          "feed_mm_per_min": 1200.0},
-        {**_ROW, "name": "finish", "radius_mm": 3.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.0, "step_down_mm": 0.4,
-         "feed_mm_per_min": 1000.0},
+        {**_ROW, "pitch_mm": 0.25, "step_down_mm": 0.4, "feed_mm_per_min": 1000.0},
     ],
-    "finish": {"process": "none", "k0_rad_per_mm": None, "order": None, "depth_um": None, "minutes": None,
-               "pad_mm": None, "witness": True},
     "machine": {
-        "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
+        "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
-        "screw_error_mm": [0.001, 0.0, 0.001], "screw_lead_mm": [2.0, 2.0, 2.0],
-        "junction_deviation_mm": 0.01,
+        "screw_error_mm": [0.001, 0.0, 0.001], "screw_lead_mm": [2.0, 2.0, 2.0], "junction_deviation_mm": 0.01,
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
         "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0, "coolant": "none",
-        "blend_tolerance_mm": None, "high_precision": "none", "work_offset": 1, "warm_up_s": 0.0,
-        "collet_mm": 6.35, "spindle_w": 500.0, "removal_cm3_per_min": 6.0,
-        "trace_outline": False,
+        "high_precision": "none", "work_offset": 1, "warm_up_s": 0.0, "collet_mm": 6.35, "spindle_w": 500.0,
+        "removal_cm3_per_min": 6.0, "trace_outline": False,
     },
 }  # fmt: skip
 BASE: dict[str, Any] = JobSpec.model_validate(_GIVEN).model_dump(mode="json")
 OTHER: dict[str, Any] = {
-    "preset": "paper",
-    "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True, "image.prepare": "detail",
-    "optics.width_mm": 4.5, "optics.height_mm": 3.5, "optics.throw_mm": 25.0, "optics.refractive_index": 1.52,
-    "optics.screen_width_mm": 4.4, "optics.screen_height_mm": 3.6, "optics.min_radius_mm": 2.5,
-    "optics.viewed_from": "behind", "optics.corrections": 1, "optics.screen_shift_x_mm": 1.0,
-    "optics.screen_shift_y_mm": -1.0, "optics.surface": "mirror", "optics.branch": "inverted",
-    "optics.outline": "ellipse", "optics.vertices_per_pixel": 3, "optics.polish": True,
-    "optics.foreseen_blur_mm": [0.2, 0.1],
+    "image.fit": "stretch", "optics.width_mm": 4.5, "optics.height_mm": 3.5, "optics.screen_width_mm": 4.4,
+    "optics.screen_height_mm": 3.6, "optics.screen_shift_x_mm": 1.0, "optics.screen_shift_y_mm": -1.0,
+    "optics.branch": "inverted", "optics.outline": "ellipse", "optics.foreseen_blur_mm": [0.2, 0.1],
     "optics.light.profile": [[1.0, 0.5], [0.8, 0.9]], "optics.light.spectrum": "monochromatic",
-    "stock.thickness_mm": 25.0, "stock.margin_mm": 2.5, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
-    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001,
     "machine.screw_error_mm": [0.002, 0.0, 0.001], "machine.screw_lead_mm": [2.0, 2.0, 1.25],
-    "machine.whole_steps": True,
-    "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.coolant": "flood",
-    "machine.collet_mm": 8.0, "machine.spindle_w": 400.0, "machine.removal_cm3_per_min": 5.0,
-    "machine.work_offset": 2, "machine.warm_up_s": 10.0, "machine.trace_outline": True,
-    "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
-    "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
-    **{
-        f"passes.{number}.{key}": value
-        for number in range(2)
-        for key, value in {
-            "name": "other", "strategy": "contour", "direction": "y",
-            "link": "retract", "radius_mm": 2.75, "pitch_mm": 0.7 - number / 2,
-            "stock_to_leave_mm": 0.1 + number / 20, "step_down_mm": 1.0 - number / 2, "feed_mm_per_min": 900.0,
-            "plunge_mm_per_min": 250.0, "spindle_rpm": 8000.0,
-            "flute_length_mm": 16.0, "shank_radius_mm": 2.9,
-        }.items()
-    },
+    "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.collet_mm": 8.0,
+    "machine.spindle_rpm": [2000.0, 19000.0], "passes.0.name": "other", "passes.1.name": "other",
 }  # fmt: skip
 ONLY_ONE_VALUE = {"stock.material", "passes.0.where", "passes.1.corner_radius_mm"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
@@ -157,11 +116,17 @@ def _changed(data: Any, place: str, changes: dict[str, Any]) -> Any:
 _SCHEMA = JobSpec.model_json_schema()
 
 
-def _another(key: str, value: Any) -> Any:
-    """Near the value, or at the low end of what is allowed."""
+def schema_of(key: str) -> dict[str, Any]:
+    """What the spec's JSON schema says of a dotted key."""
     told = _target(_SCHEMA)
     for step in key.split("."):
         told = _target(told["items"] if step.isdecimal() else told["properties"][step])
+    return told
+
+
+def _another(key: str, value: Any) -> Any:
+    """Near the value, or at the low end of what is allowed."""
+    told = schema_of(key)
     if "enum" in told:
         return next(other for other in told["enum"] if other != value)
     if told["type"] == "boolean":

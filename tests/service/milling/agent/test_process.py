@@ -118,18 +118,6 @@ def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_p
     assert agent.status()["status"]["state"] == "idle"
 
 
-def test_an_address_that_others_reach_is_refused_without_tls(mill: Bench) -> None:
-    assert "--behind-proxy" in refusal("--port", mill.url, "--host", "0.0.0.0")
-
-
-def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) -> None:
-    path = tmp_path / "secret"
-    path.write_text("x" * 32)
-    path.chmod(0o640)
-    words = refusal("--port", mill.url, "--bind-port", "0", "--data", str(tmp_path / "d"), "--token-file", str(path))
-    assert f"chmod 600 {path}" in words
-
-
 @pytest.mark.thorough
 def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     agent.start(program(tmp_path / "p.nc", 100))

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from service.errors import FailedError, PictureError
-from service.job.picture.limits import PictureFacts
+from service.job.picture import PictureFacts
 from service.server.api.intake.child_requests import PictureChecker
 from tests.service.server.api.server import encoded
 
@@ -109,8 +109,8 @@ def test_the_content_says_what_it_is_and_not_the_name(checker: PictureChecker, t
 
 def test_what_passes_here_passes_in_the_image_stage(facts, tmp_path: Path) -> None:
     """One implementation decodes in both places: also an upright turn by EXIF, and a note too long to be kept."""
+    from service.job.picture import OWN_PICTURE
     from service.job.picture.decoding import decode_picture
-    from service.job.picture.limits import OWN_PICTURE
 
     exif = Image.Exif()
     exif[0x0112] = 6

@@ -17,8 +17,7 @@ import pytest
 from service.errors import SpecError
 from service.http.problems import Problem
 from service.job.spec.errors import MOST_PROBLEMS
-from service.job.spec.loading import resolve_spec
-from service.job.spec.minimal import reduce_spec
+from service.job.spec.loading import reduce_spec, resolve_spec
 from service.server.api.intake.form import JobForm
 from service.server.api.intake.request import job_request
 from tests.service.server.api.server import ApiServer, problem

@@ -48,9 +48,8 @@ from machines.runs import Confirmation
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import MemoryPort
 from service.http.event_hub import Hub
-from service.milling.agent.agent import Agent, ClientKeys
+from service.milling.agent.agent import Agent, ClientKeys, MillAccess
 from service.milling.agent.app import make_app
-from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings
 from service.server.database.connection import connect
@@ -59,7 +58,7 @@ from service.server.fleet.core import FleetCore
 from service.server.fleet.orders import Controls, Orders, Stops
 from service.server.fleet.registry import KnownMachine
 from service.settings import ServerSettings
-from tests.machines.inline_syncer import InlineSyncer
+from tests.machines.disks import InlineSyncer
 from tests.service.server.fleet.order_network import MessageNetwork
 from tests.service.server.fleet.order_people import CHECKS, MACHINE, People
 

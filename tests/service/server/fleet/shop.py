@@ -19,8 +19,7 @@ import httpx
 import pytest
 
 from machines.mill.orders import Stop
-from machines.preflight.limits import MillLimits
-from machines.preflight.preflight import Preflight
+from machines.preflight.preflight import MillLimits, Preflight
 from service.http.problems import GRANT
 from service.milling import preflight
 from service.milling.agent.card import AgentCard, read_card

@@ -24,7 +24,7 @@ from machines.clock import suspend_aware_clock_s
 from machines.errors import MachineError
 from machines.journal.disk import RealFile
 from machines.mill.orders import Caller, Stop
-from service.milling.agent.mill_access import MillAccess
+from service.milling.agent.agent import MillAccess
 from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from service.server.fleet import agent_client

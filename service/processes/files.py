@@ -1,0 +1,133 @@
+"""The files that this program keeps: they appear whole or not at all, and are for its own account alone, folders 0700,
+files 0600, under any umask. And one server alone has a data folder: its lock ends with its holder, however that ends.
+
+Only the standard library: the supervisor and the command line use it before anything else is imported.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import IO, BinaryIO
+
+from service.errors import FailedError, InputError, sentence_of_os_error
+
+_OTHERS = 0o077
+# Files that say that a folder is a server's, a worker's or an agent's.
+_DATA = ("serve.lock", "worker.lock", "lock", "token", "causticmill.sqlite", "settings.env")
+_LOCK = "serve.lock"
+
+
+@contextlib.contextmanager
+def open_whole(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Open a file that takes its name once the block has ended well and its bytes are on the disk, in place of one
+    that is there. OSError; where the block or the disk fails nothing is left.
+
+    mode : of the file, less the umask
+    """
+    hidden = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with os.fdopen(os.open(hidden, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode), "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        hidden.replace(path)
+    except BaseException:
+        hidden.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, text: str, mode: int = 0o666) -> None:
+    """Write a file as a whole, in UTF-8. OSError."""
+    with open_whole(path, mode) as file:
+        file.write(text.encode())
+
+
+def keep_private(folder: Path) -> Path:
+    """Make a data folder if need be, close it to others, and all that this process and its children make from now on.
+
+    FailedError, one line, where that cannot be.
+    """
+    os.umask(_OTHERS)
+    try:
+        make_private(folder, holding=_DATA)
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
+    return folder
+
+
+def make_private(folder: Path, *, holding: Sequence[str] = ()) -> None:
+    """Make a folder if need be and close it to others; one that was open until now with all that is in it. OSError.
+
+    Once it is closed nobody else reaches what is in it: a folder that is closed already is not walked through.
+    holding : files of which one must be in a folder that a person has named, unless it is empty: a home, or the whole
+              computer, is not ours to close
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not folder.stat().st_mode & _OTHERS:
+        return
+    held = {path.name: path for path in folder.iterdir() if path.name != "lost+found"}
+    if holding and held and not any(name in held and stat.S_ISREG(held[name].lstat().st_mode) for name in holding):
+        raise OSError(
+            errno.EOPNOTSUPP, "it is open to others and holds other things: give a folder of its own", str(folder)
+        )
+    try:
+        folder.chmod(0o700)
+    except PermissionError:
+        # another number than EPERM, whose words would be the system's own
+        words = "others may enter it, and it is not ours to close; say `chmod 700` as its owner, or give a folder in it"
+        raise OSError(errno.EOPNOTSUPP, words, str(folder)) from None
+    for below, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            _close(Path(below) / name)
+
+
+def forget_oldest(folder: Path, most_bytes: int) -> None:
+    """Keep a folder of results small: the least recently used go first, the two last ones never."""
+    with contextlib.suppress(OSError):
+        files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+        excess = sum(file.stat().st_size for file in files) - most_bytes
+        for file in files[:-2]:
+            if excess <= 0:
+                break
+            excess -= file.stat().st_size
+            file.unlink(missing_ok=True)
+
+
+def _close(path: Path) -> None:
+    try:
+        mode = path.lstat().st_mode
+        if not stat.S_ISLNK(mode) and mode & _OTHERS:
+            path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
+    except (FileNotFoundError, PermissionError):  # gone meanwhile; or another account's, and out of others' reach now
+        pass
+
+
+def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
+    """Lock a file, to be kept open; the folder is made if need be. InputError where another process has it."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"--data {folder} is a file; allowed: a folder")
+        keep_private(folder)
+        file = (folder / _LOCK).open("a+", encoding="ascii")
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        holder = file.read(60).strip() or "another process"
+        file.close()
+        raise InputError(f"--data {folder} is in use by {holder}; stop that first, or give another folder") from None
+    except OSError as error:
+        file.close()
+        raise FailedError(sentence_of_os_error(error, doing=f"cannot lock the data folder {folder}")) from None
+    file.truncate(0)
+    file.write(f"process {os.getpid()} ({doing})\n")
+    file.flush()
+    return file
