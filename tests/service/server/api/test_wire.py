@@ -15,11 +15,13 @@ from pathlib import Path
 import httpx
 import pytest
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.types import Message, Receive, Scope, Send
 
 from service.http.admission import Admission
+from service.http.problems import Problem
 from service.server.api.access.requests import BodyLimits
-from service.server.api.intake.form import Space
+from service.server.api.intake.form import RequestBody, Space
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S, seen, until
 
@@ -210,3 +212,25 @@ def test_a_job_whose_programs_the_disk_cannot_hold_is_refused_at_once(server: Ap
     answer = server.client.post("/v1/jobs", files={"image": png()}, data={"spec": json.dumps(spec)})
     assert "MB" in problem(answer, 507, "spec.passes")["detail"]
     assert server.files() == before
+
+
+def test_a_client_that_stops_sending_is_given_up() -> None:
+    async def silence() -> Message:
+        await asyncio.sleep(60)
+        raise AssertionError
+
+    async def read() -> None:
+        body = RequestBody(Request({"type": "http", "headers": []}, silence), wait_s=0.01)
+        async for _ in body.pieces():
+            raise AssertionError
+
+    with pytest.raises(Problem, match="nothing came") as told:
+        asyncio.run(read())
+    assert told.value.status == 408
+
+
+@pytest.mark.parametrize("path", ["/v1/tokens", "/v1/machines/mill/runs"])
+def test_a_json_body_is_small(server: ApiServer, path: str) -> None:
+    answer = server.client.post(path, content=b'{"a": "' + b"x" * 200_000, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (401, 413)
+    assert answer.headers["content-type"] == "application/problem+json"
