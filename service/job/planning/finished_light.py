@@ -203,9 +203,7 @@ class FinishedLight(PictureLight):
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves too fine for the coarse lens
         off_fine = float((finer * np.square(1.0 - self._kept_waves)).mean())
-        # No finish makes a lens better than it is without marks.
-        unmarked = self.lenses[marks.radius_mm].perfect_error
-        off, guess = max(off_free + off_fine, unmarked), self._guess_error(marks.radius_mm)
+        off, guess = off_free + off_fine, self._guess_error(marks.radius_mm)
         # What a tool does not reach costs as much after less work: k0 2.05 to 2.9, 23.6 to 24.0 dB on two pictures.
         adds = self.contact_share < _NEARLY_ALL and off > guess
         self._lens_scale, self._lost_contact = (1.0, off - guess) if adds else (off / guess, 0.0)
