@@ -140,10 +140,10 @@ class RunReport:
 
     def as_dict(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in self.__slots__}
-        told = values | {
+        view = values | {
             "state": self.state.value,
             "warnings": list(self.warnings),
             "share": self.share,
             "live": self.live,
         }
-        return told | {"phrases": phrases_in((self.words, self.values, told["warnings"]))}
+        return view | {"phrases": phrases_in((self.words, self.values, view["warnings"]))}

@@ -39,8 +39,8 @@ class LogEntry:
         said = {
             "code": self.code, "values": self.values, "answer": self.answer, "by": self.by, "from": self.origin,
         }  # fmt: skip
-        told = plain | {name: value for name, value in said.items() if value}
-        return told | ({"phrases": phrases} if (phrases := phrases_in(told)) else {})
+        entry = plain | {name: value for name, value in said.items() if value}
+        return entry | ({"phrases": phrases} if (phrases := phrases_in(entry)) else {})
 
 
 class MillLog:
@@ -157,7 +157,7 @@ class MillSnapshot:
         return self.status.state not in (MillState.DISCONNECTED, MillState.CONNECTING)
 
     def as_dict(self) -> dict[str, Any]:
-        told = {
+        snapshot = {
             "version": self.version,
             "name": self.name,
             "connected": self.connected,
@@ -175,8 +175,8 @@ class MillSnapshot:
             "stops": self.stops,
             "control": None if self.lease is None else self.lease.as_dict(),
         }
-        return told | {
-            "phrases": phrases_in(told),
+        return snapshot | {
+            "phrases": phrases_in(snapshot),
             "run": self.run.as_dict() if self.run is not None else None,
             "events": [entry.as_dict() for entry in self.events],
         }

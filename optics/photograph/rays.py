@@ -54,7 +54,7 @@ class WallRays:
         self._modes = np.stack([surface_mode(one, across, along, lens.height_mm / lens.width_mm) for one in ORDERS])
         source_mm = blur_mm(lens, bench, source_rad(lens, bench))
         self._source_px = source_mm * self._tubes.aim.per_mm_x, source_mm * self._tubes.aim.per_mm_y
-        self._foretold = self._hits(np.zeros(SETTINGS))
+        self._predicted = self._trace_hits(np.zeros(SETTINGS))
 
     def light(self, setting: Array) -> Array:
         """Return (ny + 2 rim, nx + 2 rim) irradiance in the work frame, in units of incident light / pixels of the
@@ -62,9 +62,9 @@ class WallRays:
 
         An affine mapping of the whole picture is taken out, for where the camera stands undoes it.
         """
-        hit_x, hit_y = self._foretold
+        hit_x, hit_y = self._predicted
         if setting.any():
-            hit_x, hit_y = _without_affine(self._foretold, self._hits(setting))
+            hit_x, hit_y = _without_affine(self._predicted, self._trace_hits(setting))
         acc = np.zeros((self._pixels[0], self._pixels[1] + 1))
         spread_tubes(0, hit_x.shape[0] - 1, hit_x, hit_y, self._tubes.lights[0], acc)
         light = np.asarray(np.cumsum(acc, axis=1)[:, :-1]) * self._share
@@ -74,10 +74,12 @@ class WallRays:
 
     def width(self, setting: Array) -> float:
         """Return how wide the lit area is, relative to what the bench as it is makes of it."""
-        was, now = (float(np.nanmean(hits[0][:, -1] - hits[0][:, 0])) for hits in (self._foretold, self._hits(setting)))
+        was, now = (
+            float(np.nanmean(hits[0][:, -1] - hits[0][:, 0])) for hits in (self._predicted, self._trace_hits(setting))
+        )
         return now / was
 
-    def _hits(self, setting: Array) -> tuple[Array, Array]:
+    def _trace_hits(self, setting: Array) -> tuple[Array, Array]:
         """Return (rows + 1, columns + 1) each: where the lattice's rays meet the wall [pixels]; NaN: reflected."""
         bench, aim, s = self._bench, self._tubes.aim, self._lens
         tilt_x, tilt_y = bench.light.tilt_rad

@@ -80,8 +80,8 @@ def run_as_finished(context: StageContext) -> None:
         own_db, gains = psnr_db(seen.irradiance, target), {}
         for cause, other in bench.without_each_flaw().items():
             gains[cause] = psnr_db(light_through(finished.lens, other, shape).irradiance, target) - own_db
-    _tell(context, finished, target, seen, gains)
-    _tell_of_rims(context, lens, finish)
+    _report_light(context, finished, target, seen, gains)
+    _report_rims(context, lens, finish)
     if sentence := warn_of_lost_contact(finished.contact_share):
         context.note("passes", sentence)
     milled_mm = min(max(spec.radius_mm for _, spec in passes), context.spec.stock.margin_mm)
@@ -145,7 +145,9 @@ def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
 
 
-def _tell(context: StageContext, finished: Finished, target: Array, seen: Caustic, gains: dict[str, float]) -> None:
+def _report_light(
+    context: StageContext, finished: Finished, target: Array, seen: Caustic, gains: dict[str, float]
+) -> None:
     finish, score = finish_of(context.spec), asdict(score_caustic(seen.irradiance, target))
     assert finish is not None
     pixel_mm = bench_of(context.spec).screen.width_mm / target.shape[1]
@@ -164,7 +166,7 @@ def _tell(context: StageContext, finished: Finished, target: Array, seen: Causti
     )
 
 
-def _tell_of_rims(context: StageContext, lens: Heightfield, finish: Finish) -> None:
+def _report_rims(context: StageContext, lens: Heightfield, finish: Finish) -> None:
     spec = context.spec
     room = measure_rim_room(lens, cam_passes_of(spec), finish, margin_mm=spec.stock.margin_mm)
     if room is None:

@@ -174,11 +174,11 @@ def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, 
     ends = dict(zip(lengths, accumulate(lengths.values()), strict=True))
     whole = sum(lengths.values())
 
-    def tell(phase: str, share: float) -> None:
+    def report_share(phase: str, share: float) -> None:
         if phase in ends:
             on_progress((ends[phase] - (1.0 - share) * lengths[phase]) / whole)
 
-    return tell
+    return report_share
 
 
 def _report_design(context: StageContext, design: LensDesign, target: Array, settings: LensSettings) -> None:

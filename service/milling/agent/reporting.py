@@ -123,12 +123,12 @@ class SnapshotFeed:
                 continue
             version = snapshot.version
             try:
-                self._loop.call_soon_threadsafe(self._tell, snapshot)
+                self._loop.call_soon_threadsafe(self._publish, snapshot)
             except RuntimeError:  # the loop has ended
                 return
             self._ended.wait(_LEAST_GAP_S)
 
-    def _tell(self, snapshot: MillSnapshot) -> None:
+    def _publish(self, snapshot: MillSnapshot) -> None:
         """Publish on the event loop: first what has happened since, then how things stand."""
         for entry in snapshot.events:
             if entry.number > self._last_event:

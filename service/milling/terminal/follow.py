@@ -85,7 +85,7 @@ class RunFollower:
         self._asked_s = time.monotonic()
         self._words = ""
         self._protected: tuple[str, ...] = ()
-        self._told = thread.snapshot.events[-1].number if thread.snapshot.events else 0
+        self._last_printed = thread.snapshot.events[-1].number if thread.snapshot.events else 0
         self._feed_asked = (float("-inf"), 100)
         self._was: RunState | None = None
 
@@ -94,7 +94,7 @@ class RunFollower:
             snapshot = self._thread.snapshot
             ended = self._find_end(snapshot)
             self._note_state(snapshot)
-            self._tell_news(snapshot)
+            self._print_news(snapshot)
             self._screen.show(self._make_view(snapshot))
             if ended is not None:
                 return self._make_outcome(ended)
@@ -116,12 +116,12 @@ class RunFollower:
         if before is RunState.HELD and self._was in (RunState.RUNNING, RunState.RECOVERING):
             self._keys.note_running()
 
-    def _tell_news(self, snapshot: MillSnapshot) -> None:
+    def _print_news(self, snapshot: MillSnapshot) -> None:
         """Print what a person should read and would miss in the panel, each once, above it."""
         for entry in snapshot.events:
-            if entry.number > self._told and entry.kind in _NEWS:
+            if entry.number > self._last_printed and entry.kind in _NEWS:
                 self._screen.say(f"{entry.kind}: {entry.words}")
-            self._told = max(self._told, entry.number)
+            self._last_printed = max(self._last_printed, entry.number)
 
     def _is_driven(self) -> bool:
         """Return whether the mill's thread answers."""
@@ -193,7 +193,7 @@ class RunFollower:
             case Wish.HOLD:
                 stop_mill(self._thread, Stop.HOLD)
             case Wish.RESUME:
-                self._tell("resume", Mill.resume)
+                self._give_order("resume", Mill.resume)
             case Wish.FASTER:
                 self._step_feed(_STEP_PERCENT)
             case Wish.SLOWER:
@@ -223,9 +223,9 @@ class RunFollower:
         low, high = OVERRIDE_PERCENT
         percent = min(high, max(low, base + change))
         self._feed_asked = (now, percent)
-        self._tell("override", lambda mill: mill.command(Override("feed", percent)))
+        self._give_order("override", lambda mill: mill.command(Override("feed", percent)))
 
-    def _tell(self, doing: str, order: Callable[[Mill], object]) -> None:
+    def _give_order(self, doing: str, order: Callable[[Mill], object]) -> None:
         try:
             give_order(self._thread, doing, order)
         except MachineError as error:

@@ -49,10 +49,10 @@ async def _answer(request: Request, error: Exception) -> Response:
 
 
 def problem_of(error: Exception) -> Problem:
-    """Return the refusal that tells of an error; 500 for what nobody expected."""
-    for kinds, told in _TABLE:
+    """Return the refusal for an error; 500 for an unexpected one."""
+    for kinds, convert in _TABLE:
         if isinstance(error, kinds):
-            return told(error)
+            return convert(error)
     return Problem(500, Phrase("internal server error; see the server's log"))
 
 

@@ -39,7 +39,7 @@ from service.server.fleet.registry import KnownMachine, read_machines
 from service.settings import ServerSettings
 
 ASK_S = 3.0
-TELL_S = 30.0
+SEND_S = 30.0
 _STOP_TRY_S = STOP_S + 0.5  # its agent's own time, and the way there and back
 URGENT_S = 2 * _STOP_TRY_S  # for a stop: a person waits beside the mill
 _CONNECT_S = 2.0
@@ -63,10 +63,10 @@ class AgentLink:
         self.feed = AgentFeed(self.open_events, AgentAwayError)
 
     async def get(self, path: str, *, timeout_s: float = ASK_S) -> Json:
-        return await self._tell("GET", path, timeout_s=timeout_s)
+        return await self._send("GET", path, timeout_s=timeout_s)
 
-    async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
-        return await self._tell("POST", path, timeout_s=timeout_s, json=body or {})
+    async def post(self, path: str, body: Json | None = None, *, timeout_s: float = SEND_S) -> Json:
+        return await self._send("POST", path, timeout_s=timeout_s, json=body or {})
 
     async def send_once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
         """Send as `post`, but not even one that certainly did not arrive is sent again: an order is for now or for
@@ -99,7 +99,7 @@ class AgentLink:
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}
-        return await self._tell("PUT", path, timeout_s=TELL_S, content=content, headers=headers)
+        return await self._send("PUT", path, timeout_s=SEND_S, content=content, headers=headers)
 
     @asynccontextmanager
     async def open_events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
@@ -167,7 +167,7 @@ class AgentLink:
             there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
             raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}", ServerCode.AGENT_OTHER)
 
-    async def _tell(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+    async def _send(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         """Send; one that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent
         again.
         """
@@ -214,8 +214,8 @@ class AgentLink:
             said = json_object(content, self.machine.name)
         except Problem:
             said = {}
-        told: Json = restore(said, phrases_of(said) or {})
-        detail, field = cut_text(told.get("detail", "")), str(told.get("field", ""))[:200]
+        body: Json = restore(said, phrases_of(said) or {})
+        detail, field = cut_text(body.get("detail", "")), str(body.get("field", ""))[:200]
         if status in (401, 403):
             words = f"the agent of '{self.machine.name}' does not take the token we have for it"
             return Problem(502, words, code=ServerCode.AGENT_KEY_REFUSED)
@@ -223,11 +223,11 @@ class AgentLink:
             reason = detail or Phrase("no reason given")
             words, values = f"the agent of '{self.machine.name}' answered {status}: {reason}", {"status": status}
             return Problem(502, words, code=ServerCode.AGENT_FAULT, values=values | {"reason": reason})
-        more: Json = {"effect": cut_text(told["effect"])} if isinstance(told.get("effect"), str) else {}
-        if "control" in told:
-            more["control"] = parse_holder(table(told, "control")).model_dump(mode="json") if told["control"] else None
-        code = told["code"][:100] if isinstance(told.get("code"), str) else ""
-        return Problem(status, detail, field=field, code=code, values=list_values(told), more=more)
+        more: Json = {"effect": cut_text(body["effect"])} if isinstance(body.get("effect"), str) else {}
+        if "control" in body:
+            more["control"] = parse_holder(table(body, "control")).model_dump(mode="json") if body["control"] else None
+        code = body["code"][:100] if isinstance(body.get("code"), str) else ""
+        return Problem(status, detail, field=field, code=code, values=list_values(body), more=more)
 
     def _make_unreached(self, error: Exception, *, sent: bool = False) -> AgentAwayError:
         reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(

@@ -167,7 +167,7 @@ def make_order_view(machine: str, order: str, status: Json) -> OrderView:
 
 def make_mill_view(status: Json) -> Json:
     """Return what the mill does, out of its agent's status."""
-    told = table(status, "status")
+    fields = table(status, "status")
     names = (
         "state",
         "detail",
@@ -183,7 +183,7 @@ def make_mill_view(status: Json) -> Json:
         "pins",
         "controller",
     )
-    return {name: told.get(name) for name in names} | {
+    return {name: fields.get(name) for name in names} | {
         "buffer_share": _compute_buffer_share(status),
         "connected": status.get("connected", False),
         "problem": status.get("problem", ""),

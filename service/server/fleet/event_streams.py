@@ -38,7 +38,7 @@ class MachineEvents:
         self._last_id = last_id
         self._status: Json | None = None
         self._shown: MachineView | None = None
-        self._told: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
+        self._last_sent: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
         self._remembered = bool(last_id)
         self._sent_s = self._looked_s = 0.0
         self._run: RunRow | None = None
@@ -105,9 +105,9 @@ class MachineEvents:
     def _make_entry(self, entry: Json, event_id: str = "") -> bytes:
         """Return the event of an entry; nothing for one that was told already."""
         place = (_number(entry, "at_s"), _number(entry, "number"))
-        if place != (0.0, 0.0) and place <= self._told:
+        if place != (0.0, 0.0) and place <= self._last_sent:
             return b""
-        self._told = max(place, self._told)
+        self._last_sent = max(place, self._last_sent)
         return event_bytes("log", compact_json(entry), event_id)
 
     # ------------------------------------------------------------------ how it stands
@@ -198,7 +198,7 @@ class RunEvents:
             if message.kind != "status":
                 if _is_since(data, self._run):
                     yield event_bytes("log", compact_json(data), self._last_id)
-            elif (now := _told(self._run, table(data, "run")) or await self._look()) != self._shown:
+            elif (now := _read_run_state(self._run, table(data, "run")) or await self._look()) != self._shown:
                 self._shown = now
                 if not now.open:
                     await self._look_again()  # written down before the reader learns of it
@@ -231,13 +231,13 @@ def _run_event(run: LiveRun, event_id: str = "") -> bytes:
     return event_bytes("run", run.model_dump_json(), event_id)
 
 
-def _told(run: RunRow, view: Json) -> LiveRun | None:
+def _read_run_state(run: RunRow, view: Json) -> LiveRun | None:
     """Return how the run stands, by what the agent says of its run; None where that is another one."""
     if view.get("id") != run.agent_run:
         return None
     state = run_view(view, run.machine)["state"]
-    told = {"state": state, "view": view, "open": state not in ENDED, "away": None} | read_reason(view)
-    return make_live_run(replace(run, **told))
+    changes = {"state": state, "view": view, "open": state not in ENDED, "away": None} | read_reason(view)
+    return make_live_run(replace(run, **changes))
 
 
 def _is_since(entry: Json, run: RunRow) -> bool:

@@ -169,8 +169,8 @@ class Fleet:
         """Return who ordered what at this mill, newest first."""
         link = self._core.get_link(await self._core.find_machine(machine))
         from_number = "" if before is None else f"&before={before}"
-        told = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
-        return parse_reply(PastOrders, told, machine)
+        reply = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
+        return parse_reply(PastOrders, reply, machine)
 
     async def follow_run(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """Return the run's server-sent events; None where it was over when the reader last heard of it."""

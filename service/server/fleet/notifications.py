@@ -61,17 +61,17 @@ class MillWatch:
 
     def compare(self, machines: Iterable[MachineView], runs: Iterable[RunView]) -> list[Notification]:
         """Return what is to be told. Programs that were finished before the first look are not."""
-        told = []
+        news = []
         for machine in machines:
             trouble = _trouble_of(machine)
             if trouble and self._troubles.get(machine.name) != trouble:
-                told.append(self._describe_trouble(machine, trouble))
+                news.append(self._describe_trouble(machine, trouble))
             self._troubles[machine.name] = trouble
         finished = {run.id: run for run in runs if run.state == FINISHED}
         if self._ended is not None:
-            told += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
+            news += [self._describe_end(run) for name, run in finished.items() if name not in self._ended]
         self._ended = set(finished)
-        return told
+        return news
 
     def _describe_trouble(self, machine: MachineView, words: str) -> Notification:
         run = machine.run
@@ -105,7 +105,7 @@ def _trouble_of(machine: MachineView) -> str:
 
 
 async def watch_mills(
-    fleet: Fleet, tell: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
+    fleet: Fleet, send: Callable[[Notification], Awaitable[None]], *, every_s: float = LOOK_S
 ) -> None:
     """Tell what happens, until the server ends. A look that fails is left out."""
     watch = MillWatch()
@@ -113,7 +113,7 @@ async def watch_mills(
         try:
             runs = await fleet.list_runs(machine=None, job=None, limit=_RUNS, before=None)
             for one in watch.compare((await fleet.list_machines()).machines, runs):
-                await tell(one)
+                await send(one)
         except Exception as error:  # the database is away, or an agent talks nonsense
             _log.warning("mills were not looked at", error=printable(str(error))[:200])
         if await fleet.await_end(every_s):
@@ -127,7 +127,7 @@ class Delivery:
         self._ways, self._again_s = ways, again_s
         self._queues: dict[str, asyncio.Queue[Notification]] = {way: asyncio.Queue(_MOST_WAITING) for way in ways}
 
-    async def tell(self, notification: Notification) -> None:
+    async def enqueue(self, notification: Notification) -> None:
         """Take it; the oldest that waits is given up for it where too many do."""
         for way, queue in self._queues.items():
             if queue.full():

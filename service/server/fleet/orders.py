@@ -44,7 +44,7 @@ from service.server.schemas.runs import ControlView, OrderView
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
 _PLAN_S = 30.0  # the controller is asked first
-_TELL_S = 45.0  # a start asks it first, too, and waits for the journal
+_START_S = 45.0  # a start asks it first, too, and waits for the journal
 _MOST_KNOWN = 1000
 
 
@@ -176,8 +176,8 @@ class Controls:
         """Return how the run would go on now; what the caller has been shown."""
         run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
-        told = await require_answer((await self._find_link(run)).get(path, timeout_s=_PLAN_S))
-        plan = parse_reply(RecoveryView, told | {"run": run.id}, run.machine)
+        view = await require_answer((await self._find_link(run)).get(path, timeout_s=_PLAN_S))
+        plan = parse_reply(RecoveryView, view | {"run": run.id}, run.machine)
         while len(self._plans_shown) >= _MOST_KNOWN:
             del self._plans_shown[next(iter(self._plans_shown))]
         self._plans_shown[caller, run.id] = plan.plan[:100]
@@ -204,7 +204,7 @@ class Controls:
         link = await self._find_link(run)
         try:
             path = f"/v1/runs/{run.agent_run}:{action}"
-            view = await link.send_once(path, body, timeout_s=_TELL_S, headers=context.headers())
+            view = await link.send_once(path, body, timeout_s=_START_S, headers=context.headers())
         except AgentAwayError as away:
             if not away.sent:
                 raise away.problem() from None

@@ -288,9 +288,9 @@ def _profile(profile: MachineProfile) -> Json:
         "homing",
         "spindle",
     )
-    told: Json = {name: values[name] for name in names}
-    told["spindle"] |= {"words": list(profile.spindle.sentences)}
-    return told
+    view: Json = {name: values[name] for name in names}
+    view["spindle"] |= {"words": list(profile.spindle.sentences)}
+    return view
 
 
 def _open_run(run: RunRow) -> OpenRun:

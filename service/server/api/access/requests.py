@@ -47,8 +47,10 @@ def address_of(scope: Scope, *, behind_proxy: bool) -> str:
     if is_here(scope, headers) and not behind_proxy:
         return _HERE
     peer = scope.get("client")
-    told = headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
-    return _network(told) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
+    forwarded = (
+        headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
+    )
+    return _network(forwarded) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
 
 
 def is_this_computer(address: str) -> bool:

@@ -76,7 +76,7 @@ async def cancel(request: Request, response: Response, principal: Writer, job_id
     def change() -> JobView:
         job = services.book.request_cancel(str(job_id), principal.name)
         if job.state is JobState.CANCELLED:
-            _tell_engine(services, job)
+            _cancel_in_engine(services, job)
         return read_view(services, job)
 
     return _with_address(response, await asyncio.to_thread(change))
@@ -112,7 +112,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
     services = services_of(request)
 
     def change() -> None:
-        _tell_engine(services, services.book.delete(str(job_id)))
+        _cancel_in_engine(services, services.book.delete(str(job_id)))
 
     await asyncio.to_thread(change)
     services.feed.drop_job(str(job_id))
@@ -132,7 +132,7 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
     return JobList(jobs=read_summaries(services, page), next=address)
 
 
-def _tell_engine(services: Services, job: Job) -> None:
+def _cancel_in_engine(services: Services, job: Job) -> None:
     """Tell the engine not to start the job any more; a worker that starts it all the same sees that in the book."""
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
