@@ -274,5 +274,5 @@ def make_reason(code: str, values: Mapping[str, object] | None = None) -> Json |
 
 def _news(before: Json | None, now: Json) -> bool:
     """Return whether it is worth a write. Lines alone are not: they change all the time, and the agent knows them."""
-    fields = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
-    return before is None or any(before.get(name) != now.get(name) for name in fields)
+    names = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
+    return before is None or any(before.get(name) != now.get(name) for name in names)
