@@ -196,7 +196,7 @@ class _Slices:
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
-        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in
+        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None if it is not in
         one.
         """
         feed = self._recent[-1][0].feed_mm_per_min if self._recent else None

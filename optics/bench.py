@@ -205,8 +205,8 @@ class Bench:
 
         The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
         k = 1 - aperture / screen, or 1 + aperture / screen on the inverted branch. The path's gradient is that over
-        S = sqrt(|aside|^2 + H^2), whatever the light; for kx = ky that is the gradient of
-        (kx x^2 + ky y^2 + 2 (ax x + ay y)) / (S + S of the centre).
+        S = sqrt(|aside|^2 + H^2), for any light; for kx = ky that is the gradient of (kx x^2 + ky y^2 + 2 (ax x + ay
+        y)) / (S + S of the centre).
         """
         s, (ax, ay) = self.screen, self.shift_mm
         kx, ky = 1 - self.sign * self.width_mm / s.width_mm, 1 - self.sign * self.height_mm / s.height_mm

@@ -31,8 +31,8 @@ class LensDesign:
 
     history  : a record of each pass of the method
     warnings : sentences for a person, each with what to change
-    closing  : what filling valleys cost; None where nothing was to be filled
-    polish   : what the descent at the end did; None where there was none
+    closing  : what filling valleys cost; None if nothing was to be filled
+    polish   : what the descent at the end did; None if there was none
     """
 
     heightfield: Heightfield
@@ -66,7 +66,7 @@ def design_lens(
 
 
 def _design_by_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
-    from optics.paper.surface import paper_lens  # what it stands on is slow to import
+    from optics.paper.surface import paper_lens  # its dependencies are slow to import
 
     started = time.perf_counter()
     lens, ball_mm = paper_lens(target, settings, on_progress=report), settings.closing_radius_mm

@@ -133,7 +133,7 @@ def _spread(acc, x, y, area, light):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread_polygon(acc, x, y, count, light):  # type: ignore[no-untyped-def]
-    """Spread light evenly over a polygon on the screen [pixels]; False where a corner is NaN: none arrives.
+    """Spread light evenly over a polygon on the screen [pixels]; False if a corner is NaN: none arrives.
 
     A quadrilateral whose sides cross is spread as its two triangles, half of the light each: its own area would cancel.
     """

@@ -33,7 +33,7 @@ _OFF_WEIGHT = 0.15  # of each of them
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """A finish as it may turn out, and how much its picture counts. finish: None where nothing is finished"""
+    """A finish as it may turn out, and how much its picture counts. finish: None if nothing is finished"""
 
     weight: float
     finish: Finish | None

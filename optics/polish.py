@@ -180,7 +180,7 @@ def polish_lens(
     target     : (ny, nx), work frame, mean 1
     ball_mm    : radius of the ball that must fit afterwards as well; 0 where none has to
     finish     : after milling: the pictures are those behind it
-    as_planned : for the one finish that is planned, whatever may come of it: a quick look
+    as_planned : only for the finish that is planned, not for its other outcomes: a quick look
 
     The lens comes back as it was where its finer tubes see no gain, or no gain as planned.
     """

@@ -40,7 +40,7 @@ def prepare_picture(linear: Array, detail_px: float, *, black: float = 0.0) -> A
     detail_px : smallest detail that will show, in pixels: the full width at half maximum of what blurs the wall
     black     : light of the darkest pixels as a share of the mean; what valleys leak anyway, so none of it shows
     returns   : (ny, nx) linear light; the same array where the picture has two tones only, which no contrast can help
-    Raises TargetError where the detail is no size.
+    Raises TargetError if the detail is no size.
     """
     if not (np.isfinite(detail_px) and detail_px > 0):
         raise TargetError(

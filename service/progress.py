@@ -16,7 +16,7 @@ Fraction = Callable[[float], None]
 
 
 class Reporter(Protocol):
-    """Told when a stage starts, how far it is (0 to 1), and when it has ended. Stages may overlap."""
+    """Receives the start of each stage, its progress (0 to 1), and its end. Stages may overlap."""
 
     def start_stage(self, stage: str) -> None: ...
     def report_share(self, stage: str, share: float) -> None: ...

@@ -158,7 +158,7 @@ def check_program(
     total_bytes: int | None = None,
     on_progress: Progress | None = None,
 ) -> PassCheck:
-    """Cut the program into stock_top and judge it. Raises ProgramError where the text itself is not allowed.
+    """Cut the program into stock_top and judge it. Raises ProgramError if the text itself is not allowed.
 
     digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
     further     : programs that go on where this one ends, when a pass is split

@@ -163,7 +163,7 @@ def find_candidates(
     """Return all candidates, each with the light's guess, and the tools left out, each with the reason.
 
     quickly : their times from fewer moves, within a tenth or two minutes
-    NoPlanError where all are left out.
+    NoPlanError if all are left out.
     """
     reasons = {tool: _find_reason(tool, lenses.get(tool.radius_mm), shop) for tool in shop.balls}
     left_out = tuple((tool.name, reason) for tool, reason in reasons.items() if reason is not None)
@@ -183,7 +183,7 @@ def find_candidates(
 
 
 def _find_reason(tool: Tool, form: LensForm | None, shop: Shop) -> Phrase | None:
-    """Return why a tool is left out, as a clause; None where it is not."""
+    """Return why a tool is left out, as a clause; None if it is not."""
     if form is None:
         return find_unheld(tool, shop) or Phrase("no lens was shaped for it")
     return find_exclusion(tool, form, shop) or _find_misfit(tool, form)
@@ -311,7 +311,7 @@ def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def _find_misfit(tool: Tool, form: LensForm) -> Phrase | None:
-    """Return how little of the lens a ball fits, as a clause; None where it fits enough."""
+    """Return how little of the lens a ball fits, as a clause; None if it fits enough."""
     if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
         return None
     return Phrase(

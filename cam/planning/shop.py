@@ -104,7 +104,7 @@ class Shop:
 
 
 def find_unheld(tool: Tool, shop: Shop) -> Phrase | None:
-    """Return why the spindle cannot take a tool, as a clause; None where it can."""
+    """Return why the spindle cannot take a tool, as a clause; None if it can."""
     if shop.holds(tool):
         return None
     return Phrase(

@@ -447,7 +447,7 @@ def _end_walls(
     safe_z_mm: float,
 ) -> Iterator[Path]:
     """Yield the ways along the walls at which the rows end, where stock stood above the layer: both sides, front to
-    back. None where turns (n, 3) of the layer's own rows went along all of that already.
+    back. None if turns (n, 3) of the layer's own rows went along all of that already.
 
     Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
     a later layer, or a later pass, would take flakes of several layers off at once.

@@ -126,7 +126,7 @@ class AlarmReply:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """One report `<...>`. Positions in report units (mm, or inch with $13=1); None where the report has no such field.
+    """One report `<...>`. Positions in report units (mm, or inch with $13=1); None if the report has no such field.
 
     accessories : letters of A:, "" when overrides were reported without it (nothing is on), None when not reported
     """

@@ -129,7 +129,7 @@ class MachineView:
 
     @property
     def rx_used(self) -> int | None:
-        """Bytes of lines in the controller's receive buffer, by the latest report; None where it has no Bf:."""
+        """Bytes of lines in the controller's receive buffer, by the latest report; None if it has no Bf:."""
         report = self.report
         if report is None or report.buffer is None or self.rx_empty is None:
             return None

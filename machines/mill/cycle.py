@@ -70,7 +70,7 @@ class MillCycle:
         self.publish()
 
     def read_settings(self) -> dict[str, Any] | None:
-        """Return settings, offsets and parser state, read now; None where the link does not report them or the mill is
+        """Return settings, offsets and parser state, read now; None if the link does not report them or the mill is
         not idle.
         """
         driver = self.context.link.driver

@@ -139,7 +139,7 @@ class Mill:
     def start(self, run_id: str, confirmation: Confirmation, *, setup: str | None = None) -> None:
         """Stream a parked run from its first line.
 
-        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError where it is another by now
+        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError if it is another by now
         """
         self._begin(lambda: self._starter.start(run_id, confirmation, self._order, setup=setup))
 
@@ -153,7 +153,7 @@ class Mill:
     def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
         """Go on with an interrupted run, as the plan of this moment says.
 
-        plan_seen : digest of the plan that the person has read; OrderRefusedError where it is another by now
+        plan_seen : digest of the plan that the person has read; OrderRefusedError if it is another by now
         """
         self._begin(lambda: self._starter.recover(run_id, confirmation, self._order, plan_seen=plan_seen))
 

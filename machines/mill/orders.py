@@ -146,7 +146,7 @@ class OrderGate:
     def take_lease(
         self, operator: str, principal: str, shown: str = "", *, take_over: bool = False
     ) -> tuple[str, Lease, bool]:
-        """Return the secret, the lease and whether it is new. OrderRefusedError where somebody else has control."""
+        """Return the secret, the lease and whether it is new. OrderRefusedError if somebody else has control."""
         with self._lock:
             lease = self._live_lease()
             if lease is not None and _is_secret_of(lease, shown):
@@ -176,7 +176,7 @@ class OrderGate:
             return True
 
     def require_free(self, shown: str = "") -> None:
-        """Raise OrderRefusedError where somebody else has control."""
+        """Raise OrderRefusedError if somebody else has control."""
         with self._lock:
             self._require_own_lease(shown)
 
@@ -234,7 +234,7 @@ class OrderGate:
                 break
 
     def _require_own_lease(self, shown: str) -> Lease | None:
-        """Return the caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
+        """Return the caller's lease, or None if nobody has control; OrderRefusedError if somebody else has."""
         lease = self._live_lease()
         if lease is not None and not _is_secret_of(lease, shown):
             raise _make_held_error(lease, lost=bool(shown))

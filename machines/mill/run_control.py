@@ -91,7 +91,7 @@ class UnattendedRuns:
 
 
 def _proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Triple) -> int | None:
-    """Return the last line this run has certainly executed; None where nothing can be said of the position."""
+    """Return the last line this run has certainly executed; None if nothing can be said of the position."""
     settings, record = get_settings(driver), run.record
     if settings is None or reader.index.dialect not in GRBL_DIALECTS:
         return None

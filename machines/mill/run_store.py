@@ -95,7 +95,7 @@ class RunFolders:
         return [path.name for path in self.folder.iterdir() if _MADE.fullmatch(path.name)]
 
     def remove(self, run_id: str) -> bool:
-        """Remove a run from the disk, its journal first; False where something of it stays."""
+        """Remove a run from the disk, its journal first; False if something of it stays."""
         folder = self.path(run_id)
         try:
             for path in (*sorted(folder.glob("journal-*.log")), *sorted(folder.glob("preflight.*"))):

@@ -55,7 +55,7 @@ def check_file(run: Run, facts: Preflight) -> None:
 
 
 def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
-    """Raise NotAllowedError where the program takes modes for granted that the controller is not in."""
+    """Raise NotAllowedError if the program takes modes for granted that the controller is not in."""
     modes = str((answer or {}).get("parser_state") or "").split()
     if not modes:
         return
@@ -72,7 +72,7 @@ def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
 
 
 def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed: bool) -> None:
-    """Raise NotAllowedError where the program goes by machine coordinates (G53), which mean nothing here."""
+    """Raise NotAllowedError if the program goes by machine coordinates (G53), which mean nothing here."""
     if settings is None or "machine" not in facts.bounds_by_frame or homed or settings.soft_limits:
         return
     way = Phrase("home the mill")
@@ -86,7 +86,7 @@ def check_homed(facts: Preflight, settings: ControllerSettings | None, *, homed:
 def check_way_in(
     facts: Preflight, reader: ProgramReader, place_mm: Triple | None, offsets: Mapping[str, Sequence[float]]
 ) -> None:
-    """Raise NotAllowedError where the program may hit something on its way in from where the tool stands.
+    """Raise NotAllowedError if the program may hit something on its way in from where the tool stands.
 
     place_mm : of the tool, in machine coordinates, None: not known; offsets: of the controller, by name
     A height that the program itself never exceeds is safe, as it goes across at it all the time.

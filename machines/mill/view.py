@@ -117,7 +117,7 @@ class MillContext:
 class MillSnapshot:
     """All of a mill at one moment.
 
-    settings : as the controller has reported them; None where the link reports none
+    settings : as the controller has reported them; None if the link reports none
     run      : the run the mill is about: the live one, else the one touched last
     runs     : all that are known, newest first
     latched  : "hold" or "abort" asked for while the link was away; carried out first when it is back

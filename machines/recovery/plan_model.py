@@ -51,13 +51,13 @@ class Need:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Present:
-    """What is known of the mill now. `offsets` and `parser_state` are None where the link does not report them.
+    """What is known of the mill now. `offsets` and `parser_state` are None if the link does not report them.
 
     restarted : a restart of the controller was seen since the run stopped
     frame_changes : settings of the frame that are others than when the run was cut, in figures
     vouched_axes : axes of which a person has set the work zero anew since the run stopped
     homed : machine coordinates are those of a homing cycle
-    top_mm : highest machine Z that can be reached; None where that is not certain
+    top_mm : highest machine Z that can be reached; None if that is not certain
     """
 
     status: MillStatus
@@ -99,7 +99,7 @@ class RecoveryPlan:
     position_mm   : where the tool is put down (work frame); None: the program starts from its top
     blocks        : sent before the program
     zero_back     : a block that sets the work zero that the run was cut at; "" where it is the same, or not certain
-    spindle_on    : whether it turns now; None where the link does not report it
+    spindle_on    : whether it turns now; None if the link does not report it
     tool_mm       : where the tool is now (work frame)
     offsets       : all offsets now, by name
     """

@@ -38,7 +38,7 @@ def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
 
 
 def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
-    """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
+    """Work zero of a run in machine coordinates, from its journal; None if that is not certain."""
     zero_mm, reported = work_zero_mm(record.get("offsets") or {}, wcs), record.get("work_offset_mm")
     if zero_mm is None or reported is None:
         return None

@@ -22,7 +22,7 @@ from machines.simulated.traits import Traits
 class CutSegment(NamedTuple):
     """One executed block, or the part of it between two stops.
 
-    start, end : mm, physical: relative to where the tool stood at the first power-up, whatever MPos says
+    start, end : mm, physical: relative to where the tool stood at the first power-up, independent of MPos
     rapid      : G0 (homing and jogs count as rapid: they are not part of a program)
     feed       : programmed feed in mm/min as it was planned (before overrides)
     spindle_on : at the end of this segment
@@ -90,7 +90,7 @@ def is_touching(traits: Traits, at_mm: Triple) -> bool:
 
 
 def find_contact(traits: Traits, start_mm: Triple, end_mm: Triple, *, shift_mm: Triple) -> Triple | None:
-    """Return where on a straight way contact begins or ends, None where it does neither.
+    """Return where on a straight way contact begins or ends, None if it does neither.
 
     shift_mm : from the coordinates of the way, and of the answer, to physical ones
     """
@@ -156,7 +156,7 @@ class Controller:
             self._cut_piece,
             self._end_motion,
         )
-        self.wco_in = self.ov_in = 0  # status reports until WCO and Ov are told
+        self.wco_in = self.ov_in = 0  # status reports until the next ones with WCO and Ov
         self.task: Task | None = None
         self.waiting: str | float = ROOM
         self.after_task: Callable[[], None] | None = None

@@ -196,7 +196,7 @@ class _Model:
 
 
 def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
-    """Return the finish of that half. Raises ValueError where no strip of either half can be used.
+    """Return the finish of that half. Raises ValueError if no strip of either half can be used.
 
     profiles : of all strips as the programs make them; folds : of all strips in both halves
     """

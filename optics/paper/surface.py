@@ -260,7 +260,7 @@ def _refuse_what_the_paper_has_not(bench: Bench) -> None:
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:
-    """Raise TotalReflectionError where light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
+    """Raise TotalReflectionError if light's way out is beyond arccos(1 / n) of the way in, at the shortest drop."""
     farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
     shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
     if throw_mm + skim_mm <= shortest_mm:

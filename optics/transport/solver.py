@@ -101,7 +101,7 @@ def solve_transport(
     tolerance   : rms of det - g over that of g, with folds and the skim's share, at which a level is done
     returns converged = False, with its history, where the finest level stopped early; of a picture that folds, the
     first of its softer versions that does not (of a warm start that does, the start)
-    raises TotalReflectionError where the throw is too short for the way the light must go, NoSurfaceError where no
+    raises TotalReflectionError if the throw is too short for the way the light must go, NoSurfaceError if no
     iterate sent all light to the screen for another reason
     """
     g = target / target.mean()

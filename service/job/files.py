@@ -215,7 +215,7 @@ def read_chunks(path: Path) -> Iterator[bytes]:
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """Read report.json of a folder; empty when there is none. InputError where it is damaged."""
+    """Read report.json of a folder; empty when there is none. InputError if it is damaged."""
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -314,7 +314,7 @@ def _lock_folder(folder: Path) -> Iterator[None]:
 def _clear_abandoned(output: Path, *, mine: Path) -> None:
     """Remove staging folders of this output whose process was killed: those nobody holds a lock on.
 
-    InputError where another process does.
+    InputError if another process does.
     """
     for folder in _find_staging_folders(output) - {mine}:
         with contextlib.suppress(OSError):

@@ -134,7 +134,7 @@ def simulate_caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> d
 
 def _warn_of_shortage(context: StageContext) -> None:
     from service.job.planning.fit import (
-        check_disk_space,  # what it stands on is slow to import: a lens alone does without
+        check_disk_space,  # its dependencies are slow to import: a lens alone does without
     )
 
     disk = Phrase("the disk of {folder}", folder=context.folder.parent)

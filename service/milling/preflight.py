@@ -59,7 +59,7 @@ def run_preflight(
 
     settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
                what the program would leave of the travel at the present work zero (never kept: a zero moves)
-    ProgramRefusedError names line, text and way out; PreflightError where the file cannot be read at all.
+    ProgramRefusedError names line, text and way out; PreflightError if the file cannot be read at all.
     """
     folder = cache or default_cache()
     limits = limits_of(profile, settings)

@@ -44,7 +44,7 @@ def _answer(request: dict[str, Any], on_share: Callable[[float], None]) -> dict[
 
 
 def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
-    """Read a whole program in this process; ProgramRefusedError where the mill may not run it."""
+    """Read a whole program in this process; ProgramRefusedError if the mill may not run it."""
     if limits.dialect == RML:
         return _read_rml(path, limits, on_share)
     return _read_gcode(path, limits, on_share)
@@ -184,7 +184,7 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
 
 
 def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]) -> Iterator[bytes]:
-    """Yield the file in pieces, hashed on the way, with its share told."""
+    """Yield the file in pieces; hash them and report the share that has been read."""
     with path.open("rb", buffering=0) as file:
         size, done = max(1, os.fstat(file.fileno()).st_size), 0
         while chunk := file.read(_CHUNK_BYTES):

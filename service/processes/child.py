@@ -131,7 +131,7 @@ class Child:
     """
 
     def __init__(self, module: str) -> None:
-        """Start it; OSError where that cannot be."""
+        """Start it; OSError if that cannot be."""
         self._ending = threading.Lock()  # its number is somebody else's once it was waited for
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, str(os.getpid())],
@@ -164,7 +164,7 @@ class Child:
         within_s: float = float("inf"),
         on_share: Callable[[float], None] | None = None,
     ) -> dict[str, Any]:
-        """Return the result of a request; ServiceError as its work raises it, ChildError where there is none."""
+        """Return the result of a request; ServiceError as its work raises it, ChildError if there is none."""
         self.begin(request)
         return self.finish(within_s=within_s, on_share=on_share)
 

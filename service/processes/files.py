@@ -109,7 +109,7 @@ def _close(path: Path) -> None:
 
 
 def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
-    """Lock a file, to be kept open; the folder is made if need be. InputError where another process has it."""
+    """Lock a file, to be kept open; the folder is made if need be. InputError if another process has it."""
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"--data {folder} is a file; allowed: a folder")

@@ -64,7 +64,7 @@ def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
 
 
 def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> Photo:
-    """Read a photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its
+    """Read a photograph from a file; PictureError if it cannot be read, which calls it by `name`, by default its
     path.
     """
     name = name or str(path)
@@ -83,7 +83,7 @@ def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | N
 
 
 def place_photo(photo: Photo, predicted: Array, *, viewed_from: ViewedFrom) -> Placed:
-    """Return the photograph over the piece. ValueError where it shows no light.
+    """Return the photograph over the piece. ValueError if it shows no light.
 
     predicted (ny, nx) : light of the piece on its screen, work frame
     """

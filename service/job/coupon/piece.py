@@ -31,7 +31,7 @@ _STOCK_MM = 10.0
 def coupon_job(
     *, machine: str | None, throw_mm: float | None, file: Path | None, overrides: Sequence[str]
 ) -> ResolvedJob:
-    """Return the job of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is
+    """Return the job of a test piece: defaults, then the file, then --set. SpecError; InputError if its size is
     set.
     """
     for text in overrides:
@@ -75,7 +75,7 @@ def coupon_of(job: ResolvedJob) -> Coupon:
 
 
 def require_coupon(folder: Path) -> ResolvedJob:
-    """Return the job of the test piece in a folder; InputError where there is none."""
+    """Return the job of the test piece in a folder; InputError if there is none."""
     if not (folder / PROFILES).is_file():
         raise InputError(
             f"--output: {folder} holds no test piece ({PROFILES}); allowed: the folder that "

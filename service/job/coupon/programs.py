@@ -142,7 +142,7 @@ class PredictedPiece:
 
 
 def load_predicted_piece(path: Path, coupon: Coupon) -> PredictedPiece:
-    """Load coupon.npz; InputError where it is none."""
+    """Load coupon.npz; InputError if it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
     lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]
@@ -251,7 +251,7 @@ def keep_coupon(folder: Path, machine: str) -> Path:
     """Return the machine's test piece in a folder of test pieces, with an archive of it; make it if there is none.
 
     A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
-    SpecError where there is no such machine.
+    SpecError if there is no such machine.
     """
     job = coupon_job(machine=machine, throw_mm=None, file=None, overrides=())
     facts = repr((job.spec.plain(), asdict(job.machine), coupon_of(job)))

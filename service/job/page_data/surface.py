@@ -111,7 +111,7 @@ def _bench_facts(bench: Bench) -> dict[str, Any]:
 
 
 def _weights(bench: Bench, nx: int, ny: int) -> Array | None:
-    """Return (ny, nx) uint8 of what is lens, times the light on it; None where both are the same everywhere."""
+    """Return (ny, nx) uint8 of what is lens, times the light on it; None if both are the same everywhere."""
     profile, outline = bench.light.profile, bench.outline_mm
     if profile is None and outline is None:
         return None

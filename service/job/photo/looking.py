@@ -62,7 +62,7 @@ class PredictedLight:
 
 
 def load_predicted_light(folder: Path) -> PredictedLight:
-    """Load the predicted light of a job that has a lens; InputError where it has none, or another program's files."""
+    """Load the predicted light of a job that has a lens; InputError if it has none, or another program's files."""
     if not folder.is_dir():
         raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
     spec = load_stored_spec(folder)
@@ -79,7 +79,7 @@ def load_predicted_light(folder: Path) -> PredictedLight:
 
 
 def _picture(path: Path, target: Array) -> Array | None:
-    """Return the irradiance of a picture of ours, whose white is the target's brightest pixel; None where there is
+    """Return the irradiance of a picture of ours, whose white is the target's brightest pixel; None if there is
     none.
     """
     try:
@@ -110,7 +110,7 @@ class Look:
 
     def png(self, *, with_words: bool = True) -> bytes:
         """Draw photograph, prediction, difference, and what was found in words."""
-        from service.job.report.figures.photographs import look_png  # what it stands on is slow to import
+        from service.job.report.figures.photographs import look_png  # its dependencies are slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
         return look_png(self.rectified, self.predicted, sentences)

@@ -55,7 +55,7 @@ class Conversion:
 
 
 def find_conversion(picture: DecodedPicture) -> Conversion:
-    """Return how this picture's values become sRGB. ProfileError where its profile cannot be used."""
+    """Return how this picture's values become sRGB. ProfileError if its profile cannot be used."""
     if picture.colour is None:
         return Conversion()
     mode = picture.image.mode

@@ -82,7 +82,7 @@ def plan_holding(
     """Plan it from the ring that programs leave.
 
     lows       : of each program, (ring that it leaves, lowest Z) [mm]
-    rapid_z_mm : at which rapid moves cross; None where that is not known
+    rapid_z_mm : at which rapid moves cross; None if that is not known
     faced      : the whole top is milled, from beside the block
     """
     under_rapids_mm = CLEARANCE_MM if rapid_z_mm is None else rapid_z_mm - _UNDER_RAPIDS_MM

@@ -183,7 +183,7 @@ def _lows(programs: Sequence[Mapping[str, Any]], block: BlockSizes | None) -> li
 def _block_of(
     report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]
 ) -> BlockSizes | None:
-    """Return the sizes to draw; None where the spec does not give them."""
+    """Return the sizes to draw; None if the spec does not give them."""
     optics, stock = table(spec.get("optics")), table(spec.get("stock"))
     relief_mm = table(report.get("optics")).get("relief_mm")
     try:

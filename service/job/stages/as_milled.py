@@ -106,7 +106,7 @@ def read_tracks(
 
 
 def screws_of(machine: MachineProfile) -> Screws | None:
-    """Return the errors of a mill's screws; None where they are none, or not known."""
+    """Return the errors of a mill's screws; None if they are none, or not known."""
     if machine.screw_error_mm is None or not any(machine.screw_error_mm):
         return None
     return Screws(error_mm=machine.screw_error_mm, lead_mm=machine.screw_lead_mm)
@@ -208,7 +208,7 @@ def _report_milled(
 
 
 def _draw(context: StageContext, target: Array, designed: Array, milled: Array) -> None:
-    from service.job.report.figures.wall import as_milled_png  # what it stands on is slow to import
+    from service.job.report.figures.wall import as_milled_png  # its dependencies are slow to import
 
     viewed_from = context.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]

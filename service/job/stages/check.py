@@ -61,7 +61,7 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
 
 def _draw(context: StageContext, programs: list[list[Path]]) -> None:
     """Draw toolpath.png and, for the operator page, pass-N.path, from the text of the programs."""
-    from service.job.report.figures.paths import toolpath_png  # what it stands on is slow to import
+    from service.job.report.figures.paths import toolpath_png  # its dependencies are slow to import
 
     stock = cam_stock_of(context.spec)
     with context.watch.stage("toolpath picture") as on_progress:
@@ -122,7 +122,7 @@ def _part(on_progress: Callable[[float], None], number: int, count: int) -> Call
 
 def run_report(context: StageContext) -> None:
     """Complete the report and write the files; report.json comes last and says that the job is whole."""
-    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # what it stands on is slow to import
+    from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # its dependencies are slow to import
 
     notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))
     by_part = {

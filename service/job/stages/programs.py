@@ -227,7 +227,7 @@ def _write(
 def write_parts(
     folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
 ) -> list[WrittenProgram]:
-    """Return the programs of a pass; name_of: their files, by the number of the part, or None where there is but
+    """Return the programs of a pass; name_of: their files, by the number of the part, or None if there is but
     one.
     """
     names = map(name_of, count(1))
@@ -247,7 +247,7 @@ def describe_parts(written: Sequence[WrittenProgram]) -> dict[str, Any]:
 
 
 def require_passed(called: str, check: Callable[[], Check]) -> Check:
-    """Return the verdict of a check; FailedError where it finds faults, or the text cannot be read."""
+    """Return the verdict of a check; FailedError if it finds faults, or the text cannot be read."""
     try:
         verdict = check()
     except ProgramError as error:

@@ -239,7 +239,7 @@ def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
 
 
 def stage_of(name: str) -> Stage:
-    """Return the row of a stage; KeyError where there is none."""
+    """Return the row of a stage; KeyError if there is none."""
     kind, _, number = name.partition("-")
     if kind != "pass" or not number.isdecimal():
         return _ROWS[name]

@@ -38,7 +38,7 @@ class AgentCard:
 
 
 def read_card(folder: Path) -> AgentCard | None:
-    """Read the card in this folder; None where there is none that can be read."""
+    """Read the card in this folder; None if there is none that can be read."""
     try:
         values: Any = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
         card = AgentCard(**{name: values[name] for name in AgentCard.__slots__})
@@ -79,7 +79,7 @@ _SHORTEST = 16
 
 
 def read_token(path: Path) -> str:
-    """Read the token a person keeps in a file; InputError where it is missing or too short to be one."""
+    """Read the token a person keeps in a file; InputError if it is missing or too short to be one."""
     try:
         others = path.stat().st_mode & 0o077
         token = path.read_text(encoding="ascii").strip()

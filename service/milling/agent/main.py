@@ -1,7 +1,7 @@
 """Starts and stops the agent: its address first, then the folder, then the port, and the mill's thread last.
 
 So a second agent ends in one clear line before anything has been sent to a mill. A stop (SIGTERM, SIGINT, SIGHUP)
-while the mill moves holds it first; only when it stands, or cannot be told, does the process end.
+while the mill moves holds it first; the process ends only when the mill stands, or when it cannot be reached.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CatchStop = Callable[[], AbstractContextManager[asyncio.Event]]
 
 
 def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: CatchStop | None = None) -> None:
-    """Serve until told to stop: by a signal, or by what else `catch_stop` listens to."""
+    """Serve until a signal, or another event that `catch_stop` listens to, ends it."""
     go_first()
     with contextlib.ExitStack() as stack:
         allow_open_files(_FILES)
@@ -70,7 +70,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """Bind a listening address of our own; InputError where another process has it."""
+    """Bind a listening address of our own; InputError if another process has it."""
     try:
         family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:

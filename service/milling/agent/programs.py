@@ -58,7 +58,7 @@ class ProgramStore:
             abandoned.unlink(missing_ok=True)
 
     def path_of(self, sha256: str) -> Path:
-        """Return where the program lies; a Problem where there is none."""
+        """Return where the program lies; a Problem if there is none."""
         self.entry(sha256)
         return self._path(sha256)
 

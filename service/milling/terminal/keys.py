@@ -3,7 +3,7 @@ come.
 
 `Keys` is pure: it knows which question stands open and turns each key into one `Wish`. Nothing here talks to the mill.
 
-At Ctrl-C and its kin the hold goes out at once, whatever the main thread is doing. Python runs signal handlers between
+Ctrl-C and similar signals send the hold at once, whatever the main thread is doing. Python runs signal handlers between
 bytecodes of the main thread, which may be stuck writing to a full pipe. So the handlers do nothing; the interpreter
 writes each signal's number into a pipe (`set_wakeup_fd`) that a thread reads. It calls `at_once` and passes the number
 on to the main thread through a second pipe, for its `select`.
@@ -71,7 +71,7 @@ class Keys:
         return self.question.value + (_INTERRUPTS.get(self.question, "") if counts else "")
 
     def key(self, key: str) -> Wish | None:
-        """Interpret one key; None where it means nothing now."""
+        """Interpret one key; None if it means nothing now."""
         match self.question, key.lower():
             case Question.NONE, "h" | " " | "!":
                 return Wish.HOLD
@@ -94,7 +94,7 @@ class Keys:
             case (Question.STOP, "a") | (Question.ABORT, "y"):
                 self.question = Question.ABORTING
                 return Wish.ABORT
-            case Question.ABORT, "h" | " " | "!":  # whatever stands open, a hold is a hold
+            case Question.ABORT, "h" | " " | "!":  # a hold counts even while a question is open
                 self.question = Question.STOP
                 return Wish.HOLD
             case Question.ABORT, _:

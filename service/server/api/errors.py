@@ -175,7 +175,7 @@ def _refusal(status: int) -> dict[str, Any]:
 
 
 def with_problems(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the OpenAPI document with the problem's schema, and each refusal told once for all routes."""
+    """Return the OpenAPI document with the problem's schema, and with each refusal described once for all routes."""
     components = document.setdefault("components", {})
     schema = ProblemBody.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas = components.setdefault("schemas", {})

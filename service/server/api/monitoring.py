@@ -49,7 +49,7 @@ class SharedCall(Generic[Result]):
         self._began_s = 0.0
 
     async def result(self, timeout_s: float) -> Result:
-        """Return the result; TimeoutError where the call takes longer, at once where it has done so already."""
+        """Return the result; TimeoutError if the call takes longer, at once where it has done so already."""
         if self._running is None or self._running.done():
             self._running, self._began_s = Future(), time.monotonic()
             # A daemon: a check that hangs does not keep the process from ending.
@@ -79,7 +79,7 @@ class _WrongError(Exception):
 
 
 class Readiness:
-    """One for the whole server: whoever asks while a part is being checked gets the answer of that check."""
+    """One for the whole server: a caller that asks while a part is being checked gets the result of that check."""
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store) -> None:
         self._settings = settings

@@ -71,7 +71,7 @@ class WorkBook:
         self._lease_s = lease_s
 
     def claim(self, ticket: Ticket, executor: str) -> Claim | None:
-        """Claim the job of a ticket; None where there is nothing (more) to do. Fenced while another live worker owns
+        """Claim the job of a ticket; None if there is nothing (more) to do. Fenced while another live worker owns
         it.
 
         Tries that an earlier owner left open become `interrupted`.
@@ -116,7 +116,7 @@ class WorkBook:
         return None if row is None else _result_of(row)
 
     def reuse_stage(self, claim: Claim, stage: str, key: str, *, whole: float) -> StageResult | None:
-        """Take over the result of equal work done before for this job; None where there is none."""
+        """Take over the result of equal work done before for this job; None if there is none."""
         with begin_writing(self._database) as connection:
             job, at = _lock_held_job(connection, claim), clock(connection)
             used = stage_results.update().where(stage_results.c.key == key).values(used_at=at)

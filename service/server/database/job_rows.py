@@ -1,4 +1,4 @@
-"""Rows of jobs, read and changed under a lock by whatever works on jobs, runs and claims; what is written in the same
+"""Rows of jobs, read and changed under a lock by the books of jobs, runs and claims; what is written in the same
 transaction as a change: the event that tells of it, and the counters; and the files that a job offers.
 
 Counters are figures about all jobs, kept as they change: to count a hundred thousand rows at each scrape takes seconds.
@@ -135,7 +135,7 @@ def claim_key(
 
 
 def find_by_key(connection: sa.Connection, kind: str, key: ClientKey, request_sha256: str) -> str | None:
-    """Return the id of what this key has made. KeyReusedError where it stood for another request."""
+    """Return the id of what this key has made. KeyReusedError if it stood for another request."""
     table = idempotency_keys.c
     mine = sa.and_(table.principal == key.token, table.kind == kind, table.key == key.text)
     row = connection.execute(sa.select(table.request_sha256, table.resource_id).where(mine)).first()

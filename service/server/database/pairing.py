@@ -1,8 +1,9 @@
 """Codes that a person types into the page to run mills from it. A code is good for a day and any number of pages.
 
 What is kept of it is a salted scrypt digest of sixty random bits, so that a stolen database opens nothing. A graphics
-card computes some 20,000 of these digests (8 MB each) in a second. Whoever had fifty of them, 10^6 a second, would try
-8.6 10^10 codes in the day that one lives: 1 chance in 13 million that it is among them, and 36,000 years for them all.
+card computes some 20,000 of these digests (8 MB each) in a second. An attacker with fifty of them, 10^6 a second, would
+try 8.6 10^10 codes in the day that one lives: 1 chance in 13 million that it is among them, and 36,000 years for them
+all.
 """
 
 from __future__ import annotations

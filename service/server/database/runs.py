@@ -112,13 +112,13 @@ class RunBook:
         self._database = database
 
     def find_made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
-        """Return the run that this key has made. KeyReusedError where it stood for another request."""
+        """Return the run that this key has made. KeyReusedError if it stood for another request."""
         with begin_reading(self._database) as connection:
             run_id = find_by_key(connection, "run", key, request_sha256)
             return None if run_id is None else _get(connection, run_id)
 
     def create(self, new: RunRow, key: ClientKey | None = None, request_sha256: str = "") -> tuple[RunRow, bool]:
-        """Create a run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
+        """Create a run in state preparing; False if the key made it before. MachineTakenError, JobNotReadyError.
 
         key: the caller's Idempotency-Key, request_sha256: what it stands for. The job's row is locked meanwhile, so
         that nobody deletes it and no retry begins.
@@ -158,7 +158,7 @@ class RunBook:
     def list_rows(
         self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
     ) -> list[RunRow]:
-        """List runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
+        """List runs, newest first; those older than the run `before`. UnknownRunError if that is gone."""
         query = sa.select(runs).order_by(runs.c.created_at.desc(), runs.c.id.desc()).limit(limit)
         if machine is not None:
             query = query.where(runs.c.machine == machine)
@@ -187,7 +187,7 @@ class RunBook:
     # ------------------------------------------------------------------ what happens to a run
 
     def confirm_parked(self, run_id: str, view: Json) -> bool:
-        """Confirm that the agent has it. False where the run was closed meanwhile."""
+        """Confirm that the agent has it. False if the run was closed meanwhile."""
         values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view} | read_reason(view)
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
@@ -196,8 +196,8 @@ class RunBook:
     def record_report(self, run: RunRow, view: Json) -> RunRow:
         """Return what the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
 
-        Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a
-        database that is full or busy cannot write down now is told as well, and again at the next look.
+        If another run has taken the mill meanwhile the run stays closed; its state is returned all the same. So is a
+        state that a full or busy database cannot store now; it is stored at the next look.
         """
         state = str(view["state"])
         is_open = state not in ENDED and (run.open or state in LIVE_WORDS)
@@ -268,7 +268,7 @@ def read_reason(view: Json) -> Json:
 
 
 def make_reason(code: str, values: Mapping[str, object] | None = None) -> Json | None:
-    """Make `reason` of a row; None where there is no code: then its words are all there is."""
+    """Make `reason` of a row; None if there is no code: then its words are all there is."""
     return {"code": code, "values": dict(values or {})} if code else None
 
 

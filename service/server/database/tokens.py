@@ -68,7 +68,7 @@ class TokenBook:
         self._noted: dict[str, float] = {}
 
     def create(self, name: str, scopes: Iterable[str], *, expires_at: float | None = None) -> tuple[Token, str]:
-        """Create a token and its secret, which is nowhere else and never shown again. InputError where it cannot be."""
+        """Create a token and its secret, which is nowhere else and never shown again. InputError if it cannot be."""
         now = self._clock()
         wanted = check_scopes(scopes)
         if not _NAME.fullmatch(name):
@@ -111,7 +111,7 @@ class TokenBook:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
 
     def revoke(self, token_id: str) -> Token:
-        """Revoke it: from now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
+        """Revoke it: from now on it opens nothing. LookupError if there is none; revoking twice changes nothing."""
         with begin_writing(self.engine) as connection:
             mine = tokens.c.id == token_id
             connection.execute(

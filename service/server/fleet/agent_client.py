@@ -275,7 +275,7 @@ class AgentLinks:
         return await asyncio.get_running_loop().run_in_executor(self._looking, read_machines, self.settings)
 
     async def find_machine(self, name: str) -> KnownMachine:
-        """Return the machine; Problem 404 where there is none of this name."""
+        """Return the machine; Problem 404 if there is none of this name."""
         known, _ = await self.list_machines()
         if name not in known:
             raise no_machine(name, known)

@@ -100,7 +100,7 @@ def json_object(content: bytes, machine: str) -> Json:
 
 
 def run_view(values: Json, machine: str) -> Json:
-    """Return what the agent says of a run, whole: a newer agent may say more. Problem 502 where it cannot be so."""
+    """Return what the agent says of a run, whole: a newer agent may say more. Problem 502 if it cannot be so."""
     _validate(RunReply, values, machine, "says what cannot be of its run")
     return values
 
@@ -139,7 +139,7 @@ def table(values: Json, name: str) -> Json:
 
 
 def phrases_of(values: Json) -> Json | None:
-    """Return the table of phrases of an answer; None where it is none."""
+    """Return the table of phrases of an answer; None if it is none."""
     try:
         return _PHRASES.dump_python(_PHRASES.validate_python(values.get("phrases", {})))
     except ValidationError:
@@ -198,7 +198,7 @@ def make_mill_view(status: Json) -> Json:
 
 
 def _compute_buffer_share(status: Json) -> float | None:
-    """Return how full the controller's receive buffer is kept, 0..1; None where the link does not tell."""
+    """Return how full the controller's receive buffer is kept, 0..1; None if the link does not tell."""
     used, room = table(status, "progress").get("bytes_in_flight"), table(status, "status").get("buffer_bytes")
     if not isinstance(used, int) or not isinstance(room, int) or room <= 0:
         return None

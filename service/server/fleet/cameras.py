@@ -40,7 +40,7 @@ class Cameras:
         self._cameras: dict[str, _Camera] = {}
 
     async def take_picture(self, url: str) -> bytes:
-        """Return a JPEG of now. Problem 502 where the camera sends none, 504 where it takes longer than 5 s."""
+        """Return a JPEG of now. Problem 502 if the camera sends none, 504 where it takes longer than 5 s."""
         camera = self._cameras.setdefault(url, _Camera())
         async with camera.lock:
             if time.monotonic() - camera.answered_s >= FRESH_S:

@@ -35,7 +35,7 @@ def not_handed_over(run: RunRow) -> Problem:
 
 
 class FleetCore(AgentLinks):
-    """Asks, and writes down what it is told. Moves nothing."""
+    """Queries the agents and stores their answers. Moves nothing."""
 
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, jobs: JobBook) -> None:
         super().__init__(settings)
@@ -66,7 +66,7 @@ class FleetCore(AgentLinks):
         return run
 
     async def get_row(self, run_id: str) -> RunRow:
-        """Return the run by the database. Problem 404 where there is none."""
+        """Return the run by the database. Problem 404 if there is none."""
         try:
             return await self.do(self.runs.get, run_id)
         except UnknownRunError as error:

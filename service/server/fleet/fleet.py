@@ -173,7 +173,7 @@ class Fleet:
         return parse_reply(PastOrders, reply, machine)
 
     async def follow_run(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
-        """Return the run's server-sent events; None where it was over when the reader last heard of it."""
+        """Return the run's server-sent events; None if it was over when the reader last heard of it."""
         run = await self._repair_and_look(await self._core.get_row(run_id))
         if last_id and not run.open and not run.away:
             return None

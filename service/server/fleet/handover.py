@@ -36,7 +36,7 @@ class Handovers:
     async def begin(
         self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: ClientKey | None
     ) -> RunRow:
-        """Make the run, or find the one that this key has made. Problem where it may not be."""
+        """Make the run, or find the one that this key has made. Problem if it may not be."""
         asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
         core = self._core
         if key is not None and (before := await core.do(core.runs.find_made_before, key, asked)) is not None:
@@ -61,7 +61,7 @@ class Handovers:
         return run
 
     async def finish(self, run: RunRow, machine: KnownMachine) -> RunRow:
-        """Go on until it is parked, or for 20 s; Problem where it cannot be handed over."""
+        """Go on until it is parked, or for 20 s; Problem if it cannot be handed over."""
         if run.state != PREPARING or not run.open:
             return run
         task = self.go_on(run, machine)

@@ -60,7 +60,7 @@ class Orders:
     async def take(
         self, machine: str, context: OrderContext, operator: str, *, take_over: bool
     ) -> tuple[ControlView, bool]:
-        """Take control of a machine; return it and whether it is new. Problem 409 where another person has it."""
+        """Take control of a machine; return it and whether it is new. Problem 409 if another person has it."""
         link = self._core.get_link(await self._core.find_machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
         lease = await require_answer(link.send_once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))

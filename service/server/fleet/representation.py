@@ -135,7 +135,7 @@ _ACTIONS = ("start", "hold", "resume", "abort", "recover")
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What a run is part of. job: None where it is gone; finished: hashes of programs that this mill has finished."""
+    """What a run is part of. job: None if it is gone; finished: hashes of programs that this mill has finished."""
 
     job: Job | None = None
     programs: Sequence[Program] = ()

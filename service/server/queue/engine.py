@@ -40,7 +40,9 @@ class Fenced(Exception):
 
 
 class Busy(Fenced):
-    """Raised by an attempt when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
+    """Raised by an attempt when every slot of this worker is taken: the ticket is queued again, for any worker that is
+    free.
+    """
 
 
 class JobEngine(Protocol):

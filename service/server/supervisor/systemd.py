@@ -108,7 +108,7 @@ class UnitOrder:
 
 
 def unit_text(order: UnitOrder) -> str:
-    """Return the unit. InputError where a name cannot stand in one."""
+    """Return the unit. InputError if a name cannot stand in one."""
     if order.machine is not None and not _NAME.fullmatch(order.machine):
         raise InputError(f"--machine {order.machine!r}; allowed: letters, digits, . _ -")
     if not _NAME.fullmatch(order.account):

@@ -118,7 +118,7 @@ class StageRunner:
         self._finish(JobState.SUCCEEDED, report=self._so_far.report)
 
     def _run_or_reuse(self, stage: str) -> StageResult | None:
-        """Reuse equal work done before, or run the stage; None where the job has ended here."""
+        """Reuse equal work done before, or run the stage; None if the job has ended here."""
         key = stage_key(
             stage,
             self._so_far.job,

@@ -65,7 +65,7 @@ class Lease:
         self._good_at = begun
 
     def renew(self) -> None:
-        """Renew the row. NameTakenError where it is another process's."""
+        """Renew the row. NameTakenError if it is another process's."""
         begun = self.monotonic()
         with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
@@ -105,7 +105,7 @@ class LeaseRenewer:
         self._thread.join(timeout=self._lease.lease_s)
 
     def is_turning(self) -> bool:
-        """Return False where the thread has hung for a lease: the process had better be started again."""
+        """Return False if the thread has hung for a lease: the process had better be started again."""
         return not self._hang.is_over
 
     def _run(self) -> None:

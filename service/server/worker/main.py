@@ -24,7 +24,7 @@ from service.settings import ServerSettings
 
 
 def main(*, entry: str = STAGE_ENTRY) -> int:
-    """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
+    """Run until stopped; if it cannot start, print one line on stderr and return an exit code. entry: of the stages."""
     end = catch_stop()
     try:
         settings = ServerSettings.load()
@@ -46,7 +46,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
 
 
 def catch_stop() -> socket.socket:
-    """Return a socket that becomes readable when this process is told to stop.
+    """Return a socket that becomes readable when a signal asks this process to stop.
 
     The interpreter writes to it in the very handler: a wait for what a handler of ours would do (set an event, fill a
     queue) never ends where the signal comes just before the wait begins.

@@ -33,7 +33,7 @@ from service.settings import SAFE_SHARE, ServerSettings
 
 _TICK_S = 0.1
 _GRACE_S = 1.0  # between SIGTERM and SIGKILL
-_REAP_S = 5.0  # a fork server that has not told of a dead child by then is stuck
+_REAP_S = 5.0  # a fork server that has not reported a dead child by then is stuck
 _MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
 MOST_LOG_BYTES = 1_000_000
 HALF_LOG = MOST_LOG_BYTES // 2
@@ -71,7 +71,7 @@ class Crashed:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """It was told to end ("cancelled"), or its worker may no longer own the job ("fenced")."""
+    """The stage was stopped: by a cancel ("cancelled"), or because its worker may no longer own the job ("fenced")."""
 
     reason: str
 
@@ -161,7 +161,7 @@ class Supervision:
                 self._beaten_at = now
                 self._child.send_beat()
         overdue_s = now - _GRACE_S - min(self._term_at, self._closed_at)
-        if overdue_s > 0:  # told to end, or without its pipe, and still there
+        if overdue_s > 0:  # asked to end, or without its pipe, and still running
             signal_stage(self._child.pid, signal.SIGKILL)
         if overdue_s > _REAP_S:
             self._child.give_up()

@@ -34,7 +34,7 @@ _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\
 
 
 def begin(task: str = JOBS) -> Child | None:
-    """Start the process; None where nothing of the task is left to compile. The caller ends it."""
+    """Start the process; None if nothing of the task is left to compile. The caller ends it."""
     return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _begin_part(task)
 
 

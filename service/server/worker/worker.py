@@ -123,7 +123,7 @@ def lock_data(settings: ServerSettings) -> IO[str]:
 
 
 class NameLock:
-    """The lock of a worker's name in PostgreSQL; it ends with its connection. InputError where it is taken."""
+    """The lock of a worker's name in PostgreSQL; it ends with its connection. InputError if it is taken."""
 
     def __init__(self, database: sa.Engine, executor: str) -> None:
         self._database = database

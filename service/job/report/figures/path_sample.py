@@ -72,7 +72,7 @@ class PathSample:
         everywhere: bool = True,
         limit: int = 200_000,
     ) -> None:
-        """Begin. along: which way the rows run; everywhere: False where only places are cut: the window shows the
+        """Begin. along: which way the rows run; everywhere: False if only places are cut: the window shows the
         first.
         """
         self.label = label

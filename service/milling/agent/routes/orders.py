@@ -92,12 +92,12 @@ class OrderRoutes:
         return JSONResponse(view, status_code=201 if new else 200)
 
     async def check(self, request: Request) -> Response:
-        """Raise OrderRefusedError where somebody else than the caller has control."""
+        """Raise OrderRefusedError if somebody else than the caller has control."""
         self._orders.require_free(read_control(request))
         return Response(status_code=204)
 
     async def release(self, request: Request) -> Response:
-        """Release control, if it was the caller's. OrderRefusedError where it is somebody else's."""
+        """Release control, if it was the caller's. OrderRefusedError if it is somebody else's."""
         control = read_control(request)
         if not self._orders.release_lease(control):
             self._orders.require_free(control)

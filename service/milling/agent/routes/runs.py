@@ -137,7 +137,7 @@ class RunRoutes:
         return mill.park(facts, path, name)
 
     def _find_parked(self, key: str, program: str) -> RunReport | None:
-        """Find the run that this key has parked; a Problem where it was for another program."""
+        """Find the run that this key has parked; a Problem if it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
         if run is not None and run.program != program:
@@ -192,7 +192,7 @@ class RunRoutes:
         return endpoint
 
     def _require_present(self, run: RunReport) -> None:
-        """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        """Raise Problem 409 if the mill is about another run: this would be an order to the wrong one."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
             raise Problem(

@@ -274,7 +274,7 @@ def not_authorised(words: Phrase = _NEEDED) -> Problem:
 
 
 def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
-    """Raise InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
+    """Raise InputError if the server would be reachable from elsewhere without tokens, or without TLS before it."""
     if is_loopback(settings.host):
         return
     where = f"--host {settings.host} can be reached from other computers"

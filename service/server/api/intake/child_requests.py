@@ -41,7 +41,7 @@ class PictureChecker:
     def check(self, path: Path, name: str, max_pixels: int) -> PictureFacts:
         """Decode the picture whole. PictureError, which calls it by `name`, where it cannot be used.
 
-        FailedError where no picture can be checked: the checker is closed, or its process cannot be started.
+        FailedError if no picture can be checked: the checker is closed, or its process cannot be started.
         """
         try:
             return PictureFacts(**self._ask({"path": str(path), "name": name, "max_pixels": max_pixels}))

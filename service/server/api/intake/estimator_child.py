@@ -1,7 +1,7 @@
 """The process that estimates jobs.
 
 Request: {"path", "name", "max_pixels", "spec", "figures", "exactly", "plans"}. Result: the estimate. Request
-{"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever is not compiled yet; the mark of
+{"prepare": true, "max_pixels"}: an estimate that no one reads, which compiles what is not compiled yet; the mark of
 `kernel_cache` says for good that it was made.
 """
 

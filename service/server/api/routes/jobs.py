@@ -133,10 +133,12 @@ def _read_page(services: Services, states: list[JobState], limit: int, before: s
 
 
 def _cancel_in_engine(services: Services, job: Job) -> None:
-    """Tell the engine not to start the job any more; a worker that starts it all the same sees that in the book."""
+    """Remove the job's ticket from the engine. A worker that starts it all the same sees the cancellation in the job
+    book.
+    """
     try:
         services.engine.cancel(Ticket(job.id, job.attempt))
-    except Exception as error:  # whatever the engine's database does: the book has it
+    except Exception as error:  # the engine's database may fail in any way: the job book has the cancellation
         _log.warning("engine was not told", job=job.id, error=str(error)[:200])
 
 
