@@ -178,7 +178,7 @@ class Run:
         return left * total_s * (self._moving_s / expected_s if known else 1.0)
 
     def take_back(self, fields: dict[str, Any]) -> None:
-        """Undo a start that did not take place. If the disk refuses this too, the next successful record will have it."""
+        """Undo a start that did not take place. If the disk refuses this as well, its next good record will have it."""
         with contextlib.suppress(JournalError):
             self.write("run", **fields)
 

@@ -1,4 +1,4 @@
-"""The arrays that stages hand to one another, as .npz files: the same arrays make the same bytes."""
+"""The arrays that stages hand over, as .npz files; equal arrays make equal bytes."""
 
 from __future__ import annotations
 
@@ -65,9 +65,7 @@ def target_bytes(target: Array) -> bytes:
 
 
 def load_target(path: Path) -> Array:
-    """Return the exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again
-    later.
-    """
+    """Return the exact target irradiance (work frame, mean 1); map.npz also holds it, because later scores need it."""
     return load_arrays(path, ("target",))["target"]
 
 
@@ -78,7 +76,7 @@ def load_original(path: Path) -> Array | None:
             if "original" not in stored:
                 return None
     except (OSError, ValueError, EOFError, BadZipFile):
-        pass  # said by what reads the array
+        pass  # reported by the code that reads the array
     return load_arrays(path, ("original",))["original"]
 
 

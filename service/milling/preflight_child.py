@@ -1,4 +1,4 @@
-"""The child process of pre-flight: reads a whole program compiled, and writes what it found as one JSON file.
+"""The child process of pre-flight: reads a whole program with compiled code and writes its findings as one JSON file.
 
 Request: {"path", "limits", "result": the file to write}. Result: {}, or {"refused": ...} or {"failed": "..."}.
 """
@@ -64,7 +64,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
             max_rate_mm_per_min=limits.max_rate_mm_per_min,
             acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
             junction_deviation_mm=limits.junction_deviation_mm,
-            planner_blocks=limits.planner_blocks + 1,  # the slot that is always free is not reported
+            planner_blocks=limits.planner_blocks + 1,  # plus the slot that is always free and not reported
             lines_per_s=limits.lines_per_s,
             bytes_per_s=limits.bytes_per_s,
         )
