@@ -1,4 +1,4 @@
-"""A photograph of the test piece's light, laid over the piece."""
+"""Registers a photograph of the test piece's light with the piece."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from service.job.picture.decoding import decode_picture, too_large_for_memory, u
 from service.job.picture.linear_light import ToneReader
 
 PIXELS_PER_MM = 40
-_CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above
-_DARK = 2.0  # mm beyond the piece, from where on nothing but the room's light is expected
+_CLIPPED = 0.94  # of white, in linear light; a camera's response is not linear above
+_DARK = 2.0  # mm beyond the piece, from which on only the room's light is expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class Photo:
 class Placed:
     """A photograph in its place.
 
-    level         : light that goes straight, in units of the camera's white
+    level         : level of undeflected light, in units of the camera's white
     pixels_per_mm : of the photograph, on the wall
     """
 
