@@ -1,5 +1,5 @@
-"""The last two stages: all programs together, each read as the mill's streamer will read it, and drawn from its text;
-then spec.json, report.json, and the setup sheet made from them, whole and as one page for the mill.
+"""The last two stages. The first reads all programs as the mill's streamer will and draws them from their text. The
+second writes spec.json, report.json, and the setup sheet made from them, complete and as one page for the mill.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _follow(context: StageContext, paths: list[Path], number: int, sample: PathS
 
 
 def _facts(context: StageContext, number: int) -> dict[str, Any]:
-    """Return what stands at the beginning of pass-N.path."""
+    """Return the facts for the header of pass-N.path."""
     settings, row = context.spec.passes[number - 1], context.so_far["passes"][number - 1]
     keys = {"name", "strategy", "direction", "pitch_mm", "radius_mm", "feed_mm_per_min", "stock_to_leave_mm"}
     programs = [{"file": part["file"], "lines": part["lines"]} for part in row.get("parts") or [row]]
@@ -121,7 +121,7 @@ def _part(on_progress: Callable[[float], None], number: int, count: int) -> Call
 
 
 def run_report(context: StageContext) -> None:
-    """Complete the report and write the files; report.json comes last and says that the job is whole."""
+    """Complete the report and write the files; report.json comes last and marks the job as complete."""
     from service.job.report.setup_pdf import SHOWN, render_setup_pdf  # its dependencies are slow to import
 
     notes = merge_notes(({"optics": [], "passes": []}, context.earlier_notes))

@@ -100,6 +100,6 @@ def _document(app: FastAPI) -> dict[str, Any]:
         )
         app.openapi_schema = with_problems(document)
         for path, item in document["paths"].items():
-            if path.endswith(STOPS):  # the token is optional: at the server's own computer none is needed
+            if path.endswith(STOPS):  # the token is optional: on the server's own computer none is needed
                 item["post"]["security"].append({})
     return app.openapi_schema
