@@ -3,8 +3,7 @@
 The slope across the rim continues and decays as exp(-d / fade), instead of rising or falling without bound. The
 contribution of the rim's curvature decays within a few cells; otherwise a crease that reaches the rim would continue as
 a ridge. Within 1 mm, from `rim_mm` on, the run-out also turns down by the droop, so that it does not lift a ball that
-touches
-the rim: a dark frame makes half a valley of the rim.
+touches the rim: a dark frame makes half a valley of the rim.
 """
 
 from __future__ import annotations

@@ -9,11 +9,9 @@ by 1 / cos of the slope across them, 2 % at 0.2; the rows of a raster are spaced
 
 Theory. Tracks paint the pixels whose centres lie within half a pitch of them; a pixel is 1/80 of a pitch. The distance
 to the nearest track changes by no more than the step between two places, so a place farther than half a pitch and half
-a pixel's diagonal
-from all tracks lies in a bare pixel: gaps wider than 1.02 pitch (1.018, and 0.002 at joints) cannot hide. From bare
-pixels, and from some places of every tile, an ascent with exact distances finds the true widest circle. Tiles keep
-memory
-at a few bytes for each move.
+a pixel's diagonal from all tracks lies in a bare pixel: gaps wider than 1.02 pitch (1.018, and 0.002 at joints) cannot
+hide. From bare pixels, and from some places of every tile, an ascent with exact distances finds the true widest circle.
+Tiles keep memory at a few bytes for each move.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Registers a photograph of light on a wall with the predicted light.
 
 Theory of operation: the photograph is linear light, clipped at the camera's white. Its model is min(gain * (prediction,
-blurred)^tone + offset, 1), seen in perspective. First guesses come from the lit area of the
-photograph: its moments, which leave a rotation open, and the quadrilateral around it, whose corners may be any four in
-turn. All of them are tried on a picture of some 30 pixels, the best are followed by Gauss-Newton steps on finer and
-finer pictures, with weights that reduce the influence of foreign objects, and the best fit is kept. Mirrored guesses
-are tried too: if one fits clearly better, the picture is mirrored. Nothing here depends on lenses.
+blurred)^tone + offset, 1), seen in perspective. First guesses come from the lit area of the photograph: its moments,
+which leave a rotation open, and the quadrilateral around it, whose corners may be any four in turn. All of them are
+tried on a picture of some 30 pixels, the best are followed by Gauss-Newton steps on finer and finer pictures, with
+weights that reduce the influence of foreign objects, and the best fit is kept. Mirrored guesses are tried too: if one
+fits clearly better, the picture is mirrored. Nothing here depends on lenses.
 """
 
 from __future__ import annotations

@@ -4,12 +4,11 @@ Theory of operation: a photograph determines the picture on the wall up to a per
 the camera. Anything beyond a perspective shows in the positions *within the picture*, and in the brightness: a wall too
 far by s moves the light of each ray by s times its slope, which is a different distortion for each lens; a tilted wall
 does so more on one side; an error of the surface deflects rays by its slopes. All of these are computed exactly, ray by
-ray,
-and fitted together with perspective, exposure (with a camera's shading of second order), tone and blur, by Gauss-Newton
-steps on the photograph itself. Each quantity has an expected spread (`_PRIORS`), as wide as in a workshop. A quantity
-that the photograph does not determine stays near zero, and its deviation stays near that spread. A wall off by 1 % is,
-to first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres, separates
-the two.
+ray, and fitted together with perspective, exposure (with a camera's shading of second order), tone and blur, by
+Gauss-Newton steps on the photograph itself. Each quantity has an expected spread (`_PRIORS`), as wide as in a workshop.
+A quantity that the photograph does not determine stays near zero, and its deviation stays near that spread. A wall off
+by 1 % is, to first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres,
+separates the two.
 
 The model is the light of the designed lens, as soft as the predicted picture, plus the smooth part of their difference:
 of a mill's grain only the blur can be predicted, because each block has a different grain.
