@@ -205,9 +205,7 @@ class SerialPort:
         self._woken = threading.Event()  # for a line that select() does not support
         self._file = _descriptor(line)
         self._bell, self._cord = os.pipe() if self._file >= 0 else (-1, -1)
-        self._ringing = (
-            threading.Lock()
-        )  # a closed descriptor may belong to another file by now and must not be written to
+        self._ringing = threading.Lock()  # a closed descriptor may be another file by now: do not write to it
         if self._file >= 0:
             os.set_blocking(self._cord, False)
 

@@ -25,9 +25,7 @@ from optics.outcomes import DESIGN_BEAMS
 from optics.spline import Array
 from optics.transport.solver import OpticalPath, solve_transport
 
-_CLOSING_PER_BALL = (
-    1.25  # radius of the closing over the ball's, because a closing is not exact; 1 or 1.5 score less after the fit
-)
+_CLOSING_PER_BALL = 1.25  # wider than the ball, because a closing is not exact; 1 or 1.5 score less after the fit
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
 _TUBES_PER_PIXEL = 4
 

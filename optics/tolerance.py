@@ -36,10 +36,7 @@ _FINE = 2  # blurred in half pixels: whole pixels, each evenly lit, would add a 
 _TUBES, _TUBES_COARSE = 2, 1
 _BEAMS = 8  # two colours of the light of a changed set-up; what they miss near focus is added from the middle's
 _WALL_STEPS = 4
-_NEAR, _NEAR_DEG = (
-    0.005,
-    0.5,
-)  # of the throw, and tilt: not yet far out of focus, where the coarse ones are within 0.35 dB
+_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and tilt: still near focus, where the coarse are within 0.35 dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -34,9 +34,7 @@ _ROOM = 4096  # neighbours of one chord
 _PER_CHORD = 6 * MOST_PARTS  # facets, of itself and of the ball at its end
 _TURNED = 0.03  # rad: a frame that deviates more from the surface's normal is set up again
 _CORNERS = 0.5  # of a chord's length: parts of the balls at its end, of which short chords leave narrow slivers
-_WITHIN = (
-    0.75  # of the reach: farther from its middle a ball leaves nothing, because its rivals there may be out of reach
-)
+_WITHIN = 0.75  # of the reach: farther from its middle a ball leaves nothing, as rivals may be out of reach there
 _SPARE = 0.01  # rad: added to the tilts at which a ball can leave anything
 
 

@@ -21,18 +21,8 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
 _CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
 _TRIES = 12
-_RINGS, _SPOKES, _RIM_SHARE = (
-    6,
-    24,
-    0.999,
-)  # places on the underside of a flat cutter; the outermost just inside the rim
-_OTHER_STARTS = (
-    (0.0, 0.0),
-    (0.6, 0.0),
-    (-0.6, 0.0),
-    (0.0, 0.6),
-    (0.0, -0.6),
-)  # in radii, tried when the usual start finds no contact
+_RINGS, _SPOKES, _RIM_SHARE = 6, 24, 0.999  # places on the underside of a flat cutter; the rim, just inside
+_OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, if the usual one is clear
 
 
 @njit(cache=True, nogil=True)

@@ -25,9 +25,7 @@ from cam.cutters import BALL, CutterShape
 from cam.reading.gcode import MoveBatch
 from cam.surface.stock_grid import StockGrid
 
-_SEARCHED = (
-    1e-5  # of the radius: precision of the search for the lowest place along the path; the height is off by its square
-)
+_SEARCHED = 1e-5  # of the radius: precision of the lowest place along the path; the height is off by its square
 _SLIVER_MM = 1e-7  # left by rounding where an end passes twice
 _RIM_MM = 1e-3  # inside the rim of an end: nearer than this, rounding decides whether a wall is touched
 _VISIT_RADII = 2.5  # a cell that was last cut within this length of path is still being cut

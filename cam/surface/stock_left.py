@@ -16,9 +16,7 @@ from optics.heightfield import Array, Heightfield, spline_jet
 
 _JUDGED = 20_000  # most cells whose reach is computed
 _NAMED = 8  # places out of reach that are named
-_TOUCH_MM = (
-    0.002  # a ball that touches a place may penetrate the surface elsewhere by this and still count as reaching it
-)
+_TOUCH_MM = 0.002  # a ball may penetrate the surface elsewhere by this and still count as reaching a place
 _PHASES, _ALONG, _ALONG_SHARE = 8, 21, 0.3  # places tried across and along rows; length along, in radii
 _BESIDE_A_CREASE = 4.0
 """Cusps that are allowed beside an unreachable place. The ball changes flanks there, and the nearest row that touches

@@ -166,9 +166,7 @@ def _grown(mask: np.ndarray, by: float) -> np.ndarray:
 
 
 _NODES = 32  # a radius of the cutter
-_FEW_NODES = (
-    12  # for the stock left by a pass: `camera`, 100 mm, Ø 6 mm with corners of 1 mm: hours are off by a thousandth
-)
+_FEW_NODES = 12  # for the stock of a pass: `camera`, 100 mm, Ø 6 mm, corners of 1 mm: hours are off by a thousandth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,9 +12,7 @@ from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MACHINE_BY_H, 
 from phrases.phrase import Phrase
 
 RML = "rml-1"  # not a dialect of G-code but Roland's own language: its programs are sent unchanged
-SHARED_LETTERS = (
-    "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words that GRBL lacks: they are refused with those words, by name
-)
+SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words that GRBL lacks: refused with those words, by name
 
 Own = tuple[tuple[int, int, int, int], ...]
 

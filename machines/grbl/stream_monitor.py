@@ -34,9 +34,7 @@ class StreamMonitor:
     _idle_reports: int = 0  # Idle with nothing unanswered
     _standing_reports: int = 0  # Idle in a row, with no answer between
     _standing_heard_s: float = 0.0  # when the first of them came
-    _lone_s: float | None = (
-        None  # when a line was sent to a mill that stood with none under way: its answer measures the round trip
-    )
+    _lone_s: float | None = None  # when a line was sent to an idle mill: its answer measures the round trip
     _full_reports: int = 0  # in a row, with more bytes in the receive buffer than may be there
 
     def note_sign(self) -> None:

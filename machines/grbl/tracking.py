@@ -3,8 +3,9 @@
 `ok` means parsed and queued: the controller may still hold that line in its planner and in its segment buffer. A line
 counts as executed only when
 (a) so many *blocks of motion* were answered after it that no buffer can still hold it. Lines that move nothing take no
-place in any buffer and prove nothing; or (b) a line was answered that always waits for all motion before it: a dwell,
-M2, M30. M5, M3, M9 and G54 do not count: they wait only if they change something, which only the controller knows; or
+place in any buffer and prove nothing; or
+(b) a line was answered that always waits for all motion before it: a dwell, M2, M30. M5, M3, M9 and G54 do not count:
+they wait only if they change something, which only the controller knows; or
 (c) a reported position lies on no earlier line than the next one; if it fits several, the earliest is assumed.
 """
 

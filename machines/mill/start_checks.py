@@ -24,11 +24,7 @@ from machines.preflight.preflight import Bounds, Preflight, placement_problems, 
 from machines.preflight.way_in import WAY_IN, find_risk, read_from_place, read_way_in
 from phrases.phrase import Phrase
 
-_PRESUMED = (
-    "G54",
-    "G17",
-    "G94",
-)  # modes that a program relies on without stating them, in addition to `Preflight.assumed`
+_PRESUMED = ("G54", "G17", "G94")  # that a program relies on without stating them, besides `Preflight.assumed`
 LINES_LOOKED_AT = 50_000  # in the search for the first line that leaves the travel: half a second
 
 

@@ -31,10 +31,7 @@ from optics.finish import Finish
 from optics.heightfield import Array
 
 K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.5, 8.0)
-_FLOOR, _SLOPE_FLOOR = (
-    0.012,
-    0.05,
-)  # errors of the model: relative to the mean light, and to the contrast of the fringes
+_FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # errors of the model: of the mean light, and of the contrast of fringes
 _BLUR_RANGE_MM = (0.004, 0.4)
 _SHIFT_MM = 0.03  # accuracy of registering a photograph with the piece
 _SOFTER_SPREAD = 0.05  # spread of the ratio of both halves' blur

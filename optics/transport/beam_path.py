@@ -1,8 +1,11 @@
 """The optical path's kernels for any beam: find the surface point and the face point from which a screen point is lit.
 
-phase(X) + R = c(q) with X = (q, H) - R (s, s_z), s = grad c. For one direction d this has a closed form: R = (n d .
-((q, H) - centre) - c) / (n d . s - 1); for a point source it is solved by Newton's method, d/dR = 1 - n d . s. Areas
-are measured on the face, because no light is lost between there and the surface.
+phase(X) + R = c(q) with X = (q, H) - R (s, s_z), s = grad c. For one direction d this has a closed form:
+
+    R = (n d . ((q, H) - centre) - c) / (n d . s - 1)
+
+For a point source it is solved by Newton's method, d/dR = 1 - n d . s. Areas are measured on the face, because no light
+is lost between there and the surface.
 """
 
 from __future__ import annotations
@@ -16,9 +19,7 @@ from optics.light import Beam, meet, strength_on_face
 from optics.spline import Array
 
 _NEWTON_STEPS = 30
-_CLOSE_ENOUGH_MM = (
-    1e-4  # length of the last Newton step: it converges quadratically, so the error is less than 1e-10 mm
-)
+_CLOSE_ENOUGH_MM = 1e-4  # last Newton step: it converges quadratically, so the error is less than 1e-10 mm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -21,10 +21,7 @@ from phrases.phrase import Phrase, phrases_in
 from service.errors import printable, sentence_of_os_error
 
 GRANT, CONTROL = "Causticmill-Grant", "Causticmill-Control"  # headers of an order
-BY, FROM = (
-    "Causticmill-By",
-    "Causticmill-From",
-)  # the person who gave it and its origin, as the server reports them to an agent
+BY, FROM = "Causticmill-By", "Causticmill-From"  # its person and origin, as the server reports them to an agent
 
 _TITLES = {
     400: "Bad request",

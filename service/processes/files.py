@@ -104,10 +104,7 @@ def _close(path: Path) -> None:
         mode = path.lstat().st_mode
         if not stat.S_ISLNK(mode) and mode & _OTHERS:
             path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
-    except (
-        FileNotFoundError,
-        PermissionError,
-    ):  # deleted meanwhile; or another account's, and now out of others' reach
+    except (FileNotFoundError, PermissionError):  # deleted meanwhile, or another account's and now out of reach
         pass
 
 

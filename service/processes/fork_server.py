@@ -165,9 +165,7 @@ class _Loop:
             parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
             order=files[0], words=files[1], log=files[2], beats=beats,
         )  # fmt: skip
-        begun = (
-            time.monotonic()
-        )  # before the child's own count begins: otherwise it could end itself first and seem to have crashed
+        begun = time.monotonic()  # before the child counts: it must not end itself first and seem to have crashed
         try:
             pid = os.fork()
         except OSError as error:

@@ -41,11 +41,7 @@ _LEAST_SEEN = 0.85
 _LEAST_ACROSS_PX = 64.0
 _ODD_TONE = 0.15
 _TURNED_DEG, _LEANT_DEG = 0.3, 0.5
-_SURE, _SURER, _SUREST = (
-    2.0,
-    3.0,
-    4.0,
-)  # deviations from zero that count: of a distance, of a tilt, of one of many errors of the surface
+_SURE, _SURER, _SUREST = 2.0, 3.0, 4.0  # deviations from zero: of a distance, a tilt, one of many surface errors
 _CAMERA_PX = 1.2  # pixels of the photograph: the camera's own blur
 
 

@@ -91,9 +91,7 @@ class ResolvedJob:
             if value is not None:
                 own[key] = tuple(value) if isinstance(value, list) else value
         if spec.finish.finishes and spec.machine.whole_steps is None:
-            own["whole_steps"] = (
-                True  # a finish removes errors that alternate from row to row, but not those of the control
-            )
+            own["whole_steps"] = True  # a finish removes errors that alternate from row to row, not the control's
         machine = replace(self.figures.profile, **own)
         unsupported = find_unsupported(machine.dialect, setup_of(machine))
         if problems := [

@@ -163,10 +163,7 @@ def _draw_ends(axes: Axes, sample: ContourSample) -> None:
 
 
 def _draw_moves(axes: Axes, cuts: Array, jumps: Array, norm: Normalize, *, width: float) -> None:
-    flat: list[Any] = [
-        cuts[:, :, :2],
-        jumps[:, :, :2],
-    ]  # the type stubs only allow sequences, but an array is drawn faster
+    flat: list[Any] = [cuts[:, :, :2], jumps[:, :, :2]]  # the stubs only allow sequences; an array is drawn faster
     lines = LineCollection(flat[0], cmap=_CMAP, norm=norm, linewidths=width, capstyle="round")
     lines.set_array(cuts[:, :, 2].mean(axis=1))
     axes.add_collection(lines)

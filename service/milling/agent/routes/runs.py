@@ -57,9 +57,7 @@ class ProgramRoutes:
         """Delete a copy; one that a run may still need stays."""
         sha256 = (await self._find(request)).sha256
 
-        def remove(
-            mill: Mill,
-        ) -> None:  # on the mill's thread, so that no run of the program can be parked or recovered meanwhile
+        def remove(mill: Mill) -> None:  # on the mill's thread: meanwhile no run of it can be parked or recovered
             needed = [run for run in mill.runs if run.program == sha256 and run.state is not RunState.FINISHED]
             if needed:
                 words = ", ".join(f"{run.id} ({run.state.value})" for run in needed[:3])

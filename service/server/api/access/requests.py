@@ -48,10 +48,8 @@ def address_of(scope: Scope, *, behind_proxy: bool) -> str:
     if is_here(scope, headers) and not behind_proxy:
         return _HERE
     peer = scope.get("client")
-    forwarded = (
-        headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
-    )
-    return _network(forwarded) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
+    named = headers.get(b"x-forwarded-for", b"").decode("latin-1").rpartition(",")[2].strip() if behind_proxy else ""
+    return _network(named) or f"by way of {peer[0] if peer else 'nobody'}"[:_LONGEST]
 
 
 def is_this_computer(address: str) -> bool:
