@@ -128,6 +128,7 @@ def draw(x, y, h, radius, word, a, b, c, out, count):  # type: ignore[no-untyped
 @njit(cache=True, nogil=True)
 def shorten(into, out, radius, order, turned):  # type: ignore[no-untyped-def]
     """Change order (n + 1,), turned (n + 1,) so that the joints between the stops are shorter; the first stop stays.
+
     Stop k is entered by the pose into[k] and left by out[k], or the other way if it is reversed.
     """
     n = order.size - 1

@@ -259,8 +259,9 @@ class RunControl:
         run.move(state, words, **mark, **where, **more)
 
     def hold_without_journal(self, run: Run, error: JournalError) -> None:
-        """Hold, with the reason: without a journal nothing may run. Resume tries the disk again. This is repeated at
-        every look, because a cycle start at the machine must not continue without a journal either.
+        """Hold, with the reason: without a journal nothing may run. Resume tries the disk again.
+
+        This is repeated at every look, because a cycle start at the machine must not continue without a journal either.
         """
         words = Phrase("held because {error}; make room, then resume", error=error.words)
         if not self._journal_words:

@@ -1,5 +1,6 @@
-"""The results of a program's pre-flight, as plain data stored as JSON: extents, feeds, time, index, warnings. Also the
-limits against which it is checked: the profile's figures, or the controller's own if it has reported them.
+"""The results of a program's pre-flight, as plain data stored as JSON: extents, feeds, time, index, warnings.
+
+Also the limits against which it is checked: the profile's figures, or the controller's own if it has reported them.
 """
 
 from __future__ import annotations

@@ -168,6 +168,7 @@ def compare_offsets(
 
 def zero_back(record: Mapping[str, Any], present: Present, entry: EntryPoint | None) -> str:
     """Return the block that restores the work zero of this program; "" if it has not changed, or is not certain.
+
     Machine coordinates are the same as then only if the mill was homed then and is homed now.
     """
     wcs = entry.state.wcs if entry else "G54"

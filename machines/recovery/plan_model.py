@@ -170,7 +170,9 @@ class RecoveryPlan:
 
     def with_place(self, problems: tuple[Phrase, ...], *, refused: bool) -> RecoveryPlan:
         """Return the plan with the moves that leave the travel: as a refusal if machine coordinates are certain, else
-        as a remark. They are not certain while there are needs: a mill that must be homed counts from anywhere.
+        as a remark.
+
+        They are not certain while there are needs: a mill that must be homed counts from anywhere.
         """
         if not problems:
             return self

@@ -57,7 +57,10 @@ def measure_grain(picture: Rectified, clean: Array, half: Half) -> float:
 def fit_row_errors(
     grain: float, *, radius_mm: float, pitch_mm: float, lever_mm: float, blur_mm: float
 ) -> RowErrors:  # fmt: skip
-    """Return the size of row errors that gives light this grain. lever_mm : the distance to the wall times (n - 1)"""
+    """Return the size of row errors that gives light this grain.
+
+    lever_mm : the distance to the wall times (n - 1)
+    """
     level, spread = np.empty(_TRIED_MM.size), np.empty(_TRIED_MM.size)
     for number, sigma in enumerate(_TRIED_MM):
         found = np.log(_grain_of_rows(float(sigma), radius_mm, pitch_mm, lever_mm, blur_mm))

@@ -51,8 +51,10 @@ def correlation_of(photograph: Photograph, view: View, fit: Fit) -> float:
 
 
 def likeness_of(photograph: Photograph, view: View, fit: Fit) -> float:
-    """Return the geometric mean of that correlation and of that of the details. Blobs of light of different pictures
-    can be matched by a perspective, a tone and a blur; details between _DETAILS of the picture's side cannot.
+    """Return the geometric mean of that correlation and of that of the details.
+
+    Blobs of light of different pictures can be matched by a perspective, a tone and a blur; details between _DETAILS of
+    the picture's side cannot.
     """
     return float(np.sqrt(np.prod(np.maximum(_alike(photograph, view, fit), 0.0))))
 

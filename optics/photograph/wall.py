@@ -189,7 +189,9 @@ class _Scene:
 
     def residual(self, state: _State, view: View) -> tuple[Array, Array, Array, Array]:
         """Return photograph minus model, model, its open share, and the weight of each pixel, 0 where it does not
-        count. The unmodelled part, above all a mill's grain, grows with the light.
+        count.
+
+        The unmodelled part, above all a mill's grain, grows with the light.
         """
         off, model, is_open, clipped = residual_of(self._photograph, view, state.fit)
         odd = np.tensordot(state.odd_blur, _odd_blurs(view, state.fit), 1) * is_open

@@ -187,8 +187,9 @@ def _piston(misses: Misses, bench: Bench, skim_mm: float) -> float:
 
 
 def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
-    """Raise TotalReflectionError if the sideways distance of the light stopped the solution. That distance hardly
-    depends on the throw, so a coarse solution for a far screen shows it.
+    """Raise TotalReflectionError if the sideways distance of the light stopped the solution.
+
+    That distance hardly depends on the throw, so a coarse solution for a far screen shows it.
     """
     coarse = average_boxes(g, level_shapes(g.shape)[0])
     moved = solve_transport(coarse, move_far_away(bench), skim_mm=0.0, tolerance=1e-2).transport_map()

@@ -123,6 +123,7 @@ def look_at(
     reporter: Reporter | None = None,
 ) -> Look:
     """Compare a photograph with the prediction. UselessPhotoError, with the photograph's `name`, if it is of no use.
+
     picture_width_mm : width of the lit rectangle on the wall, if it was measured
     """
     watch = Stopwatch(reporter or QuietReporter())

@@ -171,8 +171,9 @@ def list_heard_signals() -> list[signal.Signals]:
 
 @contextlib.contextmanager
 def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
-    """Take over the signals, and restore the previous handlers at the end. Main thread only. An ignored signal stays
-    ignored: a run under `nohup` outlives its terminal.
+    """Take over the signals, and restore the previous handlers at the end. Main thread only.
+
+    An ignored signal stays ignored: a run under `nohup` outlives its terminal.
     """
     kinds = list_heard_signals()
     raw_in, raw_out = os.pipe()

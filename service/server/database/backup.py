@@ -181,8 +181,9 @@ _WITHOUT_DATABASE = [
 
 
 def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
-    """Restore a backup; return lines about what was restored, what the backup lacked, and the tokens. All tokens are
-    revoked unless keep_tokens: the backup does not know which were revoked after it was made.
+    """Restore a backup; return lines about what was restored, what the backup lacked, and the tokens.
+
+    All tokens are revoked unless keep_tokens: the backup does not know which were revoked after it was made.
     """
     with _begin_empty(settings.data), _open(source) as tar:
         folder = settings.data / _ARRIVING

@@ -61,7 +61,9 @@ class Reconciler:
 
     def release_claims(self) -> None:
         """Release jobs that have this worker's name but do not run here, so that the holder of the ticket can claim
-        them. They are from before its restart, or it was fenced out of them while the engine gave the ticket to another
+        them.
+
+        They are from before its restart, or it was fenced out of them while the engine gave the ticket to another
         worker.
         """
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)

@@ -70,8 +70,9 @@ def _resolve(text: bytes) -> ResolvedJob:
 
 
 def _parse(text: bytes) -> dict[str, Any]:
-    """Parse a JSON object. Valid JSON that no one intends is refused: duplicate keys, NaN, deep nesting. The values are
-    counted before they are parsed, because this process pays for each of them from here on.
+    """Parse a JSON object. Valid JSON that no one intends is refused: duplicate keys, NaN, deep nesting.
+
+    The values are counted before they are parsed, because this process pays for each of them from here on.
     """
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
         raise _unusable(Phrase("the part 'spec' holds more than {most} values", most=_MOST_VALUES))
