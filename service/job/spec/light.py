@@ -17,8 +17,8 @@ from service.wording import number
 if TYPE_CHECKING:
     from optics.spectrum import Spectrum
 
-PARALLEL = "collimated"
-"""The default kind of light, and the only one that meets the lens at a right angle everywhere."""
+_USUAL = "collimated"
+"""The kind of a light without a kind."""
 SUN_DEG = 0.53
 MOST_PROFILE = 128  # values along a side
 _LEAST_PROFILE = 1e-6  # least maximum of a profile, so that no ratio of its values overflows
@@ -43,6 +43,7 @@ class LightWords:
     label, hint : in the form
     figures     : keys of this kind only
     spectrum    : the default, one of SPECTRA
+    is_square   : all of it comes square to the lens, whose back does not bend it
     describe    : sentence of the set-up sheet, of the light as plain data and whether it falls on a mirror
     """
 
@@ -51,11 +52,12 @@ class LightWords:
     describe: Callable[[Mapping[str, Any], bool], Phrase]
     figures: tuple[str, ...] = ()
     spectrum: str = "white"
+    is_square: bool = False
 
 
 def kind_of(light: Mapping[str, Any]) -> str:
     """Return the kind of a light given as plain data; old reports lack it."""
-    return light.get("kind") or PARALLEL
+    return light.get("kind") or _USUAL
 
 
 def describe_light(light: Mapping[str, Any], *, is_mirror: bool) -> Phrase:
@@ -91,10 +93,11 @@ def _face(is_mirror: bool) -> Phrase:
 
 
 LIGHT_WORDS: dict[str, LightWords] = {
-    PARALLEL: LightWords(
+    _USUAL: LightWords(
         label="Parallel",
         hint="a spotlight far away, or a collimated lamp",
         describe=_describe_parallel,
+        is_square=True,
     ),
     "sun": LightWords(
         label="Sun",
@@ -161,7 +164,7 @@ class LightSpec(Section):
     gaussian_mm : diameter at which a beam has fallen to 1/e^2 of its middle
     """
 
-    kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = PARALLEL
+    kind: Annotated[str, OneOf(_CHOICES), shown("What shines on the lens", card="light", look="cards")] = _USUAL
     size_deg: Annotated[
         Annotated[float, Field(ge=0.001, le=10)] | None,
         shown("Size of the sun in the sky", card="light", usual=f"{SUN_DEG:g}", when=_when("size_deg")),

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from cam.materials import PMMA
 from phrases.phrase import Phrase
-from service.job.spec.light import PARALLEL, LightSpec
+from service.job.spec.light import LIGHT_WORDS, LightSpec
 from service.job.spec.section import Distance, Length, RuleError, Section, none_or_from, shown
 
 _SHAPES = ("rectangle", "ellipse")
@@ -183,7 +183,7 @@ class OpticsSpec(Section):
     @property
     def light_crosses_block(self) -> bool:
         """Whether the thickness of the block affects the light."""
-        return self.surface == "lens" and self.light.kind != PARALLEL
+        return self.surface == "lens" and not LIGHT_WORDS[self.light.kind].is_square
 
     @field_validator("outline", mode="before")
     @classmethod

@@ -81,7 +81,7 @@ class ProgramOfRun(Body):
 
 
 class RunProgress(Body):
-    """How a run stands."""
+    """How a run stands: what changes while it runs, so that the page sees it live."""
 
     id: str
     state: RunWord

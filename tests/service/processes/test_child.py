@@ -17,6 +17,7 @@ from phrases.phrase import phrases_in
 from service.errors import FailedError, InputError, PictureError, ServiceError, SpecError
 from service.processes.child import Child, ChildCrashed, ChildDied, ChildLate
 from service.processes.child_work import WordPipe
+from service.processes.kept_child import KeptChild
 from tests.service.server.worker.stage_bench import lives
 from tests.waiting import until
 
@@ -107,6 +108,15 @@ def test_who_waits_learns_that_another_thread_killed_it(child: Child) -> None:
         child.kill()
         with pytest.raises(ChildDied):
             asking.result()
+
+
+def test_of_many_callers_at_once_each_gets_the_answer_to_its_own_question() -> None:
+    kept = KeptChild(ODD, answer_s=20.0)
+    with ThreadPoolExecutor(16) as pool:
+        requests = [(f"caller {n}", {"do": "echo", "say": n, "max_pixels": 0}) for n in range(200)]
+        answers = list(pool.map(lambda one: kept.ask(*one).result(60), requests))
+    kept.close()
+    assert [one["said"] for one in answers] == list(range(200))
 
 
 def test_it_ends_with_a_killed_asker_even_at_work() -> None:
